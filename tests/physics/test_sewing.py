@@ -1,0 +1,253 @@
+"""Patterns in triangles, and sewn: areas and lengths of the cloth that was cut, and one surface without a flaw."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sewing_patterns import REAL, back, front, panel, pattern, read, stitch, tube
+
+from nuno.scene.files import SceneFiles
+from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.joined import find_openings
+from nuno_cloth.sewing.pattern import Pattern
+from nuno_cloth.sewing.sew import Sewn, sew
+from nuno_schemas.fabric import Float
+
+SPACINGS = [0.007, 0.01, 0.015, 0.03]
+quick = pytest.mark.quick(spacing=[0.03])
+
+
+@pytest.fixture(scope="module", params=SPACINGS)
+def spacing(request: pytest.FixtureRequest) -> float:
+    return float(request.param)
+
+
+@pytest.fixture(scope="module", params=REAL)
+def garment(request: pytest.FixtureRequest, spacing: float, shared_data: Path) -> tuple[Pattern, Sewn]:
+    cut = read_pattern(SceneFiles(shared_data / "patterns"), f"{request.param}.json")
+    return cut, sew(cut, spacing)
+
+
+def areas(sewn: Sewn) -> Float:
+    """(f,) of triangles as they are cut, counter-clockwise more than 0 [m^2]."""
+    a, b, c = (sewn.flat[sewn.faces[:, k]] for k in range(3))
+    one, two = b - a, c - a
+    return np.asarray(0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]))
+
+
+def angles(sewn: Sewn) -> Float:
+    """(f,) least angle of each triangle as it is cut [deg]."""
+    found = []
+    for k in range(3):
+        here, one, two = (sewn.flat[sewn.faces[:, (k + i) % 3]] for i in range(3))
+        u, v = one - here, two - here
+        found.append(np.degrees(np.arctan2(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), (u * v).sum(axis=1))))
+    return np.min(found, axis=0)
+
+
+def loops(sewn: Sewn) -> list[set[int]]:
+    """Cut vertices, by sewn ones, round each hole of the surface. Each is left once and come to once."""
+    faces = sewn.sewn_faces
+    ways = {(int(a), int(b)) for k in range(3) for a, b in zip(faces[:, k], faces[:, (k + 1) % 3], strict=True)}
+    after = {a: b for a, b in ways if (b, a) not in ways}
+    assert len(after) == sum((b, a) not in ways for a, b in ways) and set(after) == set(after.values())
+    found = []
+    while after:
+        first = here = next(iter(after))
+        loop = set[int]()
+        while here not in loop:
+            loop.add(here)
+            here = after.pop(here)
+        assert here == first
+        found.append(loop)
+    return found
+
+
+def require_surface(cut: Pattern, sewn: Sewn) -> None:
+    """Two triangles at most share a side, and run along it in opposite ways; holes are the pattern's openings."""
+    faces = sewn.sewn_faces
+    edges = find_edges(faces)
+    assert edges.count.max() <= 2 and len(edges.inner) == (edges.count == 2).sum()
+    assert (np.sort(faces, axis=1)[:, :2] != np.sort(faces, axis=1)[:, 1:]).all()
+    assert np.array_equal(np.unique(faces), np.arange(sewn.number))
+    place = {name: k for k, name in enumerate(sewn.names)}
+    expected = []
+    for opening in find_openings(cut):
+        runs = [sewn.edges[place[name]][edge] for name, edge in opening]
+        expected.append({int(sewn.merged[vertex]) for run in runs for vertex in run})
+    assert sorted(map(sorted, loops(sewn))) == sorted(map(sorted, expected))
+
+
+@quick
+def test_triangles_are_as_large_as_the_panels_and_edges_as_long(garment: tuple[Pattern, Sewn], spacing: float) -> None:
+    """Within 0.1 %, by the curves' own integrals, whatever the triangles' size; the promise of segments.ACCURATE."""
+    cut, sewn = garment
+    area = areas(sewn)
+    assert area.min() > 0.0
+    for k, one in enumerate(cut.panels.values()):
+        assert area[sewn.panel == k].sum() == pytest.approx(abs(one.area), rel=1e-3)
+        for edge, run in zip(one.edges, sewn.edges[k], strict=True):
+            assert np.hypot(*np.diff(sewn.flat[run], axis=0).T).sum() == pytest.approx(edge.length, rel=1e-3)
+
+
+@quick
+def test_a_sewn_garment_is_one_surface(garment: tuple[Pattern, Sewn], spacing: float) -> None:
+    """Of Euler's characteristic 2 - (holes): a sphere with as many holes as the pattern has openings."""
+    cut, sewn = garment
+    require_surface(cut, sewn)
+    sides = len(find_edges(sewn.sewn_faces).pairs)
+    assert sewn.number - sides + len(sewn.faces) == 2 - len(find_openings(cut))
+
+
+@quick
+def test_triangles_are_well_shaped_away_from_tips_and_short_edges(
+    garment: tuple[Pattern, Sewn], spacing: float
+) -> None:
+    """At least 20 degrees; but where the cloth ends in a tip of less than 60 degrees within 4 sides, or a side of the
+    outline is less than half as long as it should be.
+    """
+    _, sewn = garment
+    least = angles(sewn)
+    for k, runs in enumerate(sewn.edges):
+        outline = sewn.flat[np.concatenate([run[:-1] for run in runs])]
+        ahead, behind = np.roll(outline, -1, axis=0) - outline, np.roll(outline, 1, axis=0) - outline
+        length = np.hypot(*ahead.T)
+        cosine = (ahead * behind).sum(axis=1) / (length * np.roll(length, 1))
+        narrow = (cosine > 0.5) | (length < 0.5 * spacing) | (np.roll(length, 1) < 0.5 * spacing)
+        own = sewn.panel == k
+        middle = sewn.flat[sewn.faces[own]].mean(axis=1)
+        far = np.full(len(middle), np.inf)
+        for tip in outline[narrow]:
+            far = np.minimum(far, np.hypot(*(middle - tip).T))
+        assert least[own][far > 4.0 * spacing].min(initial=60.0) >= 20.0, sewn.names[k]
+
+
+@quick
+def test_seams_are_stitched_evenly_from_end_to_end(garment: tuple[Pattern, Sewn], spacing: float) -> None:
+    """Each pair is as far along its edge as the other, by its share of the length: so gathers are spread."""
+    cut, sewn = garment
+    place = {one: k for k, one in enumerate(sewn.names)}
+    for seam in sewn.seams:
+        (one, k), (other, j) = seam.seam.one, seam.seam.other
+        runs = sewn.edges[place[one]][k], sewn.edges[place[other]][j]
+        np.testing.assert_array_equal(seam.pairs[:, 0], runs[0])
+        np.testing.assert_array_equal(seam.pairs[:, 1], runs[1] if seam.seam.right_wrong else runs[1][::-1])
+        np.testing.assert_array_equal(*sewn.merged[seam.pairs].T)
+        share = [np.hypot(*np.diff(sewn.flat[run], axis=0).T) for run in seam.pairs.T]
+        np.testing.assert_allclose(share[0] / share[0].sum(), share[1] / share[1].sum(), rtol=0.15)
+        assert seam.lengths == (cut.edge(seam.seam.one).length, cut.edge(seam.seam.other).length)
+
+
+def test_the_shirt_has_a_neck_a_hem_and_two_cuffs(shared_data: Path) -> None:
+    cut = read_pattern(SceneFiles(shared_data / "patterns"), "shirt.json")
+    sewn = sew(cut, 0.02)
+    length = sorted(100.0 * sum(cut.edge(side).length for side in opening) for opening in find_openings(cut))
+    assert len(loops(sewn)) == 4
+    np.testing.assert_allclose(length, [42.518, 42.518, 68.62, 109.825], atol=0.1)
+
+
+def test_a_tube_meets_where_it_lies_above_each_other(tmp_path: Path) -> None:
+    """Front and back stand upright on each other: each pair of a seam differs in z alone, by 30 cm."""
+    cut = read(tmp_path, tube())
+    sewn = sew(cut, 0.02)
+    require_surface(cut, sewn)
+    for seam in sewn.seams:
+        one, other = sewn.placed[seam.pairs[:, 0]], sewn.placed[seam.pairs[:, 1]]
+        np.testing.assert_allclose(one - other, np.tile([0.0, 0.0, one[0, 2] - other[0, 2]], (len(one), 1)), atol=1e-12)
+        assert abs(one[0, 2] - other[0, 2]) == pytest.approx(0.3, rel=1e-12)
+    # As seen from outside: the front towards +z, the back, which is drawn from its wrong side, towards -z.
+    corner = sewn.placed[sewn.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert np.array_equal(np.sign(normal[:, 2]), np.where(sewn.panel == 0, 1.0, -1.0))
+    assert (areas(sewn) > 0.0).all()
+    np.testing.assert_array_equal(sewn.warp, [[0.0, 1.0], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize("spacing", [0.01, 0.05, 0.5])
+@pytest.mark.parametrize("right_wrong", [False, True])
+def test_a_panel_sewn_to_itself_is_a_tube_at_any_size(right_wrong: bool, spacing: float, tmp_path: Path) -> None:
+    seams = [stitch("band[1]", "band[3]")]
+    if right_wrong:  # as half a turn in each of two panels, which is a whole one
+        seams = [stitch("band[1]", "other[1]", "right_wrong"), stitch("band[3]", "other[3]", "right_wrong")]
+    band = panel((0, 0), (30, 0), (30, 6), (0, 6))
+    cut = read(tmp_path, pattern({"band": band, **({"other": band} if right_wrong else {})}, *seams))
+    sewn = sew(cut, spacing)
+    require_surface(cut, sewn)
+    assert len(loops(sewn)) == 2 and sewn.number - len(find_edges(sewn.sewn_faces).pairs) + len(sewn.faces) == 0
+    assert sewn.inside.sum() == right_wrong and areas(sewn).sum() == pytest.approx(0.3 * 0.06 * (1 + right_wrong))
+
+
+@pytest.mark.parametrize("spacing", [0.01, 0.03, 0.3])
+def test_a_dart_takes_cloth_away_and_leaves_no_hole(spacing: float, tmp_path: Path) -> None:
+    darted = panel((0, 0), (12, 0), (15, 14), (18, 0), (30, 0), (30, 20), (0, 20), translation=[-15, 100, 15])
+    seams = stitch("front[1]", "front[2]"), stitch("front[4]", "back[2]"), stitch("front[6]", "back[0]")
+    cut = read(tmp_path, pattern({"front": darted, "back": back()}, *seams))
+    sewn = sew(cut, spacing)
+    require_surface(cut, sewn)
+    hem = min(find_openings(cut), key=lambda sides: sum(cut.edge(side).length for side in sides))
+    assert sum(cut.edge(side).length for side in hem) == pytest.approx(0.12 + 0.12 + 0.3)
+    # The tip is one vertex, of the panel's inside once the dart is sewn.
+    tip = sewn.merged[sewn.edges[0][1][-1]]
+    assert all(tip not in loop for loop in loops(sewn))
+
+
+def test_a_sector_is_as_large_as_its_closed_form_says(tmp_path: Path) -> None:
+    """A quarter of a ring between 20 and 60 cm, as a circle skirt is cut: pi (60^2 - 20^2) / 4."""
+    arcs = {1: {"type": "circle", "params": [60.0, 0, 1]}, 3: {"type": "circle", "params": [20.0, 0, 0]}}
+    cut = read(tmp_path, pattern({"skirt": panel((20, 0), (60, 0), (0, 60), (0, 20), curves=arcs)}))
+    for spacing in SPACINGS:
+        assert 1e4 * areas(sew(cut, spacing)).sum() == pytest.approx(np.pi * (60**2 - 20**2) / 4.0, rel=1e-3)
+
+
+def test_gathers_have_as_many_stitches_as_the_longer_edge_wants(tmp_path: Path) -> None:
+    wide = front(width=90.0)
+    cut = read(tmp_path, pattern({"top": front(), "ruffle": wide}, stitch("top[0]", "ruffle[2]")))
+    sewn = sew(cut, 0.02)
+    assert sewn.seams[0].lengths == pytest.approx((0.3, 0.9)) and len(sewn.seams[0].pairs) == 46
+    for run, step in zip(sewn.seams[0].pairs.T, (0.3 / 45, 0.9 / 45), strict=True):
+        np.testing.assert_allclose(np.hypot(*np.diff(sewn.flat[run], axis=0).T), step, rtol=1e-12)
+
+
+def test_the_grain_turns_with_a_panel_that_is_drawn_from_its_wrong_side(tmp_path: Path) -> None:
+    """30 degrees to the left of y in the drawing are 30 to the right of it on the right side."""
+    cut = read(tmp_path, pattern({"front": front() | {"grain": 30.0}, "back": back() | {"grain": 30.0}}))
+    np.testing.assert_allclose(sew(cut, 0.05).warp, [[-0.5, np.sqrt(0.75)], [0.5, np.sqrt(0.75)]], atol=1e-15)
+
+
+PROGRAM = """
+import sys; sys.path.insert(0, {tests!r})
+from pathlib import Path
+from sewing_patterns import read, tube, panel
+from nuno_cloth.sewing.sew import sew
+import hashlib
+curve = {{2: {{"type": "cubic", "params": [[0.3, 0.2], [0.7, -0.1]]}}}}
+sewn = sew(read(Path({folder!r}), tube(front=panel((0, 0), (30, 0), (30, 20), (0, 20), curves=curve))), 0.01)
+parts = (sewn.flat, sewn.placed, sewn.faces, sewn.merged)
+print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest())
+"""
+
+
+def test_it_is_the_same_to_the_last_bit_on_any_number_of_threads(tmp_path: Path) -> None:
+    curve = {2: {"type": "cubic", "params": [[0.3, 0.2], [0.7, -0.1]]}}
+    cut = read(tmp_path, tube(front=panel((0, 0), (30, 0), (30, 20), (0, 20), curves=curve)))
+    found = set()
+    for _ in range(2):
+        sewn = sew(cut, 0.01)
+        parts = sewn.flat, sewn.placed, sewn.faces, sewn.merged
+        found.add(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest())
+    program = PROGRAM.format(tests=str(Path(__file__).resolve().parents[1]), folder=str(tmp_path))
+    for threads in ("1", "2"):
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=os.environ | dict.fromkeys(names, threads), capture_output=True,
+            text=True, check=True, timeout=60,
+        )  # fmt: skip
+        found.add(done.stdout.strip())
+    assert len(found) == 1
