@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from nuno_kernels.meshes.closest_point import scan_triangles
+from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line

@@ -6,7 +6,8 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno_kernels.meshes.closest_point import closest_points, scan_triangles
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.scan import scan_triangles
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -85,6 +86,31 @@ def test_start_threads_and_order_change_no_bit() -> None:
         assert getattr(one, name)[order].tobytes() == getattr(many, name).tobytes()
     lowest = np.array([np.flatnonzero((faces == i).any(axis=1)).min() for i in range(len(x))])
     assert np.array_equal(one.face[: len(x)], lowest)
+
+
+@pytest.mark.parametrize("count", [3, 33, 400])
+def test_whatever_the_start_is_the_nearest_triangle_is_found(count: int) -> None:
+    """The search goes up from the start, so that each start is a way of its own through the tree."""
+    x, faces = soup(3, count)
+    tree, p = build_tree(x, faces), places(3, x, faces)[::7]
+    found = closest_points(tree, p)
+    for start in range(len(faces)):
+        again = closest_points(tree, p, np.full(len(p), start, np.int32))
+        assert all(a.tobytes() == b.tobytes() for a, b in zip(found, again, strict=True))
+
+
+@pytest.mark.parametrize("count", [1, 8, 9, 64, 65, 500, 4097])
+def test_every_node_and_leaf_is_a_child_of_its_parent(count: int) -> None:
+    """Last nodes of levels have fewer than eight children."""
+    x = np.random.default_rng(7).normal(size=(3 * count, 3))
+    tree = build_tree(x, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+    there = np.isfinite(tree.boxes.reshape(-1, 6, 8)[:, 0])
+    node, lane = np.nonzero(there)
+    first = tree.child[node]
+    inner = first >= 0
+    assert np.array_equal(tree.parent[(first + lane)[inner]], node[inner])
+    assert np.array_equal(tree.leaf_parent[(-1 - first + lane)[~inner]], node[~inner])
+    assert tree.parent[0] == -1 and inner.sum() == len(tree.parent) - 1 and (~inner).sum() == len(tree.leaf_parent)
 
 
 @pytest.mark.parametrize(

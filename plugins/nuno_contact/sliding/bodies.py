@@ -44,6 +44,8 @@ def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
         frames=np.zeros((frames, 18)),
         boxes=np.concatenate([tree.boxes for tree in trees]),
         child=np.concatenate([moved_children(tree.child, nodes[k], leaves[k]) for k, tree in enumerate(trees)]),
+        parent=np.concatenate([np.where(t.parent < 0, -1, t.parent + nodes[k]) for k, t in enumerate(trees)]),
+        leaf_parent=np.concatenate([tree.leaf_parent + nodes[k] for k, tree in enumerate(trees)]),
         corners=np.concatenate([tree.corners for tree in trees]),
         face=np.concatenate([t.face + np.int32(triangles[k]) for k, t in enumerate(trees)]),
         place=np.concatenate([t.place + np.int32(WIDTH * leaves[k]) for k, t in enumerate(trees)]),

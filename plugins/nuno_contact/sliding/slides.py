@@ -60,6 +60,8 @@ class Slides(NamedTuple):
     """(f, 18) and the rest as in nuno_contact.penalty.contact"""
     boxes: Float
     child: NDArray[np.int64]
+    parent: NDArray[np.int64]
+    leaf_parent: NDArray[np.int64]
     corners: Float
     face: Int
     place: Int
@@ -85,7 +87,8 @@ class Slides(NamedTuple):
 def tree_of(s: Slides) -> Tree:
     """The trees of all bodies as one."""
     return Tree(
-        s.boxes, s.child, s.corners, s.face, s.place, s.faces, s.edges, s.vertex_normals, s.edge_normals
+        s.boxes, s.child, s.parent, s.leaf_parent, s.corners, s.face, s.place, s.faces, s.edges, s.vertex_normals,
+        s.edge_normals,
     )  # fmt: skip
 
 

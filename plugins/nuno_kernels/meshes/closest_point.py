@@ -9,9 +9,9 @@ whose error grows with 1 / sin of the triangle's angle at a; the usual solution 
 Every candidate is a point of the triangle whatever rounding did to s and t, so that even a sliver's error
 stays within its width, and a triangle without area is its edges.
 
-The search starts with the leaf of a triangle that is thought to be near and looks only at boxes that are no
-farther away than the best so far. Of equally near triangles that of the lowest number is taken: the answer does
-not depend on the start, the order of the search or the number of threads, to the last bit.
+The search starts with the leaf of a triangle that is thought to be near, goes up from there, and looks only at boxes
+that are no farther away than the best so far. Of equally near triangles that of the lowest number is taken: the answer
+does not depend on the start, the order of the search or the number of threads, to the last bit.
 
 Weighed: libigl, trimesh and Open3D, beside which `nuno bench speed closest` measures this search. igl, with sign and in
 double precision, answers an eighth as fast or less, since it makes its tree anew in every call; Open3D is in single.
@@ -26,11 +26,11 @@ import numba
 import numpy as np
 from numba import prange
 
-from nuno_kernels import block_kernel, forced_inline, kernel, parallel_kernel, threads_available
+from nuno_kernels import block_kernel, forced_inline, parallel_kernel, threads_available
 from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
+from nuno_kernels.lanes.choose import EVERY, first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
-from nuno_kernels.meshes.tree import Room, Tree, in_eights, make_room
+from nuno_kernels.meshes.tree import Room, Tree, make_room
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -83,46 +83,68 @@ def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -
     return best, which
 
 
-@kernel
+@forced_inline
+def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> Lanes:
+    """Squared distances [m^2] of a point to the boxes of a node's eight children, as a vector."""
+    zero, row = splat(0.0), 6 * node
+    x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
+    y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
+    z = higher(higher(load(boxes, row + 2, 0) - pz, pz - load(boxes, row + 5, 0)), zero)
+    # A share of 64 ulp off: see nuno_kernels.meshes.tree.ROUNDING, which does not cover points that are far away.
+    return (x * x + y * y + z * z) * (1.0 - 2.0**-46)
+
+
+@forced_inline
+def add_waiting(away: Lanes, bits: int, first: int, top: int, room: Room) -> int:
+    """Let those children of a node wait whose `bits` are set, the nearest last; how many wait then, `top` before."""
+    waiting, bound, base = room.waiting, room.bound, top
+    while bits != 0:
+        j = first_lane(bits)
+        bits &= bits - 1
+        value, k = lane(away, j), top
+        while k > base and bound[k - 1] < value:
+            waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
+            k -= 1
+        waiting[k], bound[k] = first + j if first >= 0 else first - j, value
+        top += 1
+    return top
+
+
+@forced_inline
 def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
-    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`."""
+    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`.
+
+    It goes up from that leaf to the root, and at each node lets those of the other children wait that are near enough:
+    if the start is good, hardly any. Which nodes are on the way up is known beforehand, so that the processor works on
+    several at once; on a way down each is known only after the one before. From a bad start, of whose neighbours all
+    are near enough, it goes down from the root: there the nearest are told apart first.
+    """
     px, py, pz = p
-    boxes, child, corners, face, waiting, bound = (
-        tree.boxes, tree.child, tree.corners, tree.face, room.waiting, room.bound
-    )  # fmt: skip
-    zero = splat(0.0)
+    boxes, child, corners, face, bound = tree.boxes, tree.child, tree.corners, tree.face, room.bound
     own = start // WIDTH
-    best, which = take_nearest(leaf_distances(px, py, pz, corners, own), own, face, math.inf, start)
-    waiting[0], bound[0] = root, 0.0
-    top = 1
+    values = leaf_distances(px, py, pz, corners, own)
+    best, which = take_nearest(values, own, face, lane(values, start % WIDTH), start)
+    node, top = tree.leaf_parent[own], 0
+    known = 1 << (own + child[node] + 1)
+    if lanes_up_to(box_distances(px, py, pz, boxes, node), best) == EVERY:
+        node, known = root, 0
+    while node >= 0:
+        away = box_distances(px, py, pz, boxes, node)
+        top = add_waiting(away, lanes_up_to(away, best) & ~known, child[node], top, room)
+        below, node = node, tree.parent[node]
+        if node >= 0:
+            known = 1 << (below - child[node])
     while top > 0:
         top -= 1
         if bound[top] > best:
             continue
-        node = waiting[top]
+        node = room.waiting[top]
         if node < 0:
             leaf = -1 - node
-            if leaf == own:
-                continue
             best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
-            continue
-        row = 6 * node
-        x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
-        y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
-        z = higher(higher(load(boxes, row + 2, 0) - pz, pz - load(boxes, row + 5, 0)), zero)
-        # A share of 64 ulp off: see nuno_kernels.meshes.tree.ROUNDING, which does not cover points that are far away.
-        away = (x * x + y * y + z * z) * (1.0 - 2.0**-46)
-        bits, first = lanes_up_to(away, best), child[node]
-        base = top
-        while bits != 0:
-            j = first_lane(bits)
-            bits &= bits - 1
-            value, k = lane(away, j), top
-            while k > base and bound[k - 1] < value:
-                waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
-                k -= 1
-            waiting[k], bound[k] = first + j if first >= 0 else first - j, value
-            top += 1
+        else:
+            away = box_distances(px, py, pz, boxes, node)
+            top = add_waiting(away, lanes_up_to(away, best), child[node], top, room)
     return which
 
 
@@ -132,7 +154,7 @@ def clamp(value: float) -> float:
     return min(value, 1.0) if value > 0.0 else 0.0
 
 
-@kernel
+@forced_inline
 def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -> tuple[float, float, int]:
     """Coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and where it lies:
     0 inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
@@ -187,7 +209,7 @@ class Answer(NamedTuple):
     normal: Vector
 
 
-@kernel
+@forced_inline
 def closest(p: Vector, start: int, root: int, tree: Tree, room: Room) -> Answer:
     """What is nearest to a point of the tree from node `root` on, the search starting in place `start`."""
     px, py, pz = p
@@ -231,28 +253,31 @@ class Closest(NamedTuple):
 
 
 @block_kernel
-def find_block(block: int, points: Float, start: Int, tree: Tree, found: Closest) -> None:
+def find_block(block: int, points: Float, start: Int, tree: Tree, room: Room, found: Closest) -> None:
     """The closest points of a block of points (n, 3)."""
-    room, (point, face, weights, distance) = make_room(), found
+    (point, face, weights, distance), last = found, 0
     for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
-        near = closest((points[i, 0], points[i, 1], points[i, 2]), tree.place[start[i]], 0, tree, room)
+        first = tree.place[start[i]] if start[i] >= 0 else last
+        near = closest((points[i, 0], points[i, 1], points[i, 2]), first, 0, tree, room)
+        last = near.place
         point[i, 0], point[i, 1], point[i, 2] = near.point
         weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - near.s - near.t, near.s, near.t
-        face[i], distance[i] = tree.face[near.place], near.distance
+        face[i], distance[i] = tree.face[last], near.distance
 
 
 @parallel_kernel
 def find_closest(points: Float, start: Int, tree: Tree, found: Closest) -> None:
     """`find_block` for all blocks on several threads. numba takes a loop for dead that itself writes into a tuple."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
-        find_block(block, points, start, tree, found)
+        find_block(block, points, start, tree, make_room(), found)
 
 
 def closest_points(tree: Tree, points: Float, start: Int | None = None, threads: int | None = None) -> Closest:
     """The closest points of a mesh to points (n, 3) [m].
 
-    `start` (n,) are the triangles that the search begins with, as of the last time: a good guess bounds
-    it, and a bad one costs time only. `threads` are all that there are unless given; the same bits with any.
+    `start` (n,) are the triangles that the search begins with, as of the last time: a good guess bounds it, and a bad
+    one costs time only. Without, each point's is that of the point before. `threads` are all that there are unless
+    given; the same bits with any.
     Raises BadInput for points that are not finite.
     """
     points = np.ascontiguousarray(points, np.float64)
@@ -261,36 +286,9 @@ def closest_points(tree: Tree, points: Float, start: Int | None = None, threads:
         first = int(np.argmax(bad))
         raise BadInput("not a finite position", field=f"points[{first}]", value=points[first].tolist())
     n = len(points)
-    begin = np.zeros(n, np.int32) if start is None else np.ascontiguousarray(start, np.int32)
+    begin = np.full(n, -1, np.int32) if start is None else np.ascontiguousarray(start, np.int32)
     found = Closest(np.empty((n, 3)), np.empty(n, np.int32), np.empty((n, 3)), np.empty(n))
     available = threads_available()[0]
     numba.set_num_threads(max(1, min(threads or available, available)))
     find_closest(points, begin, tree, found)
     return found
-
-
-@kernel
-def scan(points: Float, corners: Float, face: Int, triangle: Int, weights: Float, distance: Float) -> None:
-    """Look at every triangle for each point: see `scan_triangles`."""
-    for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        best, which = math.inf, 0
-        for leaf in range(corners.shape[0] // 9):
-            best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
-        s, t, _ = read_triangle(px, py, pz, which, corners)
-        weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - s - t, s, t
-        triangle[i], distance[i] = face[which], math.sqrt(best)
-
-
-def scan_triangles(points: Float, vertices: Float, faces: Int) -> tuple[Int, Float, Float]:
-    """Triangle (n,) nearest to each of points (n, 3) [m], barycentric coordinates (n, 3) in it, and distance (n,) [m].
-
-    For a few points of a mesh that moves: to build the tree of 20,000 triangles takes as long as to look at all of them
-    for a thousand points. Of equally near triangles that of the lowest number is taken.
-    """
-    filled = np.minimum(np.arange(-(-len(faces) // WIDTH) * WIDTH), len(faces) - 1)
-    a, b, c = (vertices.take(faces[filled, k], axis=0) for k in range(3))
-    corners = in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0)
-    triangle, weights, distance = np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points))
-    scan(np.ascontiguousarray(points), corners, filled.astype(np.int32), triangle, weights, distance)
-    return triangle, weights, distance

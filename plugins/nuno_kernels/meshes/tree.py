@@ -23,8 +23,9 @@ from nuno_schemas.fabric import Float, Int
 ROUNDING = 2.0**-46
 """Boxes are wider than their triangles by this share of the mesh's size, 64 ulp: the distance computed to a
 triangle is then never less than that computed to its boxes, so that what a search passes over changes no bit."""
-DEPTH = 96
-"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 triangles."""
+DEPTH = 192
+"""Nodes that wait to be looked at: at most seven a level on the way up and seven on the way down, and twelve levels
+hold 5e11 triangles."""
 
 
 class Tree(NamedTuple):
@@ -34,6 +35,8 @@ class Tree(NamedTuple):
                        children [m]; a child that is missing is infinitely far
     child    (N,)      int64: first of a node's children, which follow each other; -1 - (first leaf) where
                        they are leaves; the root is node 0
+    parent   (N,)      int64: the node that each node is a child of, -1 of the root
+    leaf_parent (L,)   int64: the node that each leaf is a child of
     corners  (9 L, 8)  of leaf k in rows 9 k to 9 k + 8: corner a and edges b - a and c - a of its eight
                        triangles [m]; the last leaf is filled up with repetitions
     face     (8 L,)    int32: number of the triangle in each place of the leaves
@@ -45,6 +48,8 @@ class Tree(NamedTuple):
 
     boxes: Float
     child: NDArray[np.int64]
+    parent: NDArray[np.int64]
+    leaf_parent: NDArray[np.int64]
     corners: Float
     face: Int
     place: Int
@@ -135,9 +140,12 @@ def build_tree(vertices: Float, faces: Int) -> Tree:
     place[order] = np.arange(len(order), dtype=np.int32)
     boxes, child = stack_boxes(corners[filled], ROUNDING * float(np.abs(x[faces]).max(initial=0.0)))
     numbers, pairs = edge_numbers(faces)
+    parent, leaf_parent = find_parents(child, leaves)
     return Tree(
         boxes=boxes,
         child=child,
+        parent=parent,
+        leaf_parent=leaf_parent,
         corners=in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0),
         face=filled.astype(np.int32),
         place=place,
@@ -167,6 +175,13 @@ def stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]
     missing = np.isnan(boxes)
     boxes[missing] = np.inf
     return boxes, np.concatenate(child).astype(np.int64)
+
+
+def find_parents(child: NDArray[np.int64], leaves: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Parents (N,) of nodes whose children `stack_boxes` has said, and (L,) of so many leaves."""
+    inner = int((child >= 0).sum())  # those whose children are leaves come last
+    of_nodes = np.searchsorted(child[:inner], np.arange(len(child)), side="right") - 1
+    return of_nodes.astype(np.int64), inner + np.arange(leaves) // WIDTH
 
 
 def _enclose(rows: Float) -> Float:

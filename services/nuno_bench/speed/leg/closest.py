@@ -24,7 +24,7 @@ FIELD = 95
 POINTS = 200_000
 OFF, MOVED = 2e-3, 2e-4
 """Points lie about so far from the surface [m], and have moved by so much since the last triangle was found."""
-BAR = 3.0
+BAR, AIM = 3.5, 5.0
 FEWER = 10
 """Peers are asked for so many times fewer points."""
 
@@ -58,7 +58,7 @@ def closest(repeats: int) -> list[Result]:
         search, fewer = search_of(x, faces), moved[::FEWER]
         start, work, note = search(points).face, 1e-6 * POINTS, f"{len(faces):,} triangles"
         warm, cold = partial(search, moved, start), partial(search, moved)
-        results.append(timed(f"{name} triangles, last as start", call=warm, work=work, bar=BAR, note=note))
+        results.append(timed(f"{name} triangles, last as start", call=warm, work=work, bar=BAR, aim=AIM, note=note))
         results.append(timed(f"{name} triangles, without start", call=cold, work=work))
         results += [
             timed(f"{name} triangles, {peer}", call=make(x, faces, fewer), work=1e-6 * len(fewer), note=what)
