@@ -72,6 +72,17 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
     return Foreign(plugin, group, name, package(point))
 
 
+def offering(group: str, method: str, what: str) -> Any:
+    """The first installed plugin of a group that has a method besides the group's protocol. Raises BadInput where none
+    has, which says that none does `what`.
+    """
+    for name in sorted(installed(group)):
+        plugin = load(group, name)
+        if hasattr(plugin, method):
+            return plugin
+    raise BadInput(f"no installed plugin of {group} {what}", remedy="install nuno anew")
+
+
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
     places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in OWN_FRAMES]
     return BadInput(

@@ -10,8 +10,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from nuno import registry
 from nuno.cli import main
-from nuno.cli.fabric import importer, read_values
+from nuno.cli.fabric import read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
@@ -25,7 +26,7 @@ FAST = "instrument: FAST\nW: 200\nC: [20, 16]\nE5: [0.5, 1.2]\nEB5: 4.1\n"
 def read(folder: Path, text: str, like: str | None = None, suffix: str = ".yaml") -> Imported:
     path = folder / f"sheet{suffix}"
     path.write_text(text)
-    found: Imported = importer().import_fabric(read_values(path)[0], like, folder)
+    found: Imported = registry.load("nuno.models", "sheet").import_fabric(read_values(path)[0], like, folder)
     return found
 
 
@@ -131,7 +132,7 @@ def test_the_command_writes_what_a_scene_takes(tmp_path: Path, capsys: pytest.Ca
 
 def test_what_a_sheet_does_not_tell_is_said_to_be_derived_or_assumed(tmp_path: Path) -> None:
     how = read(tmp_path, "instrument: cantilever\nW: 150\nC: [18, 16]\nC45: 17\n", "denim").how
-    assert how.keys() == importer().presets()[0].how.keys()
+    assert how.keys() == registry.load("nuno.models", "sheet").presets()[0].how.keys()
     kinds = {name: words.split(":")[0] for name, words in how.items()}
     assert kinds["density"] == "measured" and kinds["bend_bias"] == kinds["bend_twist"] == "derived"
     assert kinds["warp"] == kinds["bend_poisson"] == kinds["hysteresis_warp"] == kinds["damping_ratio"] == "assumed"

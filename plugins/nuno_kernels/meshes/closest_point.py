@@ -31,6 +31,7 @@ from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import EVERY, first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
 from nuno_kernels.meshes.tree import Room, Tree, make_room
+from nuno_kernels.meshes.waiting import push_children
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -95,22 +96,6 @@ def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> L
 
 
 @forced_inline
-def add_waiting(away: Lanes, bits: int, first: int, top: int, room: Room) -> int:
-    """Let those children of a node wait whose `bits` are set, the nearest last; how many wait then, `top` before."""
-    waiting, bound, base = room.waiting, room.bound, top
-    while bits != 0:
-        j = first_lane(bits)
-        bits &= bits - 1
-        value, k = lane(away, j), top
-        while k > base and bound[k - 1] < value:
-            waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
-            k -= 1
-        waiting[k], bound[k] = first + j if first >= 0 else first - j, value
-        top += 1
-    return top
-
-
-@forced_inline
 def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
     """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`.
 
@@ -120,7 +105,9 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
     are near enough, it goes down from the root: there the nearest are told apart first.
     """
     px, py, pz = p
-    boxes, child, corners, face, bound = tree.boxes, tree.child, tree.corners, tree.face, room.bound
+    boxes, child, corners, face, waiting, bound = (
+        tree.boxes, tree.child, tree.corners, tree.face, room.waiting, room.bound
+    )  # fmt: skip
     own = start // WIDTH
     values = leaf_distances(px, py, pz, corners, own)
     best, which = take_nearest(values, own, face, lane(values, start % WIDTH), start)
@@ -130,7 +117,7 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
         node, known = root, 0
     while node >= 0:
         away = box_distances(px, py, pz, boxes, node)
-        top = add_waiting(away, lanes_up_to(away, best) & ~known, child[node], top, room)
+        top = push_children(away, lanes_up_to(away, best) & ~known, child[node], waiting, bound, top)
         below, node = node, tree.parent[node]
         if node >= 0:
             known = 1 << (below - child[node])
@@ -138,13 +125,13 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
         top -= 1
         if bound[top] > best:
             continue
-        node = room.waiting[top]
+        node = waiting[top]
         if node < 0:
             leaf = -1 - node
             best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
         else:
             away = box_distances(px, py, pz, boxes, node)
-            top = add_waiting(away, lanes_up_to(away, best), child[node], top, room)
+            top = push_children(away, lanes_up_to(away, best), child[node], waiting, bound, top)
     return which
 
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from nuno_kernels import inlined, kernel
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, load, root, splat
+from nuno_kernels.meshes.waiting import push_children
 from nuno_render.rays.tree import RayTree
 from nuno_schemas.fabric import Float
 
@@ -123,22 +124,6 @@ def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
     return where_not_negative(lower(inside, t), t, splat(np.nan))
 
 
-@inlined
-def push_children(entries: Any, limit: float, first: int, waiting: NDArray[np.int64], bound: Float, top: int) -> int:
-    """Add the children that a ray enters up to `limit` to those that wait, the nearest last; returns their number."""
-    bits, base = lanes_up_to(entries, limit), top
-    while bits != 0:
-        j = first_lane(bits)
-        bits &= bits - 1
-        value, k = lane(entries, j), top
-        while k > base and bound[k - 1] < value:
-            waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
-            k -= 1
-        waiting[k], bound[k] = first + j if first >= 0 else first - j, value
-        top += 1
-    return top
-
-
 @kernel
 def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
     """(triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) where there is none."""
@@ -156,7 +141,7 @@ def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[
         node = waiting[top]
         if node >= 0:
             entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
-            top = push_children(entries, best, tree.child[node], waiting, bound, top)
+            top = push_children(entries, lanes_up_to(entries, best), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
         t = triangle_entries(ox, oy, oz, dx, dy, dz, tree.rows, 9 * leaf)
@@ -192,7 +177,7 @@ def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buf
         node = waiting[top]
         if node >= 0:
             entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
-            top = push_children(entries, limit, tree.child[node], waiting, bound, top)
+            top = push_children(entries, lanes_up_to(entries, limit), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
         enter, leave = capsule_ends(ox, oy, oz, dx, dy, dz, tree.rows, 7 * leaf)

@@ -17,7 +17,6 @@ from nuno.scene import yaml_lines
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
-GROUP = "nuno.models"
 TITLE = ("name", "source")
 """What a sheet says of itself, in words."""
 KINDS = (".csv", ".yaml", ".yml")
@@ -40,7 +39,8 @@ def main(args: argparse.Namespace) -> int:
     # In one line, as a comment holds them.
     title = {name: " ".join(str(given.pop(name)).split()) for name in TITLE if name in given}
     try:
-        found: Imported = importer().import_fabric(given, args.like, args.sheet.parent)
+        importer = registry.offering("nuno.models", "import_fabric", "reads a laboratory's sheet")
+        found: Imported = importer.import_fabric(given, args.like, args.sheet.parent)
     except BadInput as error:
         if error.field is None or error.field.startswith("--"):
             raise
@@ -55,15 +55,6 @@ def main(args: argparse.Namespace) -> int:
         with writing(args.out, args.out.suffix) as new:
             new.write_text(text, encoding="utf-8")
     return 0
-
-
-def importer() -> Any:
-    """The installed model that reads sheets. Raises BadInput where there is none."""
-    for name in sorted(registry.installed(GROUP)):
-        model = registry.load(GROUP, name)
-        if hasattr(model, "import_fabric"):
-            return model
-    raise BadInput("no installed model reads a laboratory's sheet", remedy="install nuno anew")
 
 
 def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:

@@ -7,7 +7,6 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from nuno import registry
 from nuno.cli.common import add_flags
@@ -15,8 +14,6 @@ from nuno.cli.top import align
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
-
-GROUP = "nuno.models"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if not args.gather >= 1.0:
         raise BadInput("no seam's longer edge is shorter", field="--gather", value=args.gather, limit="at least 1")
-    model, code = tailor(), 0
+    model, code = registry.offering("nuno.models", "check_pattern", "reads sewing patterns"), 0
     for path in args.patterns:
         try:
             found: Checked = model.check_pattern(SceneFiles(path.parent), path.name, args.gather)
@@ -49,15 +46,6 @@ def main(args: argparse.Namespace) -> int:
         print(json.dumps({"file": str(path), **asdict(found)}) if args.json else describe(str(path), found))
         code = 2 if any(remark.wrong for remark in found.remarks) else code
     return code
-
-
-def tailor() -> Any:
-    """The installed model that reads sewing patterns. Raises BadInput where there is none."""
-    for name in sorted(registry.installed(GROUP)):
-        model = registry.load(GROUP, name)
-        if hasattr(model, "check_pattern"):
-            return model
-    raise BadInput("no installed model reads sewing patterns", remedy="install nuno anew")
 
 
 def describe(file: str, found: Checked) -> str:
