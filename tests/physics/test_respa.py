@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -118,16 +118,34 @@ def test_a_force_in_python_that_does_nothing_changes_nothing(every: int) -> None
     assert np.abs(plain - other).max() < 1e-12
 
 
+@pytest.mark.parametrize("every", ["auto", 4])
 @pytest.mark.parametrize("damping", [20.0, 300.0, 1000.0])
-def test_viscous_damping_by_kicks_feeds_nothing(damping: float) -> None:
-    """It turns no velocity round, however long a kick stands for."""
+def test_viscous_damping_by_kicks_feeds_nothing(damping: float, every: Literal["auto"] | int) -> None:
+    """It turns no velocity round, though modes swing more than once between kicks."""
     system = replace(strip(damping=0.0, gravity=0.0), damping=damping)
     start = 1e-3 * np.random.default_rng(3).standard_normal(system.fabric.position.shape)
     start[system.fabric.pinned] = 0.0
     system = replace(system, fabric=replace(system.fabric, velocity=start))
     dt = 0.7 * Respa().limit(RespaConfig(), system, State(system.fabric.position, start)).dt
-    speed = end(system, Respa(), RespaConfig(), 5000, 5000 * dt)[1]
+    speed = end(system, Respa(), RespaConfig(every=every), 5000, 5000 * dt)[1]
     assert np.abs(speed).max() < np.abs(start).max()
+
+
+def test_what_rests_on_a_damped_support_does_not_stir() -> None:
+    """Its weight and what bears it are one kick; the support's damping would feel any fall in between."""
+    support, rate = 1000.0**2, 1000.0
+    sag = 9.81 / support
+    system = strip(damping=0.02)
+    lying = replace(system.fabric, pinned=np.zeros(system.fabric.number, np.bool_))
+
+    def bear(x: Float, v: Float, t: float, out: Float) -> None:
+        out[:, 1] -= MASS * (support * x[:, 1] + rate * v[:, 1])
+
+    start = lying.position - [0.0, sag, 0.0]
+    system = replace(system, fabric=replace(lying, position=start), terms=(Term("support", bear),))
+    x, v = end(system, Respa(), RespaConfig(every=4), 400, 0.04)
+    assert np.abs(v).max() < 1e-9
+    assert np.abs(x - start).max() < 1e-12
 
 
 @pytest.mark.parametrize("every", [0, -1, 1.5, "often"])
