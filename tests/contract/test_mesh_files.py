@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,13 @@ import trimesh
 
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
 from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.sliding.plugin import check_meshes
 from nuno_kernels.meshes.check import check_closed, check_crossings, volume
 from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.bodies import MESH
 from nuno_schemas.errors import BadInput
+from nuno_testing.bodies import Distance
 
 
 class Anywhere:
@@ -76,16 +79,20 @@ def test_a_mesh_inside_out_is_refused_and_can_be_turned(tmp_path: Path) -> None:
     assert volume(*read_closed(path, mend=True)) > 0.0
 
 
-def test_a_mesh_that_passes_through_itself_is_refused_with_both_faces(tmp_path: Path) -> None:
+def test_a_mesh_that_passes_through_itself_is_noted_with_both_faces_and_no_vertex_slides_on_it(tmp_path: Path) -> None:
     one, other = ball(), ball()
     other.apply_translation([1.5, 0.13, 0.07])
     both = trimesh.util.concatenate([one, other])
-    with pytest.raises(BadInput, match=r"faces (\d+) and (\d+): the mesh passes through itself") as refusal:
-        read_closed(save(both, tmp_path / "both.obj"))
-    assert "at [" in str(refusal.value)
+    save(both, tmp_path / "both.obj")
+    shape = MeshCollider().build(MeshConfig(file=str(tmp_path / "both.obj")), None, Anywhere())
+    assert re.fullmatch(r"the mesh passes through itself \(\d+ faces\): faces \d+ and \d+ at \[.*\] m", shape.notes[0])
+    with pytest.raises(BadInput, match="sliding contact is with closed meshes, and the mesh passes through itself"):
+        check_meshes(Distance(shape, exact=True).geometry)
     other.apply_translation([1.0, 0.0, 0.0])
-    apart = trimesh.util.concatenate([one, other])
-    assert len(read_closed(save(apart, tmp_path / "apart.obj"))[1]) == 640
+    save(trimesh.util.concatenate([one, other]), tmp_path / "apart.obj")
+    shape = MeshCollider().build(MeshConfig(file=str(tmp_path / "apart.obj")), None, Anywhere())
+    assert shape.faces is not None and len(shape.faces) == 640 and shape.notes == ()
+    check_meshes(Distance(shape, exact=True).geometry)
 
 
 @pytest.mark.parametrize(

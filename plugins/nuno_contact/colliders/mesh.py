@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Literal, cast
 
@@ -15,6 +16,7 @@ from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.torso import GIRTHS, HEIGHTS, torso_mesh
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.quantities import Angle, Direction, Point, Size
+from nuno_kernels.meshes.check import check_crossings
 from nuno_kernels.meshes.closest_point import Closest, closest_points
 from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.tree import build_tree
@@ -105,9 +107,17 @@ class MeshCollider:
         return {name: c.centre[1] + c.scale * y for name, y in known.items()} if upright else {}
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        """Raises BadInput for a mesh that is not closed, passes through itself, or cannot be read."""
+        """Raises BadInput for a mesh that is not closed, or cannot be read; one that passes through itself is noted,
+        and refused by contact that has to know its inside.
+        """
         c = cast(MeshConfig, config)
-        return mesh_shape(c, mover, *find_mesh(c, files, read_closed), MESH)
+        x, faces = find_mesh(c, files, read_closed)
+        try:
+            check_crossings(x, faces)
+            notes: tuple[str, ...] = ()
+        except BadInput as error:
+            notes = (f"{error.problem}: {error.field} {error.value}",)
+        return replace(mesh_shape(c, mover, x, faces, MESH), notes=notes)
 
 
 def find_mesh(

@@ -11,7 +11,7 @@ from nuno_contact.quantities import Size
 from nuno_contact.sliding.bodies import Slid, make_slides
 from nuno_kernels.meshes.check import check_closed, check_crossings
 from nuno_kernels.meshes.tree import build_tree
-from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
+from nuno_schemas.bodies import OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
@@ -52,7 +52,7 @@ class Sliding:
 
 
 def check_meshes(geometry: Geometry) -> None:
-    """Raises BadInput for a body that is no mesh, or a field's mesh that has no inside of its own."""
+    """Raises BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
     for primitive, kind in enumerate(geometry.kind.tolist()):
         body = geometry.bodies[geometry.body[primitive]]
         if kind not in OF_TRIANGLES:
@@ -60,14 +60,14 @@ def check_meshes(geometry: Geometry) -> None:
                 "sliding contact is with meshes", field=body,
                 remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
             )  # fmt: skip
-        if kind == FIELD:
-            x, faces = geometry.mesh(primitive)
-            try:
-                check_closed(x, faces)
-                check_crossings(x, faces)
-            except BadInput as error:
-                raise BadInput(
-                    f"sliding contact is with closed meshes, and {error.problem}", field=body,
-                    value=f"{error.field} {error.value}",
-                    remedy="contact: {plugin: penalty} goes by the field; collider: {..., mend: true} fills holes",
-                ) from None  # fmt: skip
+        x, faces = geometry.mesh(primitive)
+        try:
+            check_closed(x, faces)
+            check_crossings(x, faces)
+        except BadInput as error:
+            raise BadInput(
+                f"sliding contact is with closed meshes, and {error.problem}", field=body,
+                value=f"{error.field} {error.value}",
+                remedy="contact: {plugin: penalty} goes by the field of collider: {plugin: sdf, ...}, and "
+                "cloth_contact.bodies by the triangles alone; collider: {..., mend: true} fills holes",
+            ) from None  # fmt: skip

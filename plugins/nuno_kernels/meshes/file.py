@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels.meshes.check import check_closed, check_crossings, place_of
+from nuno_kernels.meshes.check import check_closed, place_of
 from nuno_kernels.meshes.normals import face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -25,13 +25,12 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
 
     Vertices at the same place become one (STL has no other way to share them), triangles without area and
     vertices without triangle are left out. To `mend` also turns triangles that face the wrong way and fills holes.
-    Raises BadInput, with face or edge and place, for a file that cannot be read, or is not a closed
-    surface without self-intersections.
+    Raises BadInput, with the edge and its place, for a file that cannot be read, or is not a closed surface. It may
+    pass through itself, as scanned bodies do at mouth and armpits: `check_crossings` tells.
     """
     x, faces = read_mesh(path, scale, mend)
     try:
         check_closed(x, faces)
-        check_crossings(x, faces)
     except BadInput as error:
         error.file = str(path)
         if mend and error.remedy is not None and error.remedy.startswith("mend:"):
@@ -41,7 +40,7 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
 
 
 def read_mesh(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
-    """As `read_closed`, of a file whose surface may have holes and pass through itself."""
+    """As `read_closed`, of a file whose surface may have holes."""
     try:
         points, triangles, _ = load_mesh(path, KINDS)
         x, faces = clean_mesh(points, triangles.astype(np.int32), scale)
