@@ -24,7 +24,7 @@ def uniform_stiffness(fabric: Fabric) -> tuple[float, float, float]:
     pairs = fabric.springs.pairs()
     d = fabric.position[pairs[:, 1]] - fabric.position[pairs[:, 0]]
     square = (d * d).sum(axis=1)
-    energy = fabric.springs.per_spring(fabric.springs.k) * square / face_areas(fabric.position, fabric.faces).sum()
+    energy = fabric.springs.per_spring(fabric.springs.k) * square / face_areas(fabric.position[fabric.faces]).sum()
     w, f = d[:, 1] ** 2 / square, d[:, 0] ** 2 / square
     return float((energy * w * w).sum()), float((energy * f * f).sum()), float((energy * w * f).sum())
 

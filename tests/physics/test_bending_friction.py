@@ -36,10 +36,10 @@ def piece(kind: str, n: int, angle: float = 0.0, material: Material = MATERIAL) 
     """2 cm x 2 cm whose warp makes an angle [degrees] with x; of friction alone."""
     points, faces = square(kind, n)
     x, turn = np.column_stack([SIDE * (points - 0.5), np.zeros(len(points))]), np.radians(angle)
-    axes = yarn_axes(x, faces, np.array([np.cos(turn), np.sin(turn), 0.0]))
-    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
+    axes = yarn_axes(x[faces], np.array([np.cos(turn), np.sin(turn), 0.0]))
+    share = np.repeat(face_areas(x[faces]) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    friction = build_friction(material, x, faces, *axes, np.zeros(len(x), bool))
+    friction = build_friction(material, x[faces], faces, *axes, np.zeros(len(x), bool))
     return Fabric("piece", x, 0.0 * x, mass, np.zeros(len(x), bool), faces, friction=friction)
 
 
@@ -66,7 +66,7 @@ def settle(packed: Packed, x: Float) -> None:
 def loop(cloth: Fabric, path: Float) -> tuple[Float, Packed]:
     """Moments per width along a path of curvatures: work of each step over its area and change of curvature."""
     packed, moments = pack(make_system(cloth)), []
-    area = face_areas(cloth.position, cloth.faces).sum()
+    area = face_areas(cloth.position[cloth.faces]).sum()
     for before, after in itertools.pairwise(path):
         middle = force(cloth, packed, rolled(cloth, 0.5 * (before + after)))
         way = rolled(cloth, after) - rolled(cloth, before)
@@ -105,7 +105,7 @@ def test_below_its_slip_it_is_an_elastic_plate() -> None:
     x = rolled(cloth, 0.5 * SLIP)
     rows = to_rows(x)
     stored = measure_energy(rows, 0.0 * rows, cloth.mass, packed).kinds["bending_friction"]
-    area = face_areas(cloth.position, cloth.faces).sum()
+    area = face_areas(cloth.position[cloth.faces]).sum()
     assert stored == pytest.approx(0.5 * HB[0] / SLIP * (0.5 * SLIP) ** 2 * area, rel=1e-3)
     settle(packed, x)
     assert np.abs(force(cloth, packed, cloth.position)).max() == 0.0
@@ -220,8 +220,8 @@ def test_friction_that_is_held_does_not_feed_a_swing(solver: str) -> None:
 def test_cloth_that_is_held_all_over_has_none() -> None:
     points, faces = square("diagonal", 3)
     x = np.column_stack([SIDE * points, np.zeros(len(points))])
-    axes = yarn_axes(x, faces, np.array([1.0, 0.0, 0.0]))
-    assert build_friction(MATERIAL, x, faces, *axes, np.ones(len(x), bool)) is None
+    axes = yarn_axes(x[faces], np.array([1.0, 0.0, 0.0]))
+    assert build_friction(MATERIAL, x[faces], faces, *axes, np.ones(len(x), bool)) is None
 
 
 def test_a_loop_wider_than_bending_allows_is_refused() -> None:

@@ -37,7 +37,7 @@ def square(kind: str, n: int) -> tuple[Float, Int]:
         thrown = np.random.default_rng(n).uniform(-1.0, 1.0, points.shape) / (3.0 * (n - 1))
         points = points + np.where(inside[:, None], thrown, 0.0)
         faces = triangulate(points)
-        return points, faces[face_areas(np.column_stack([points, 0.0 * points[:, 0]]), faces) > 1e-9]
+        return points, faces[face_areas(np.column_stack([points, 0.0 * points[:, 0]])[faces]) > 1e-9]
     row, column = (each.reshape(-1) for each in np.mgrid[: n - 1, : n - 1])
     a = row * n + column
     b, c, d = a + 1, a + n + 1, a + n

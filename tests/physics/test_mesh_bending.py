@@ -35,10 +35,10 @@ def plate(points: Float, faces: Int, material: Material, angle: float = 90.0) ->
     """A flat piece whose warp makes an angle [degrees] with x."""
     x = np.column_stack([points, np.zeros(len(points))]) if points.shape[1] == 2 else points
     turn = np.radians(angle)
-    axes = yarn_axes(x, faces, np.array([np.cos(turn), np.sin(turn), 0.0]))
-    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
+    axes = yarn_axes(x[faces], np.array([np.cos(turn), np.sin(turn), 0.0]))
+    share = np.repeat(face_areas(x[faces]) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    bending = build_bending(material, x, faces, *axes, np.zeros(len(x), bool))
+    bending = build_bending(material, x[faces], faces, *axes, np.zeros(len(x), bool))
     return Fabric("plate", x, 0.0 * x, mass, np.zeros(len(x), bool), faces, bending=bending)
 
 
@@ -123,8 +123,8 @@ def test_a_folded_piece_is_laid_open_across_its_edge() -> None:
     folded = flat.position.copy()
     beyond = folded[:, 0] > 0.5
     folded[beyond, 0] = 1.0 - folded[beyond, 0]
-    axes = yarn_axes(folded, faces, np.array([0.0, 1.0, 0.0]))
-    bending = build_bending(PLATE, folded, faces, *axes, np.zeros(len(folded), bool))
+    axes = yarn_axes(folded[faces], np.array([0.0, 1.0, 0.0]))
+    bending = build_bending(PLATE, folded[faces], faces, *axes, np.zeros(len(folded), bool))
     assert bending is not None and flat.bending is not None
     np.testing.assert_array_equal(bending.pairs, flat.bending.pairs)
     np.testing.assert_allclose(bending.weight, flat.bending.weight, atol=1e-9 * np.abs(flat.bending.weight).max())

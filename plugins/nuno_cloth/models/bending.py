@@ -48,29 +48,32 @@ def plate(material: Material) -> Float:
     return np.array([[warp, both, 0.0], [both, weft, 0.0], [0.0, 0.0, 4.0 * material.bend_twist]])
 
 
-def build_bending(material: Material, x: Float, faces: Int, warp: Float, weft: Float, held: Bool) -> Bending | None:
-    """Of triangles faces (f, 3), flat as x (n, 3) [m] is laid open, with yarn directions (f, 3), between vertices of
-    which some are held (n,); None where no vertex can bend.
+def build_bending(
+    material: Material, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
+) -> Bending | None:
+    """Of triangles with corners (f, 3, 3) [m], flat as they are laid open, and yarn directions (f, 3), between vertices
+    faces (f, 3) of which some are held (n,); None where no vertex can bend.
     """
+    n = len(held)
     rigidity = plate(material)
     clamp = find_clamp(faces, held)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
-    if not rigidity.any() or len(x) < 4 or not len(loose):
+    if not rigidity.any() or n < 4 or not len(loose):
         return None
-    sides, parts = find_sides(x, faces), []
+    sides, parts = find_sides(corners, faces), []
     for at in range(0, len(loose), AT_ONCE):
         of = loose[at : at + AT_ONCE]
-        part = find_patches(sides, x, of, warp[of], weft[of])
+        part = find_patches(sides, of, warp[of], weft[of])
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
         found = fit(part.flat - middle, base - middle, part.there, side)
         matrix = np.einsum("fak,ab,fbl->fkl", found.second, rigidity, found.second, optimize=True)
         both = np.sqrt(material.bend_warp * material.bend_weft)
         matrix += FIT * both * np.einsum("frk,frl->fkl", found.left, found.left)
-        parts.append(_pairs(part.vertices, -part.area[:, None, None] * matrix, len(x)))
+        parts.append(_pairs(part.vertices, -part.area[:, None, None] * matrix, n))
     keys, weights = (np.concatenate(values) for values in zip(*parts, strict=True))
     keys, weights = _sum_alike(keys, weights)
-    return Bending(np.stack(np.divmod(keys, len(x)), axis=1).astype(np.int32), weights)
+    return Bending(np.stack(np.divmod(keys, n), axis=1).astype(np.int32), weights)
 
 
 class Fit(NamedTuple):

@@ -35,26 +35,26 @@ def bytes_of_friction(fabric: FabricChoice) -> int:
 
 
 def build_friction(
-    material: Material, x: Float, faces: Int, warp: Float, weft: Float, held: Bool
+    material: Material, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> BendingFriction | None:
-    """Of triangles faces (f, 3), flat as x (n, 3) [m] is laid open, with yarn directions (f, 3), between vertices of
-    which some are held (n,); None of a fabric that has none.
+    """Of triangles with corners (f, 3, 3) [m], flat as they are laid open, and yarn directions (f, 3), between vertices
+    faces (f, 3) of which some are held (n,); None of a fabric that has none.
     """
     widths = np.array([material.hysteresis_warp, material.hysteresis_weft])
-    if not widths.any() or len(x) < 4:
+    if not widths.any() or len(held) < 4:
         return None
-    clamp, area = find_clamp(faces, held), face_areas(x, faces)
+    clamp, area = find_clamp(faces, held), face_areas(corners)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not len(loose):
         return None
     of, place = np.unique(faces[loose], return_index=True)
     face, corner = loose[place // 3], place % 3
-    area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(x))[of].astype(np.float64)
+    area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(held))[of].astype(np.float64)
     limit, slip = 0.5 * np.repeat(widths[:, None], len(of), axis=1), np.full(len(of), SLIP)
-    sides, parts = find_sides(x, faces), []
+    sides, parts = find_sides(corners, faces), []
     for at in range(0, len(of), AT_ONCE):
         part = slice(at, at + AT_ONCE)
-        patches = find_patches(sides, x, face[part], warp[face[part]], weft[face[part]])
+        patches = find_patches(sides, face[part], warp[face[part]], weft[face[part]])
         derived = _derive(patches, corner[part], area[part], clamp)
         parts.append(BendingFriction(*derived, area[part], limit[:, part], slip[part]))
     return BendingFriction.join(parts)

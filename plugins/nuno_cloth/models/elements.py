@@ -55,19 +55,17 @@ def build_elements(
     if tension == "membrane" and isinstance(material, HandSet):
         remedy = "give a preset or measured values, or take tension: springs"
         raise BadInput("constants per spring make no membrane", field="tension", value=tension, remedy=remedy)
-    pairs, area = edges.pairs, face_areas(x, faces)
-    mass = np.bincount(faces.reshape(-1), np.repeat(area * material.density / 3, 3), len(x)).astype(np.float64)
+    held = np.zeros(len(x), np.bool_) if held is None else held
+    if tension != "springs" and isinstance(material, Material):
+        return build_triangles(material, x[faces], faces, warp, held)
+    pairs, area = edges.pairs, face_areas(x[faces])
+    mass = _masses(material, area, faces, len(x))
     rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     flat = np.zeros(len(edges.inner))
     reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
-        axes = yarn_axes(x, faces, warp)
-        held = np.zeros(len(x), np.bool_) if held is None else held
-        friction = build_friction(material, x, faces, *axes, held)
-        if tension != "springs":
-            membrane = build_membrane(material, x, faces, mass, *axes)
-            bending = build_bending(material, x, faces, *axes, held)
-            return Elements(mass, faces, membrane=membrane, bending=bending, friction=friction)
+        axes = yarn_axes(x[faces], warp)
+        friction = build_friction(material, x[faces], faces, *axes, held)
         if material.bend_bias is not None or material.bend_poisson != 0.0:
             problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
             raise BadInput(problem, field="tension", value=tension, remedy=remedy)
@@ -88,6 +86,19 @@ def build_elements(
     return Elements(mass, faces, springs, _hinges(edges, flat + material.hinge, flat))
 
 
+def build_triangles(material: Material, corners: Float, faces: Int, warp: Float, held: Bool) -> Elements:
+    """A membrane, and bending by a matrix, of triangles with corners (f, 3, 3) at rest [m] between vertices faces
+    (f, 3), with the warp (3,) or (f, 3) laid onto each. Along a seam two that are neighbours have corners of their own.
+
+    What is `held` (n,) between triangles that are held all round does not bend.
+    """
+    mass, axes = _masses(material, face_areas(corners), faces, len(held)), yarn_axes(corners, warp)
+    friction = build_friction(material, corners, faces, *axes, held)
+    membrane = build_membrane(material, corners, faces, mass, *axes)
+    bending = build_bending(material, corners, faces, *axes, held)
+    return Elements(mass, faces, membrane=membrane, bending=bending, friction=friction)
+
+
 def open_spans(x: Float, quads: Int) -> Float:
     """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
     start, end, left, right = (x[quads[:, i]] for i in range(4))
@@ -98,6 +109,11 @@ def open_spans(x: Float, quads: Int) -> Float:
         for side in (left, right)
     )
     return np.asarray(np.hypot(one - other, high + low))
+
+
+def _masses(material: Material | HandSet, area: Float, faces: Int, n: int) -> Float:
+    """(n,) a third of each triangle's mass for each of its corners [kg]."""
+    return np.bincount(faces.reshape(-1), np.repeat(area * material.density / 3, 3), n).astype(np.float64)
 
 
 def _reduced(mass: Float, pairs: Int) -> Float:

@@ -23,15 +23,15 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.triangles import Membrane
 
 
-def build_membrane(material: Material, x: Float, faces: Int, mass: Float, warp: Float, weft: Float) -> Membrane:
-    """Of triangles faces (f, 3) at rest in the shape x (n, 3) [m], between vertices of mass (n,) [kg], with the yarn
+def build_membrane(material: Material, corners: Float, faces: Int, mass: Float, warp: Float, weft: Float) -> Membrane:
+    """Of triangles with corners (f, 3, 3) at rest [m], between vertices faces (f, 3) of mass (n,) [kg], with the yarn
     directions (f, 3) of each.
     """
-    sides = np.stack([x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]], axis=2)
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     flat = np.einsum("fyi,fis->fys", np.stack([warp, weft], axis=1), sides)
     inverse = np.linalg.inv(flat)
     along, across = (np.ascontiguousarray(inverse[:, :, yarn]) for yarn in (0, 1))
-    area = face_areas(x, faces)
+    area = face_areas(corners)
     coupling = min(material.shear, float(np.sqrt(material.warp * material.weft)))
     moduli = np.array([material.warp, material.weft, coupling, material.shear])
     mobile = np.stack([_mobility(along, mass[faces]), _mobility(across, mass[faces])])

@@ -184,7 +184,7 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
             None,
             "remove them",
         )
-    area = face_areas(x, faces)
+    area = face_areas(x[faces])
     longest = np.square(x[faces] - x[np.roll(faces, 1, axis=1)]).sum(-1).max(1)
     flat = np.flatnonzero(area <= 1e-9 * longest)
     if flat.size:

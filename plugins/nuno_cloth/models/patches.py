@@ -30,9 +30,10 @@ class Patches(NamedTuple):
 class Sides(NamedTuple):
     """Sides of triangles, 3 f, each from a corner to the next: the side that runs the other way or -1; where the third
     corner is, `along` from the side's start on and `high` over it [m]; of vertices, the triangles round each and
-    whether it is on a border.
+    whether it is on a border. Triangles between vertices faces (f, 3) have their corners (f, 3, 3) at rest [m].
     """
 
+    corners: Float
     faces: Int
     other: Int
     along: Float
@@ -41,10 +42,10 @@ class Sides(NamedTuple):
     border: Bool
 
 
-def find_patches(sides: Sides, x: Float, of: Int, warp: Float, weft: Float) -> Patches:
-    """Patches of some triangles (f,) of a mesh at rest at x (n, 3) [m], with the yarn directions (f, 3) of these."""
-    corners = sides.faces[of]
-    edges = x[corners] - x[corners[:, :1]]
+def find_patches(sides: Sides, of: Int, warp: Float, weft: Float) -> Patches:
+    """Patches of some triangles (f,) of a mesh, with the yarn directions (f, 3) of these."""
+    corners, at = sides.faces[of], sides.corners[of]
+    edges = at - at[:, :1]
     flat = np.stack([np.einsum("fcd,fd->fc", edges, axis) for axis in (weft, warp)], axis=2)
     area = 0.5 * sides.high[3 * of] * np.linalg.norm(edges[:, 1], axis=1)
     found: list[Any] = [(np.repeat(np.arange(len(of)), 3), corners.reshape(-1), flat.reshape(-1, 2))]
@@ -53,7 +54,7 @@ def find_patches(sides: Sides, x: Float, of: Int, warp: Float, weft: Float) -> P
             found += _walk(sides, of, flat, corner, way)
     face, vertex, place = (np.concatenate(part) for part in zip(*found, strict=True))
     # Of a vertex that is met twice the first place stays.
-    _, first = np.unique(face.astype(np.int64) * len(x) + vertex, return_index=True)
+    _, first = np.unique(face.astype(np.int64) * len(sides.border) + vertex, return_index=True)
     first = first[np.lexsort((first, face[first]))]
     face, vertex, place = face[first], vertex[first], place[first]
     count = np.bincount(face, minlength=len(of))
@@ -65,10 +66,12 @@ def find_patches(sides: Sides, x: Float, of: Int, warp: Float, weft: Float) -> P
     return Patches(vertices, places, there, area)
 
 
-def find_sides(x: Float, faces: Int) -> Sides:
-    """Of triangles faces (f, 3) at rest at x (n, 3) [m]."""
-    start, end, third = (np.roll(faces, -k, axis=1).reshape(-1) for k in range(3))
-    n = len(x)
+def find_sides(corners: Float, faces: Int) -> Sides:
+    """Of triangles between vertices faces (f, 3), each with its corners (f, 3, 3) at rest [m]: two that are sewn to
+    each other have corners of their own along the seam.
+    """
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    n = int(faces.max(initial=-1)) + 1
     key, sought = start.astype(np.int64) * n + end, end.astype(np.int64) * n + start
     order = np.argsort(key)
     at = order[np.minimum(np.searchsorted(key, sought, sorter=order), len(key) - 1)]
@@ -76,10 +79,10 @@ def find_sides(x: Float, faces: Int) -> Sides:
     border = np.zeros(n, np.bool_)
     for ends in (start, end):
         border[ends[other < 0]] = True
-    edge, slant = x[end] - x[start], x[third] - x[start]
+    edge, slant = (np.roll(corners, -k, axis=1).reshape(-1, 3) - corners.reshape(-1, 3) for k in (1, 2))
     length = np.linalg.norm(edge, axis=1)
     along, high = np.einsum("sd,sd->s", slant, edge) / length, np.linalg.norm(np.cross(edge, slant), axis=1) / length
-    return Sides(faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
+    return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
 
 
 def _walk(sides: Sides, of: Int, flat: Float, corner: int, way: int) -> list[Any]:

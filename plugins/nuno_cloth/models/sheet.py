@@ -100,10 +100,10 @@ def build_grid(
         mass, springs = grid_mass(grid, material.density, lattice), build_springs(grid, constants)
         if isinstance(material, HandSet):
             return Elements(mass, faces, springs, build_hinges(grid, constants))
-        axes = yarn_axes(x, faces, down)
-        friction = build_friction(material, x, faces, *axes, held)
+        axes = yarn_axes(x[faces], down)
+        friction = build_friction(material, x[faces], faces, *axes, held)
         if material.bend_poisson != 0.0:
-            bending = build_bending(material, x, faces, *axes, held)
+            bending = build_bending(material, x[faces], faces, *axes, held)
             return Elements(mass, faces, springs, bending=bending, friction=friction)
         return Elements(mass, faces, springs, build_hinges(grid, constants), friction=friction)
     return build_elements(material, x, faces, find_edges(faces), down, held=held)

@@ -71,20 +71,20 @@ def find_edges(faces: Int) -> Edges:
     )
 
 
-def face_areas(x: Float, faces: Int) -> Float:
-    """(f,) areas [m^2]."""
-    a, b, c = x[faces[:, 0]], x[faces[:, 1]], x[faces[:, 2]]
+def face_areas(corners: Float) -> Float:
+    """(f,) areas of triangles with corners (f, 3, 3) [m^2]."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area: Float = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return area
 
 
-def yarn_axes(x: Float, faces: Int, warp: Float) -> tuple[Float, Float]:
-    """(f, 3) unit warp and weft directions: `warp` (3,) or (f, 3) laid onto each triangle.
+def yarn_axes(corners: Float, warp: Float) -> tuple[Float, Float]:
+    """(f, 3) unit warp and weft directions: `warp` (3,) or (f, 3) laid onto each triangle with corners (f, 3, 3).
 
     Where it stands upright on a triangle, the triangle's first edge is the warp.
     """
-    first = x[faces[:, 1]] - x[faces[:, 0]]
-    normal = np.cross(first, x[faces[:, 2]] - x[faces[:, 0]])
+    first = corners[:, 1] - corners[:, 0]
+    normal = np.cross(first, corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     flat = warp - normal * (np.broadcast_to(warp, normal.shape) * normal).sum(1)[:, None]
     size = np.linalg.norm(flat, axis=1)[:, None]
@@ -103,7 +103,7 @@ def spring_stiffness(material: Material, x: Float, faces: Int, edges: Edges, war
     weight = np.array([TENSION, TENSION, 1.0]) / np.where(target > 0, target, target.max())
     system = np.stack([dw**2, df**2, dw * df], 1) * weight[:, None]
     s = least_squares_positive(system, np.broadcast_to(target * weight, (len(faces), 3)))
-    k = s * face_areas(x, faces)[:, None] / length**2
+    k = s * face_areas(x[faces])[:, None] / length**2
     return np.bincount(edges.of_face.reshape(-1), k.reshape(-1), len(edges.pairs)).astype(np.float64)
 
 
