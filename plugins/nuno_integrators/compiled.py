@@ -258,7 +258,7 @@ def _say_lost(fabric: Fabric, before: State, work: Work) -> str:
     vertex = int(np.argmax(speed))
     return (
         f"{int(lost.sum())} of {fabric.number} vertices have no finite position or velocity; the fastest free one of "
-        f"them was vertex {vertex}, at {math.hypot(*before.v[vertex]):.3g} m/s before"
+        f"them was vertex {fabric.told(vertex)}, at {math.hypot(*before.v[vertex]):.3g} m/s before"
     )
 
 

@@ -181,6 +181,8 @@ class Fabric:
                              areas and normals of where it has no faces
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
+    numbers  (n,)   int32    by what number a user knows each vertex, of cloth that is stepped in another order than the
+                             user's; None where they are those of the fabric
     origin                   numbers of the fabric as it was built, noted by an operation that changed it since; of one
                              that is as it was, at most what its elements do not show: k_bend [N/m], the stiffness of
                              bending springs of a mesh that has no inner edge
@@ -202,11 +204,16 @@ class Fabric:
     membrane: Membrane | None = None
     bending: Bending | None = None
     friction: BendingFriction | None = None
+    numbers: Annotated[Int, "n", Bounds(0, below="n")] | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def number(self) -> int:
         return int(self.mass.shape[0])
+
+    def told(self, vertex: int) -> int:
+        """The number by which a user is told of a vertex."""
+        return vertex if self.numbers is None else int(self.numbers[vertex])
 
     @property
     def bears_tension(self) -> bool:

@@ -92,7 +92,12 @@ class Drawn(Model, Protocol):
 
 
 class Force(Plugin, Protocol):
-    """A force on the cloth."""
+    """A force on the cloth.
+
+    One that knows no vertex by a number of its own, from its configuration or a file, says `any_numbering = True`, and
+    so may contacts: large cloth whose vertices stand in no order is then handed to it, and stepped, in a better one,
+    in which `Fabric.told` gives the user's number of a vertex. One that does not say so has the user's order.
+    """
 
     def prepare(self, config: Any, fabric: Fabric, seed: int) -> Term: ...
 
@@ -122,7 +127,11 @@ class ClothContact(Plugin, Protocol):
 
 
 class Integrator(Plugin, Protocol):
-    """Advances a system's state by whole steps over one frame."""
+    """Advances a system's state by whole steps over one frame.
+
+    States, and all values of vertices that it gives, are in the order of the system's fabric, which may be renumbered
+    (see Force): its messages call a vertex by `Fabric.told`.
+    """
 
     order: ClassVar[int]
     explicit: ClassVar[bool]

@@ -36,6 +36,7 @@ class Wind:
     """Wind and drag on every triangle, by the angle between its normal and the relative wind."""
 
     name: ClassVar[str] = "wind"
+    any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = WindConfig
 
     def prepare(self, config: WindConfig, fabric: Fabric, seed: int) -> Term:
@@ -64,6 +65,7 @@ class ParticleWindForce:
     """
 
     name: ClassVar[str] = "particle_wind"
+    any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = ParticleWindConfig
 
     def prepare(self, config: ParticleWindConfig, fabric: Fabric, seed: int) -> Term:

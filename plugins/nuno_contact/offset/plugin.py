@@ -117,6 +117,7 @@ class Offset:
     """Repulsion and friction within a thickness, and steps that go only as far as nothing meets."""
 
     name: ClassVar[str] = "offset"
+    any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = OffsetConfig
 
     def prepare(
@@ -140,7 +141,7 @@ class Offset:
         meets[:cloth, :cloth], meets[cloth:, cloth:] = meet, False
         piece = np.concatenate([piece, cloth + solids.body])
         term = make_meeting(fabric, piece, meets, stiffness, law, solids)
-        check_start(term, pieces, cloth)
+        check_start(term, fabric, pieces, cloth)
         if bodies is not None and poses is not None:
             check_outside(fabric, bodies, solids)
             set_solid_poses(term, poses, poses)

@@ -35,7 +35,7 @@ def check_thickness(fabric: Fabric, thickness: float) -> None:
         )  # fmt: skip
 
 
-def check_start(m: Meeting, pieces: Sequence[str], objects: int) -> None:
+def check_start(m: Meeting, fabric: Fabric, pieces: Sequence[str], objects: int) -> None:
     """Raises BadInput for cloth that passes through cloth or a body as it starts, of which pieces after so many objects
     are; pieces that do not meet may.
     """
@@ -53,7 +53,8 @@ def check_start(m: Meeting, pieces: Sequence[str], objects: int) -> None:
         raise BadInput(
             f"{one} passes through {'itself' if one == other else other} where it starts "
             f"({len(of_cloth):,} edges through triangles)",
-            value=f"edge {i}-{j} through triangle {face[first]}, {place}", limit="a start in which nothing meets",
+            value=f"edge {fabric.told(i)}-{fabric.told(j)} through triangle {face[first]}, {place}",
+            limit="a start in which nothing meets",
             remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
         )  # fmt: skip
     cloth, body = (pieces[i] for i in sorted((int(both[0][first]), int(both[1][first]))))
@@ -78,7 +79,7 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
             name, deepest = geometry.bodies[int(geometry.body[primitive])], int(distance.argmin())
             raise BadInput(
                 f"cloth starts inside of {name} ({len(inside):,} of {fabric.number:,} vertices)", field="bodies",
-                value=f"vertex {deepest}, {-1e3 * distance[deepest]:.3g} mm deep, "
+                value=f"vertex {fabric.told(deepest)}, {-1e3 * distance[deepest]:.3g} mm deep, "
                 + place_of(fabric.position[deepest]),
                 remedy=f"place or size the cloth, or move the body, otherwise, or leave {name} out here",
             )  # fmt: skip

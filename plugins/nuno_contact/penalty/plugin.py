@@ -86,6 +86,7 @@ class Penalty:
     """
 
     name: ClassVar[str] = "penalty"
+    any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = PenaltyConfig
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:

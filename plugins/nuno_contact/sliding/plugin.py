@@ -34,6 +34,7 @@ class Sliding:
     """
 
     name: ClassVar[str] = "sliding"
+    any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = SlidingConfig
     of_triangles: ClassVar[bool] = True
     """Distance fields are not read: they are neither sent, nor is penetration measured by them."""

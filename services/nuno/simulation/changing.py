@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import abstractmethod
 from copy import copy
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,15 +13,20 @@ from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
+from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.scene_file import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, parse
+from nuno.simulation.ordered import Ordered
 from nuno.stepping.stepped import Stepper
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.system import StepReport
+
+NUMBERS = "numbers"
+"""What `Changing.numbers` is called in a checkpoint."""
 
 
 class Changing(Stepper):
@@ -32,6 +38,8 @@ class Changing(Stepper):
     fabric: Fabric
     pieces: list[build.Piece]
     state: State
+    numbers: Int | None
+    """(n,) the vertex in each place of what is stepped, None where that is the fabric as it is."""
     slow_frames: NDArray[np.int64]
     balanced: bool
 
@@ -41,10 +49,19 @@ class Changing(Stepper):
 
     @abstractmethod
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
-        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
+        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before: by
+        the places in which they are stepped.
+        """
+
+    @property
+    def solver(self) -> Chosen:
+        """The scene's integrator, for states in the user's order."""
+        chosen, numbers = self.loaded.integrator, self.numbers
+        return chosen if numbers is None else replace(chosen, plugin=Ordered(chosen.plugin, numbers))
 
     def begin_unchanged(self) -> None:
         """Have the cloth of the scene."""
+        self.numbers = find_numbers(self.fabric, self.pieces) if takes_any_numbering(self.loaded) else None
         self.changes: list[dict[str, Any]] = []
         """What operations did to the cloth, in their order: frame, t [s], operation, object and its facts."""
         self.applied = 0
@@ -126,6 +143,10 @@ class Changing(Stepper):
         changed.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
         try:
             changed._take(fabrics, State(x, v, self.state.t))
+            if self.numbers is not None:
+                changed.numbers = keep_numbers(self.numbers, source, changed.pieces)
+                before = source[changed.numbers]
+                source = np.where(before >= 0, invert(self.numbers)[before], -1)
             changed._prepare(self.memory.arrays, source.astype(np.int32))
         except BadInput as error:
             if error.field != "solver.dt":
@@ -171,12 +192,14 @@ class Changing(Stepper):
         self.state = state
 
     def altered(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Arrays and text for a checkpoint: the objects that operations have changed."""
+        """Arrays and text for a checkpoint: the objects that operations have changed, and the order of the steps."""
         names = [piece.name for piece in self.pieces]
         changed = sorted({names.index(change["object"]) for change in self.changes})
         fabrics = self.parts() if changed else []
         arrays = {f"fabric/{i}/{name}": a for i in changed for name, a in fabric_arrays(fabrics[i]).items()}
         arrays |= {f"fabric/crests/{i}": crest for i, crest in enumerate(self.crests)}
+        if self.numbers is not None:
+            arrays[NUMBERS] = self.numbers
         origins = {str(i): dict(fabrics[i].origin) for i in changed}
         return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins}
 
@@ -184,8 +207,18 @@ class Changing(Stepper):
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
         arrays, text = point.arrays, point.text
         origins: dict[str, dict[str, float]] = text.get("origins", {})
-        if not origins:
+        # The solver's memory is in the order that the recording was stepped in, none where that had no other.
+        before, self.numbers = self.numbers, arrays.get(NUMBERS)
+        if origins:
+            self._adopt_fabrics(arrays, text, origins)
+        elif _same(before, self.numbers):
             return
+        self._prepare({})
+        self.steps, self.dt = int(text["steps"]), float(text["dt"])
+
+    def _adopt_fabrics(
+        self, arrays: dict[str, NDArray[Any]], text: dict[str, Any], origins: dict[str, dict[str, float]]
+    ) -> None:
         self.applied = int(text["applied"])
         fabrics = list(self.parts())
         for number, origin in origins.items():
@@ -194,5 +227,9 @@ class Changing(Stepper):
         self.changes = list(text["changes"])
         self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
-        self._prepare({})
-        self.steps, self.dt = int(text["steps"]), float(text["dt"])
+
+
+def _same(numbers: Int | None, others: Int | None) -> bool:
+    if numbers is None or others is None:
+        return numbers is others
+    return np.array_equal(numbers, others)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nuno.choose.cloth import decide
 from nuno.cloth import build
+from nuno.cloth.numbering import renumber, require_any_numbering
 from nuno.collision.bodies import build_bodies
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.override import apply_override, overridden, parts_of
@@ -90,15 +91,15 @@ class Simulation(Changing):
         return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
-        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
-        integrator, bodies = self.loaded.integrator, (self.geometry, self.start_poses)
+        """See `Changing`."""
+        fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
         self._still = False
-        self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
+        self.system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         self.limit = self._find_limit()
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
-        self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
-        self.costs.begin(integrator.plugin.making_lists(self.memory))
+        self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
+        self.costs.begin(self.loaded.integrator.plugin.making_lists(self.memory))
         # A run that goes on from a checkpoint must come to rest in the same frame.
         self.slow_frames = np.zeros(1, np.int64)
         if self.loaded.scene.until == "rest":
@@ -114,11 +115,11 @@ class Simulation(Changing):
         copy_into(self.memory.arrays, arrays, some=True)
 
     def _find_limit(self) -> StepLimit:
-        integrator = self.loaded.integrator
+        config = self.loaded.integrator.config
         try:
             with np.errstate(all="ignore"):
                 start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
-                found: StepLimit = integrator.plugin.limit(integrator.config, self.system, start)
+                found: StepLimit = self.solver.plugin.limit(config, self.system, start)
         except (np.linalg.LinAlgError, ArithmeticError):
             found = StepLimit(np.nan, np.nan, np.nan)
         if np.isnan(found.dt):
@@ -178,8 +179,7 @@ class Simulation(Changing):
             if self.relaxation is not None:
                 self.system = replace(self.system, damping=self.relaxation.damping)
             self.costs.before(self.state, self.memory, poses)
-            plugin = self.loaded.integrator.plugin
-            report = plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+            report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             self.costs.after(report)
             # A frame that changes nothing is followed by frames that change nothing.
             timeless = not any(term.in_python for term in self.system.terms)
@@ -198,8 +198,7 @@ class Simulation(Changing):
 
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
         """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
-        plugin = self.loaded.integrator.plugin
-        share = plugin.unbalance(self.system, self.state, self.memory, poses)
+        share = self.solver.plugin.unbalance(self.system, self.state, self.memory, poses)
         most, beyond = float(share.max()), int((share > BALANCED).sum())
         self.balanced = most <= BALANCED
         report = replace(report, unbalance=most, unsettled=beyond)
@@ -227,13 +226,13 @@ class Simulation(Changing):
 
     def divide(self, seconds: float) -> dict[str, float]:
         """What each part of the steps has cost, of all `seconds` of them."""
-        chosen, pair = self.loaded.integrator, (self.poses, self.poses) if self.poses else None
+        chosen, pair = self.solver, (self.poses, self.poses) if self.poses else None
         each = chosen.plugin.profile(self.system, self.state, self.memory, pair)
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
 
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""
-        report: StepReport = self.loaded.integrator.plugin.advance(
+        report: StepReport = self.solver.plugin.advance(
             self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt
         )
         return report
@@ -242,7 +241,7 @@ class Simulation(Changing):
         """What acts in the present state, with bodies as at the start of the frame of these poses."""
         if self.relaxation is not None:
             self.system = replace(self.system, damping=self.relaxation.damping)
-        found: Forces = self.loaded.integrator.plugin.forces(self.system, self.state, self.memory, poses)
+        found: Forces = self.solver.plugin.forces(self.system, self.state, self.memory, poses)
         return found
 
     def keep(self) -> Checkpoint:
@@ -280,6 +279,7 @@ class Simulation(Changing):
         lines = overridden(before.lines, apply_override(data, item))
         changed = copy(self)
         changed.loaded = load(data, lines, before.file, before.files)
+        require_any_numbering(self.numbers, changed.loaded, item)
         finds = _finds_damping(changed.loaded)
         try:
             changed._prepare({name: kept[name] for name in kept if name != RELAXATION or finds})
