@@ -22,6 +22,7 @@ CASES = {
     "net-256": "steps.explicit:net_256",
     "sheet-32": "steps.explicit:sheet_32",
     "membrane": "steps.explicit:membrane",
+    "numbering": "steps.explicit:numbering",
     "stiff": "steps.stiff:stiff_sheet",
     "stiffness": "steps.stiff:stiffness",
     "closest": "leg.closest:closest",

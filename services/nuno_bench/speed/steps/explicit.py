@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from nuno import registry
+from nuno.cloth.build import Piece
+from nuno.cloth.numbering import find_numbers, renumber
+from nuno.simulation.ordered import Ordered
 from nuno_bench.report.result import Result
 from nuno_bench.speed.steps import meshes
 from nuno_bench.speed.steps.meshes import DAMPING, net, net_arrays, sheet
@@ -16,6 +20,7 @@ from nuno_schemas.fabric import Fabric
 UNIT = "M vertex-steps/s"
 """Million vertices times steps a second."""
 DT = 1e-5
+TENSIONS = ("springs", "membrane")
 MESH_SIDE = 101
 """Vertices a side of a mesh: 20,000 triangles."""
 WORK = 13_000_000
@@ -42,10 +47,16 @@ def time_steps(
 
 
 def stepping(what: str, fabric: Fabric, steps: int, integrator: str = "symplectic_euler") -> Callable[[], None]:
-    """Takes so many steps of one integrator each time it is called, and raises RunFailed where one fails."""
+    """Takes so many steps of one integrator each time it is called, as a run does: fabric whose vertices stand in no
+    order is renumbered. Raises RunFailed where one fails.
+    """
     plugin = registry.load("nuno.integrators", integrator)
+    config = plugin.Config()
     system, state = meshes.system_of(fabric)
-    memory = plugin.prepare(plugin.Config(), system, state)
+    numbers = find_numbers(fabric, [Piece("cloth", 0, fabric.number)])
+    if numbers is not None:
+        plugin, system = Ordered(plugin, numbers), replace(system, fabric=renumber(fabric, numbers))
+    memory = plugin.prepare(config, system, state)
 
     def advance() -> None:
         report = plugin.advance(system, state, memory, None, steps, DT)
@@ -84,20 +95,43 @@ def net_256(repeats: int) -> list[Result]:
 
 def membrane(repeats: int) -> list[Result]:
     """A measured fabric on a mesh of 20,000 triangles: steps of its membrane over those of springs on its edges."""
-    fabrics = {tension: meshes.mesh(MESH_SIDE, tension) for tension in ("springs", "membrane")}
-    steps = WORK // 4 // fabrics["springs"].number
-    calls = {tension: stepping(tension, fabric, steps) for tension, fabric in fabrics.items()}
-    for call in calls.values():
-        call()
-    # In turns, so that a slow machine slows both.
-    spent = [[seconds(call) for call in calls.values()] for _ in range(repeats)]
-    results = [
-        Result("membrane", f"a step of {tension}", "us", tuple(1e6 * sample[k] / steps for sample in spent),
-               note=f"{fabric.number:,} vertices, {len(fabric.faces):,} triangles")
-        for k, (tension, fabric) in enumerate(fabrics.items())
-    ]  # fmt: skip
-    ratios = tuple(on / off for off, on in spent)
+    results, (springs, of_membrane) = in_turns(
+        "membrane", {f"a step of {tension}": meshes.mesh(MESH_SIDE, tension) for tension in TENSIONS}, repeats
+    )
+    ratios = tuple(on / off for off, on in zip(springs, of_membrane, strict=True))
     return [*results, Result("membrane", "membrane over springs", "times", ratios, bar=1.5, at_most=True)]
+
+
+def numbering(repeats: int) -> list[Result]:
+    """The same mesh row by row and numbered at random: how fast it then is, over how fast it was."""
+    results = []
+    for tension in TENSIONS:
+        fabrics = {
+            f"a step of {tension}, {order}": meshes.mesh(MESH_SIDE, tension, shuffled=order == "at random")
+            for order in ("row by row", "at random")
+        }
+        found, (near, far) = in_turns("numbering", fabrics, repeats)
+        ratios = tuple(one / other for one, other in zip(near, far, strict=True))
+        results += [
+            *found,
+            Result("numbering", f"{tension}: speed at random over row by row", "times", ratios, bar=0.85),
+        ]
+    return results
+
+
+def in_turns(case: str, fabrics: dict[str, Fabric], repeats: int) -> tuple[list[Result], list[tuple[float, ...]]]:
+    """Results and times of a step [us] of some fabrics by name, in turns, so that a slow machine slows all."""
+    steps = WORK // 4 // max(fabric.number for fabric in fabrics.values())
+    calls = [stepping(what, fabric, steps) for what, fabric in fabrics.items()]
+    for call in calls:
+        call()
+    spent = [[1e6 * seconds(call) / steps for call in calls] for _ in range(repeats)]
+    times = list(zip(*spent, strict=True))
+    results = [
+        Result(case, what, "us", taken, note=f"{fabric.number:,} vertices, {len(fabric.faces):,} triangles")
+        for (what, fabric), taken in zip(fabrics.items(), times, strict=True)
+    ]
+    return results, times
 
 
 def sheet_32(repeats: int) -> list[Result]:

@@ -56,19 +56,22 @@ def net(arrays: dict[str, NDArray[Any]]) -> Fabric:
         return _build({"plugin": "net", "file": "net.npz"}, Path(folder))
 
 
-def mesh(side: int, tension: str) -> Fabric:
-    """A square metre of denim as an irregular mesh of side x side vertices."""
+def mesh(side: int, tension: str, shuffled: bool = False) -> Fabric:
+    """A square metre of denim as an irregular mesh of side x side vertices, numbered row by row or at random."""
     from scipy.spatial import Delaunay  # half a second to import
 
     ticks = np.linspace(0.0, 1.0, side)
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
     inside = ((points > 0.0) & (points < 1.0)).all(axis=1)
     points[inside] += np.random.default_rng(4).uniform(-0.3, 0.3, (int(inside.sum()), 2)) / (side - 1)
-    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
     faces = Delaunay(points).simplices
     one, other = points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     faces = np.where(area[:, None] < 0.0, faces[:, ::-1], faces)[np.abs(area) > 1e-9]
+    if shuffled:
+        order = np.random.default_rng(3).permutation(len(points))
+        points, faces = points[order], np.argsort(order)[faces]
+    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "mesh.obj").write_text("\n".join(lines) + "\n")
