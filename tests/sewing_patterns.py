@@ -13,6 +13,10 @@ from nuno_cloth.sewing.pattern import Pattern
 
 REAL = ("shirt", "hoody", "dress-pencil", "jumpsuit", *(f"p{k:02d}" for k in range(24)))
 """GarmentCode's own, and some that were sampled with its programs."""
+FEW = ("shirt", "jumpsuit", "p09", "p19", "p22")
+"""Of these, some that have among them all that the others have: every kind of curve, darts, gathers, a seam with its
+right side on a wrong one, vertices that are inside once sewn, and two, three, four and five openings.
+"""
 
 
 def panel(*corners: tuple[float, float], curves: Mapping[int, Any] | None = None, **fields: Any) -> dict[str, Any]:
