@@ -16,6 +16,7 @@ from nuno_bench.problem import piles
 from nuno_schemas.fabric import Float
 
 SEEDS = range(20)
+quick = pytest.mark.quick(seed=range(4))
 
 
 def disorder(seed: int) -> tuple[Float, Mesh]:
@@ -35,6 +36,7 @@ def all_pairs(mesh: Mesh) -> list[tuple[int, int]]:
     ]
 
 
+@quick
 @pytest.mark.parametrize("seed", SEEDS)
 def test_crossings_are_those_that_ipctk_finds(seed: int) -> None:
     """Each pair once."""
@@ -52,6 +54,7 @@ def test_crossings_are_those_that_ipctk_finds(seed: int) -> None:
     assert len(found.places) == len(found.edges)
 
 
+@quick
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
     """Of vertices from triangles and of edges from edges, over all that share no vertex; and no less is found of more
@@ -74,6 +77,7 @@ def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
         assert found == (pytest.approx(least, rel=1e-9, abs=1e-15) if within > least else None)
 
 
+@quick
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_is_found_of_near_pairs_has_the_bits_of_all_pairs(seed: int) -> None:
     """On triangles large and small, far from the origin."""
