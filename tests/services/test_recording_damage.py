@@ -76,12 +76,15 @@ def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
         assert recording.attachment("f") == b"attached"
 
 
-def test_truncation_anywhere_reads_a_prefix(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+@pytest.mark.quick(every=[101])
+@pytest.mark.parametrize("every", [17, 101])
+def test_truncation_anywhere_reads_a_prefix(many_chunks: tuple[Path, list[tuple[str, int, bytes]]], every: int) -> None:
+    """At each so many bytes, which are fewer than a chunk's 217, and at each of the last."""
     path, whole = many_chunks
     data = path.read_bytes()
     cut = path.with_name("cut.mcap")
     numbers = []
-    for size in sorted({*range(0, len(data), 17), *range(len(data) - 120, len(data))}):
+    for size in sorted({*range(0, len(data), every), *range(len(data) - 120, len(data))}):
         cut.write_bytes(data[:size])
         try:
             with open_recording(cut) as recording:
@@ -98,12 +101,16 @@ def test_truncation_anywhere_reads_a_prefix(many_chunks: tuple[Path, list[tuple[
     assert len(set(numbers)) > 0.9 * len(whole)
 
 
-def test_a_changed_byte_never_reads_as_a_wrong_message(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+@pytest.mark.quick(every=[101])
+@pytest.mark.parametrize("every", [19, 101])
+def test_a_changed_byte_never_reads_as_a_wrong_message(
+    many_chunks: tuple[Path, list[tuple[str, int, bytes]]], every: int
+) -> None:
     path, whole = many_chunks
     data = path.read_bytes()
     changed, known = path.with_name("changed.mcap"), set(whole)
     silent = 0
-    for place in range(0, len(data), 19):
+    for place in range(0, len(data), every):
         changed.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
         try:
             with open_recording(changed) as recording:
