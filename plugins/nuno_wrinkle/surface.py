@@ -111,7 +111,8 @@ def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tu
     for p in range(len(face) - 1):
         chord = make_chord(way.points, way.normal, p, p + 1)
         here, goal = face[p], face[p + 1]
-        entry[:] = at[p]
+        for c in range(3):
+            entry[c] = at[p, c]
         for _ in range(faces.shape[0] + 1):
             if count == len(path):
                 return NO_WAY, p, count

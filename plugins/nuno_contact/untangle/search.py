@@ -171,7 +171,8 @@ def measure_near(
         if distance >= OVER * wanted:
             continue
         if count < pair.shape[0]:
-            pair[count] = four
+            for corner in range(4):
+                pair[count, corner] = four[corner]
             weights[count, 0], weights[count, 1], weights[count, 2], weights[count, 3] = w
             normal[count, 0], normal[count, 1], normal[count, 2] = n
             size[count, 0], size[count, 1] = distance, wanted

@@ -11,6 +11,7 @@ from nuno_integrators.explicit.combine import Buffers, Stage, combine, square
 from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import Long
+from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
@@ -133,13 +134,13 @@ def advance_adaptive(
                 return True
             control[AT] += h
             control[PENDING] = 0.0
-            b.x[:] = b.y
-            b.v[:] = b.u
+            copy_rows(b.y, b.x)
+            copy_rows(b.u, b.v)
             commit(b.x, b.v, control[AT] / span, p.bodies, p.bodies_on, p.threads)
             # The last slope is the next step's first, unless bodies have moved vertices or anchors.
             first = 0
             if not p.moved:
-                b.k[0][:] = b.k[stages - 1]
+                copy_rows(b.k[stages - 1], b.k[0])
                 first = 1
             if over > -LANDED * h:
                 control[AT] = 0.0

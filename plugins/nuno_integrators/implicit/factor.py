@@ -19,6 +19,7 @@ from nuno_integrators.implicit.matrix import Linear
 from nuno_integrators.implicit.plan import Elements, Plan
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
+from nuno_kernels.step.rows import copy_rows
 from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 
@@ -189,7 +190,7 @@ def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
 @block_kernel
 def solve_fronts(fronts: Fronts, values: Float, local: Float, r: Float, x: Float) -> None:
     """x (3, n) = A^-1 r: U^T y = r from the first front to the last, then U x = y back."""
-    x[:] = r
+    copy_rows(r, x)
     sums = np.empty((1, WIDTH))
     for f in range(fronts.own.shape[0]):
         own, size, width = 3 * fronts.own[f], 3 * fronts.size[f], fronts.width[f]

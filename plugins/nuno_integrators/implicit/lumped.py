@@ -39,8 +39,13 @@ def keep_positive(a: Float, vectors: Float, values: Float) -> None:
     determinant = a[2, 2] * minor + a[0, 2] * rest - a[1, 2] * (a[0, 0] * a[1, 2] - a[0, 1] * a[0, 2])
     if a[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0:
         return
-    vectors[:] = np.eye(3)
-    size = np.abs(a).max()
+    # Entry by entry: array expressions take seconds more to compile, above all for what they say of shapes that differ.
+    size = 0.0
+    for i in range(3):
+        for j in range(3):
+            vectors[i, j] = 1.0 if i == j else 0.0
+            if abs(a[i, j]) > size or np.isnan(a[i, j]):
+                size = abs(a[i, j])
     for _ in range(MOST_SWEEPS):
         if max(abs(a[0, 1]), abs(a[0, 2]), abs(a[1, 2])) <= EPSILON * size:
             break
