@@ -235,7 +235,10 @@ print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest())
 """
 
 
-def test_it_is_the_same_to_the_last_bit_on_any_number_of_threads(tmp_path: Path) -> None:
+@pytest.mark.quick(threads=["1"])
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_it_is_the_same_to_the_last_bit_on_any_number_of_threads(threads: str, tmp_path: Path) -> None:
+    """As here, on as many as there are."""
     curve = {2: {"type": "cubic", "params": [[0.3, 0.2], [0.7, -0.1]]}}
     cut = read(tmp_path, tube(front=panel((0, 0), (30, 0), (30, 20), (0, 20), curves=curve)))
     found = set()
@@ -244,11 +247,14 @@ def test_it_is_the_same_to_the_last_bit_on_any_number_of_threads(tmp_path: Path)
         parts = sewn.flat, sewn.placed, sewn.faces, sewn.merged
         found.add(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest())
     program = PROGRAM.format(tests=str(Path(__file__).resolve().parents[1]), folder=str(tmp_path))
-    for threads in ("1", "2"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-        done = subprocess.run(
-            [sys.executable, "-c", program], env=os.environ | dict.fromkeys(names, threads), capture_output=True,
-            text=True, check=True, timeout=60,
-        )  # fmt: skip
-        found.add(done.stdout.strip())
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | dict.fromkeys(names, threads),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    found.add(done.stdout.strip())
     assert len(found) == 1
