@@ -13,7 +13,7 @@ import numpy as np
 
 from nuno_integrators.explicit.updates import add
 from nuno_integrators.implicit.matrix import Linear, invert
-from nuno_kernels import block_kernel, kernel
+from nuno_kernels import block_kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, over_blocks
 from nuno_schemas.fabric import Float
@@ -55,9 +55,11 @@ def multiply_block(block: int, a: Linear) -> None:
 
 
 @block_kernel
-def descend_block(block: int, a: Linear, step: float) -> None:
+def descend_block(
+    block: int, step: float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, sums: Float
+) -> None:
     """x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
-    total, inverse, x, r, z, p, q = 0.0, a.inverse, a.x, a.r, a.z, a.p, a.q
+    total = 0.0
     for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
         for row in range(3):
             x[row, v] += step * p[row, v]
@@ -68,11 +70,11 @@ def descend_block(block: int, a: Linear, step: float) -> None:
         zz = inverse[4, v] * rx + inverse[5, v] * ry + inverse[2, v] * rz
         z[0, v], z[1, v], z[2, v] = zx, zy, zz
         total += rx * zx + ry * zy + rz * zz
-    a.sums[block] = total
+    sums[block] = total
 
 
 multiply_blocks = over_blocks(multiply_block, "a")
-descend_blocks = over_blocks(descend_block, "a, step")
+descend_blocks = over_blocks(descend_block, "step, inverse, x, r, z, p, q, sums")
 
 
 @block_kernel
@@ -84,11 +86,16 @@ def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     return float(a.sums.sum())
 
 
-@kernel
-def descend(a: Linear, step: float, threads: int | None) -> float:
-    """Do x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; returns r.z."""
-    descend_blocks(a, step, a.sums.shape[0], threads)
-    return float(a.sums.sum())
+@block_kernel
+def descend(
+    step: float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, sums: Float, threads: int | None
+) -> float:
+    """Do x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; returns r.z.
+
+    It is not given the matrix, or each kind of one would have its own version compiled.
+    """
+    descend_blocks(step, inverse, x, r, z, p, q, sums, sums.shape[0], threads)
+    return float(sums.sum())
 
 
 @block_kernel
@@ -97,7 +104,7 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
     a.x[:] = 0.0
     a.p[:] = 0.0
     a.q[:] = 0.0
-    rz = descend(a, 0.0, threads)
+    rz = descend(0.0, a.inverse, a.x, a.r, a.z, a.p, a.q, a.sums, threads)
     target = tolerance * tolerance * rz
     turn = 0.0
     for iteration in range(most):
@@ -107,9 +114,47 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
         if not curvature > 0.0:
             return -1 - iteration
         before = rz
-        rz = descend(a, rz / curvature, threads)
+        rz = descend(rz / curvature, a.inverse, a.x, a.r, a.z, a.p, a.q, a.sums, threads)
         turn = rz / before
     return most
+
+
+@block_kernel
+def find_way(inverse_mass: Float, own: Float, r: Float, total: Float, way: Float) -> bool:
+    """The sum of the residual r (3, n) into total (3,), and what all move by to leave none into way (3,); False where
+    a vertex is pinned, or there is none.
+    """
+    part, inverse = np.zeros((6, 1)), np.zeros((6, 1))
+    for v in range(r.shape[1]):
+        if inverse_mass[v] == 0.0:
+            return False
+        for row in range(6):
+            part[row, 0] += own[row, v]
+        for row in range(3):
+            total[row] += r[row, v]
+    if r.shape[1] == 0:
+        return False
+    invert(part, inverse, 0, np.zeros((6, 1)), 0)
+    way[0] = inverse[0, 0] * total[0] + inverse[3, 0] * total[1] + inverse[4, 0] * total[2]
+    way[1] = inverse[3, 0] * total[0] + inverse[1, 0] * total[1] + inverse[5, 0] * total[2]
+    way[2] = inverse[4, 0] * total[0] + inverse[5, 0] * total[1] + inverse[2, 0] * total[2]
+    return True
+
+
+@block_kernel
+def spread(way: Float, z: Float) -> None:
+    """Every column of z (3, n) = way (3,)."""
+    for row in range(3):
+        for v in range(z.shape[1]):
+            z[row, v] = way[row]
+
+
+@block_kernel
+def move_along(way: Float, share: float, x: Float) -> None:
+    """Add a share of way (3,) to every column of x (3, n)."""
+    for row in range(3):
+        for v in range(x.shape[1]):
+            x[row, v] += share * way[row]
 
 
 @block_kernel
@@ -123,30 +168,13 @@ def keep_momentum(a: Linear, threads: int | None) -> None:
     """
     if len(a.forces) == 0:
         return
-    total, own, inverse = np.zeros(3), np.zeros((6, 1)), np.zeros((6, 1))
-    for v in range(a.x.shape[1]):
-        if a.inverse_mass[v] == 0.0:
-            return
-        for row in range(6):
-            own[row, 0] += a.own[row, v]
-        for row in range(3):
-            total[row] += a.r[row, v]
-    if a.x.shape[1] == 0:
+    total, way = np.zeros(3), np.empty(3)
+    if not find_way(a.inverse_mass, a.own, a.r, total, way):
         return
-    invert(own, inverse, 0, np.zeros((6, 1)), 0)
-    way = np.empty(3)
-    way[0] = inverse[0, 0] * total[0] + inverse[3, 0] * total[1] + inverse[4, 0] * total[2]
-    way[1] = inverse[3, 0] * total[0] + inverse[1, 0] * total[1] + inverse[5, 0] * total[2]
-    way[2] = inverse[4, 0] * total[0] + inverse[5, 0] * total[1] + inverse[2, 0] * total[2]
-    for row in range(3):
-        for v in range(a.x.shape[1]):
-            a.z[row, v] = way[row]
+    spread(way, a.z)
     curvature = turn_and_multiply(0.0, a, threads)
     if curvature > 0.0:
-        share = (way[0] * total[0] + way[1] * total[1] + way[2] * total[2]) / curvature
-        for row in range(3):
-            for v in range(a.x.shape[1]):
-                a.x[row, v] += share * way[row]
+        move_along(way, (way[0] * total[0] + way[1] * total[1] + way[2] * total[2]) / curvature, a.x)
 
 
 def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
