@@ -87,9 +87,17 @@ def face_flows(phi: Float, cells: Cells, scale: float) -> dict[tuple[Place, Plac
 
 
 def run(
-    phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str, steps: int, bands: int = 1
+    phi: Float,
+    fixed: Float,
+    cells: Cells,
+    scale: float,
+    rate: float,
+    isotherm: str,
+    steps: int,
+    bands: int = 1,
+    steepest: float = 1.0,
 ) -> tuple[Float, Float]:
-    packed = make_dye_bands(phi, cells, face_values(cells), scale, bands)
+    packed = make_dye_bands(phi, cells, face_values(cells), scale, bands, steepest)
     kind, k, b = ISOTHERMS[isotherm]
     bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
     dye(steps, packed, None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate), None, None)
@@ -139,6 +147,15 @@ def test_without_a_limit_that_binds_it_is_diffusion_to_the_last_bit() -> None:
     scale = 0.9 / largest_sum(faces)
     assert np.array_equal(run(phi, fixed, cells, scale, 0.0, "nothing", 20)[0], spread(phi, faces, scale, 20))
     assert np.abs(spread(phi, faces, scale, 1) - step_plainly(phi, cells, scale)).max() < 1e-14
+
+
+def test_what_cannot_empty_a_cell_has_the_bits_of_what_could() -> None:
+    """Factors of what flows out are 1 where they are not asked for."""
+    cells = resisted(23, 30)
+    phi, fixed = start(cells)
+    scale = 0.98 / largest_sum(face_values(cells))
+    asked, not_asked = (run(phi, fixed, cells, scale, 0.05, "langmuir", 50, steepest=most) for most in (2.0, 1.0))
+    assert all(map(np.array_equal, asked, not_asked))
 
 
 @pytest.mark.parametrize("isotherm", ["partition", "langmuir"])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from nuno_dye.laws.power import power
-from nuno_kernels import kernel
+from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.choose import any_below, higher, lower, where_greater
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
@@ -71,23 +71,24 @@ def may_bind(first: float, phi: Any, held: Any, free: Any, pace: float) -> Any:
     return any_below(where_greater(free, splat(0.0), margin), 0.0)
 
 
-@kernel
-def adsorb_row(phi: Float, fixed: Float, fibre: Float, start: int, row: int, law: Law) -> None:
-    """Fix dye in one row of one layer, from column `start` on."""
-    nothing = splat(0.0)
-    for c in range(start, phi.shape[1] - WIDTH, WIDTH):
-        there, held, room = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
-        taken = lower(lower(law.rate * (there - held), room - held), there)
-        if law.kind != FREUNDLICH or may_bind(law.first, there, held, taken, 1.0):
-            taken = lower(taken, limit_of(law, there, room) - held)
-        taken = higher(taken, nothing)
-        store(phi, row, c, there - taken)
-        store(fixed, row, c, held + taken)
+@forced_inline
+def adsorb(phi: Float, fixed: Float, fibre: Float, row: int, c: int, law: Law) -> Any:
+    """Fix dye in eight cells; the mobile dye that is left there."""
+    there, held, room = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
+    taken = lower(lower(law.rate * (there - held), room - held), there)
+    if law.kind != FREUNDLICH or may_bind(law.first, there, held, taken, 1.0):
+        taken = lower(taken, limit_of(law, there, room) - held)
+    taken = higher(taken, splat(0.0))
+    left = there - taken
+    store(phi, row, c, left)
+    store(fixed, row, c, held + taken)
+    return left
 
 
 @kernel
 def adsorb_both(phi: Float, uptake: Uptake, b: int, start: int, row: int, r: int) -> None:
     """Fix dye in one row of both layers of band `b`, (2 r, w), from column `start` on."""
-    law = Law(uptake.kind, uptake.first, uptake.second, uptake.rate)
+    law, fixed, fibre = Law(uptake.kind, uptake.first, uptake.second, uptake.rate), uptake.fixed[b], uptake.fibre[b]
     for at in (row, row + r):
-        adsorb_row(phi, uptake.fixed[b], uptake.fibre[b], start, at, law)
+        for c in range(start, phi.shape[1] - WIDTH, WIDTH):
+            adsorb(phi, fixed, fibre, at, c, law)

@@ -147,10 +147,11 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
 def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
     """One dye's weights in a kernel's layout."""
     known, bands = work.bands.get((k, limited), (0.0, None))
+    steepest = work.known.system.dyes[k].steepest
     if bands is None or known != dt:
         empty, cells = np.zeros(work.known.system.cells.fibre.shape), work.known.system.cells
         bands = (
-            make_dye_bands(empty, cells, work.known.faces, scale, number)
+            make_dye_bands(empty, cells, work.known.faces, scale, number, steepest)
             if limited
             else make_bands(empty, work.known.faces, scale, number)
         )

@@ -112,6 +112,27 @@ def see_row(seen: Float, planes: Float, floor: Float, row: int, into: int) -> No
 
 
 @kernel
+def flux_row(
+    phi: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, slot: int, row: int,
+    here: int,
+) -> None:  # fmt: skip
+    """Fluxes of a row's faces into rows `slot` and on of `scratch`: to the right and down in either layer, and between
+    them. Amounts phi are those of the plane that begins at row `here`.
+    """
+    other = row + across.shape[0]
+    here_0, here_1 = here + row, here + other
+    for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
+        phi_0, phi_1 = potentials(load(phi, here_0, c), curve), potentials(load(phi, here_1, c), curve)
+        right_0, right_1 = potentials(load(phi, here_0, c + 1), curve), potentials(load(phi, here_1, c + 1), curve)
+        down_0, down_1 = potentials(load(phi, here_0 + 1, c), curve), potentials(load(phi, here_1 + 1, c), curve)
+        store(scratch, slot, c, load(along, row, c) * (right_0 - phi_0))
+        store(scratch, slot + 1, c, load(along, other, c) * (right_1 - phi_1))
+        store(scratch, slot + 2, c, load(down, row, c) * (down_0 - phi_0))
+        store(scratch, slot + 3, c, load(down, other, c) * (down_1 - phi_1))
+        store(scratch, slot + 4, c, load(across, row, c) * (phi_1 - phi_0))
+
+
+@kernel
 def open_row(
     seen: Float, held: Float, fibre: Float, most: Float, floor: Float, factors: Float, scratch: Float, rules: Rules,
     place: Row,

@@ -27,7 +27,6 @@ from numba import prange
 from nuno_dye.laws.adsorption import NOTHING, Law
 from nuno_dye.laws.potential import Curve
 from nuno_dye.solvers.diffusion import Rows, Weights
-from nuno_dye.solvers.dyeing import flux_row
 from nuno_dye.solvers.fixing import take_row
 from nuno_dye.solvers.rkl2_rows import (
     RATES,
@@ -36,6 +35,7 @@ from nuno_dye.solvers.rkl2_rows import (
     Row,
     Rules,
     advance_row,
+    flux_row,
     keep_factors,
     limited_row,
     open_row,
