@@ -201,10 +201,11 @@ def keep_up(phi: Float, floor: Float | None, most: Float) -> float:
     """Bring kept-up cells between their floor and `most`, in place; what that took, less what it gave back."""
     if floor is None:
         return 0.0
-    kept = np.where(floor > 0.0, np.clip(phi, floor, most), phi)
-    given = sum_compensated((kept - phi).reshape(-1))
-    np.copyto(phi, kept)
-    return given
+    at = np.flatnonzero(floor > 0.0)
+    cells = phi.reshape(-1)
+    before = cells[at]
+    cells[at] = np.clip(before, floor.reshape(-1)[at], most.reshape(-1)[at])
+    return sum_compensated(cells[at] - before)
 
 
 def split_steps(since: int, steps: int, reach: float, start: int) -> Float:
