@@ -15,37 +15,22 @@ from numba import prange
 
 from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, limit_of, may_bind
 from nuno_dye.solvers.diffusion import LEFT, Rows
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import forced_inline, kernel, parallel_kernel
 from nuno_kernels.lanes.choose import higher, lower
-from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_kernels.lanes.simd import splat
 from nuno_schemas.fabric import Float
 
 ROUNDS = 60
 """Newton steps at most; five or six do."""
 
 
-@kernel
+@forced_inline
 def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
     """What eight cells take. With a tuple of arrays as its argument the call cost more than all that it does."""
     taken = lower(law.rate * (phi - fixed), pace * (room - fixed))
     if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
         taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
     return higher(taken, splat(0.0))
-
-
-@kernel
-def take_row(
-    seen: Float, held: Float, fibre: Float, rates: Float, to: int, row: int, base: int, law: Law, pace: float
-) -> None:
-    """What a row of one layer takes in `rates[to + 2]`, and off what it gets, in `rates[to]`.
-
-    `base` is the first row of the plane of `seen` and `held`.
-    """
-    for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
-        phi, fixed, room = load(seen, base + row, c), load(held, base + row, c), load(fibre, row, c)
-        taken = taken_at(phi, fixed, room, law, pace)
-        store(rates, to + 2, c, taken)
-        store(rates, to, c, load(rates, to, c) - taken)
 
 
 @kernel

@@ -1,9 +1,9 @@
-"""M of a row's cells and a stage from it, in vectors: the inner loops of nuno_dye.solvers.rkl2_stage.
+"""M of a row's cells and a stage from it, vector by vector: the inner loops of nuno_dye.solvers.rkl2_stage.
 
 A kernel takes a row of both layers, (2 r, w), weft rows before warp rows, and puts what the next one needs into
-`scratch` from row `slots` on: four rows of SLOT each in turn, and M itself from RATES on. Amounts lie in three planes,
-one after the other, (6 r, w), known by their first rows (see Row). Every array is an argument of its own: numba
-counts who holds one that is chosen among several, or taken out of a tuple, which for every row cost more than the row.
+`scratch` from row `slots` on: four rows of SLOT each in turn. Amounts lie in three planes, one after the other,
+(6 r, w), known by their first rows (see Row). Every array is an argument of its own: numba counts who holds one that is
+chosen among several, or taken out of a tuple, which for every row cost more than the row.
 """
 
 from __future__ import annotations
@@ -14,16 +14,14 @@ from nuno_dye.laws.adsorption import NOTHING, Law
 from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, slide
 from nuno_dye.solvers.fixing import taken_at
-from nuno_kernels import kernel
+from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.choose import higher, lower, where_greater
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
 
 SLOT = 7
 """Rows of scratch for a row of cells: fluxes to the right, down, and between the layers, and the layers' factors."""
-RATES = 4 * SLOT
-"""Where in the scratch the two layers' M of a row are, and after them what fibre takes."""
-ROWS = RATES + 4
+ROWS = 4 * SLOT
 """Rows of scratch of a stage."""
 
 
@@ -34,7 +32,7 @@ class Rules(NamedTuple):
     pace                       how fast a cell comes to its capacity, and fibre to its limit
     kept                       whether any cell is kept up
 
-    Whether fibre takes any and `kept` are asked row by row; as arguments that may be None they made four kernels of
+    Whether fibre takes any and `kept` are asked in the loop; as arguments that may be None they made four kernels of
     each, of seven seconds' compilation.
     """
 
@@ -44,6 +42,20 @@ class Rules(NamedTuple):
     rate: float
     pace: float
     kept: bool
+
+
+class Stage(NamedTuple):
+    """A stage: its coefficients, the first rows of the planes that it starts from and ends in, and whether it is the
+    first.
+    """
+
+    mu: float
+    nu: float
+    new: float
+    old: float
+    here: int
+    into: int
+    first: bool
 
 
 class Row(NamedTuple):
@@ -63,15 +75,57 @@ class Row(NamedTuple):
     passing: int
 
 
+@forced_inline
+def advanced(planes: Float, slope: Float, rate: Any, row: int, c: int, stage: Stage) -> Any:
+    """Eight amounts after a stage, whose M is `rate`."""
+    begun = load(planes, row, c)
+    if stage.first:
+        return begun + stage.new * rate
+    before, last = load(planes, row + stage.into, c), load(planes, row + stage.here, c)
+    steps = stage.mu * (last - begun) + stage.nu * (before - begun)
+    return begun + (steps + (stage.new * rate + stage.old * load(slope, row, c)))
+
+
+@forced_inline
+def finish(
+    mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
+    stage: Stage, rate: Any, phi: Any, row: int, c: int,
+) -> None:  # fmt: skip
+    """A stage of eight cells that get `rate` over their faces and hold `phi`: what fibre takes, and what they have.
+
+    All is read before anything is written: with each write where its value is known a stage was slower than with a loop
+    for each of these parts, probably since arrays of one shape have addresses that agree in their last 12 bits.
+    """
+    taken = fixed = splat(0.0)
+    if rules.kind != NOTHING:
+        law = Law(rules.kind, rules.first, rules.second, rules.rate)
+        taken = taken_at(phi, load(held, row + stage.here, c), load(fibre, row, c), law, rules.pace)
+        rate = rate - taken
+        fixed = advanced(held, bite, taken, row, c, stage)
+    found = advanced(mobile, slope, rate, row, c, stage)
+    shown = higher(load(floor, row, c), found) if rules.kept else found
+    store(mobile, row + stage.into, c, found)
+    if rules.kept:
+        store(seen, row + stage.into, c, shown)
+    if rules.kind != NOTHING:
+        store(held, row + stage.into, c, fixed)
+    if stage.first:
+        store(slope, row, c, rate)
+        if rules.kind != NOTHING:
+            store(bite, row, c, taken)
+
+
 @kernel
 def spread_row(
-    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Row
-) -> None:
-    """M of a row's cells where no limit can bind."""
-    row, other, rates = place.row, place.row + across.shape[0], place.slots + RATES
-    here_0, here_1, left_0, left_1 = place.here + row, place.here + other, splat(0.0), splat(0.0)
+    mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
+    stage: Stage, along: Float, down: Float, across: Float, curve: Curve | None, row: int,
+) -> None:  # fmt: skip
+    """A stage of a row's cells where no limit can bind."""
+    other = row + across.shape[0]
+    here_0, here_1, left_0, left_1 = stage.here + row, stage.here + other, splat(0.0), splat(0.0)
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
-        phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
+        held_0, held_1 = load(seen, here_0, c), load(seen, here_1, c)
+        phi_0, phi_1 = potentials(held_0, curve), potentials(held_1, curve)
         right_0 = load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0)
         right_1 = load(along, other, c) * (potentials(load(seen, here_1, c + 1), curve) - phi_1)
         down_0 = load(down, row, c) * (potentials(load(seen, here_0 + 1, c), curve) - phi_0)
@@ -79,36 +133,11 @@ def spread_row(
         up_0 = load(down, row - 1, c) * (phi_0 - potentials(load(seen, here_0 - 1, c), curve))
         up_1 = load(down, other - 1, c) * (phi_1 - potentials(load(seen, here_1 - 1, c), curve))
         through = load(across, row, c) * (phi_1 - phi_0)
-        store(scratch, rates, c, (right_0 - slide(left_0, right_0)) + (down_0 - up_0) + through)
-        store(scratch, rates + 1, c, (right_1 - slide(left_1, right_1)) + (down_1 - up_1) - through)
+        rate_0 = (right_0 - slide(left_0, right_0)) + (down_0 - up_0) + through
+        rate_1 = (right_1 - slide(left_1, right_1)) + (down_1 - up_1) - through
+        finish(mobile, slope, seen, floor, held, bite, fibre, rules, stage, rate_0, held_0, row, c)
+        finish(mobile, slope, seen, floor, held, bite, fibre, rules, stage, rate_1, held_1, other, c)
         left_0, left_1 = right_0, right_1
-
-
-@kernel
-def advance_row(
-    planes: Float, slope: Float, scratch: Float, of: int, row: int, here: int, into: int, coefs: Float, j: int
-) -> None:
-    """Stage `j` of a row of one layer, whose M is scratch[of]; the first stage keeps M as `slope`."""
-    here, into = row + here, row + into
-    if j == 0:
-        first = coefs[0, 2]
-        for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
-            rate = load(scratch, of, c)
-            store(slope, row, c, rate)
-            store(planes, into, c, load(planes, row, c) + first * rate)
-        return
-    mu, nu, new, old = coefs[j, 0], coefs[j, 1], coefs[j, 2], coefs[j, 3]
-    for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
-        begun, rate = load(planes, row, c), load(scratch, of, c)
-        steps = mu * (load(planes, here, c) - begun) + nu * (load(planes, into, c) - begun)
-        store(planes, into, c, begun + (steps + (new * rate + old * load(slope, row, c))))
-
-
-@kernel
-def see_row(seen: Float, planes: Float, floor: Float, row: int, into: int) -> None:
-    """What neighbours see of a row."""
-    for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
-        store(seen, into, c, higher(load(floor, row, c), load(planes, into, c)))
 
 
 @kernel
@@ -176,18 +205,22 @@ def scaled(flow: Any, here: Any, other: Any) -> Any:
 
 
 @kernel
-def limited_row(scratch: Float, slots: int, row: int) -> None:
-    """M of a row's cells, from fluxes and factors of its own and of the rows above and below."""
+def limited_row(
+    mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
+    stage: Stage, scratch: Float, slots: int, row: int,
+) -> None:  # fmt: skip
+    """A stage of a row's cells, from fluxes and factors of its own and of the rows above and below."""
     slot, above, below = slots + SLOT * (row % 4), slots + SLOT * ((row - 1) % 4), slots + SLOT * ((row + 1) % 4)
     for layer in range(2):
-        sign, before, mine = 1.0 - 2.0 * layer, splat(0.0), 5 + layer
+        sign, before, mine, at = 1.0 - 2.0 * layer, splat(0.0), 5 + layer, row + layer * (fibre.shape[0] // 2)
         for c in range(LEFT, scratch.shape[1] - WIDTH, WIDTH):
             factor = load(scratch, slot + mine, c)
             right = scaled(load(scratch, slot + layer, c), factor, load(scratch, slot + mine, c + 1))
             down = scaled(load(scratch, slot + 2 + layer, c), factor, load(scratch, below + mine, c))
             up = scaled(load(scratch, above + 2 + layer, c), load(scratch, above + mine, c), factor)
             through = scaled(load(scratch, slot + 4, c), load(scratch, slot + 5, c), load(scratch, slot + 6, c))
-            store(scratch, slots + RATES + layer, c, (right - slide(before, right)) + (down - up) + sign * through)
+            rate, phi = (right - slide(before, right)) + (down - up) + sign * through, load(seen, at + stage.here, c)
+            finish(mobile, slope, seen, floor, held, bite, fibre, rules, stage, rate, phi, at, c)
             before = right
 
 

@@ -24,22 +24,18 @@ from typing import NamedTuple
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import NOTHING, Law
 from nuno_dye.laws.potential import Curve
 from nuno_dye.solvers.diffusion import Rows, Weights
-from nuno_dye.solvers.fixing import take_row
 from nuno_dye.solvers.rkl2_rows import (
-    RATES,
     ROWS,
     SLOT,
     Row,
     Rules,
-    advance_row,
+    Stage,
     flux_row,
     keep_factors,
     limited_row,
     open_row,
-    see_row,
     spread_row,
 )
 from nuno_kernels import block_kernel, kernel, parallel_kernel
@@ -100,7 +96,6 @@ def pass_rows(
     along, down, across, factors = weights.along, weights.down, weights.across, amounts.factors
     mobile, slope, seen, floor = amounts.mobile, amounts.slope, amounts.seen, amounts.floor
     held, bite, fibre = amounts.held, amounts.bite, amounts.fibre
-    law = Law(rules.kind, rules.first, rules.second, rules.rate)
     depth, r = 1 if most is None else 2, across.shape[0]
     for at in range(span.top, span.bottom + (span.low + depth) * (stages.number - 1) + 1):
         for n in range(stages.number):
@@ -111,8 +106,9 @@ def pass_rows(
             here = 0 if j <= 0 else 6 * r - into
             turn = stages.turn if j < 0 else j % 2
             passed, passing = 2 * r * (1 + turn), 2 * r * (2 - turn)
+            stage = Stage(coefs[j, 0], coefs[j, 1], coefs[j, 2], coefs[j, 3], here, into, j == 0)
             if most is None:
-                spread_row(seen, along, down, across, curve, scratch, Row(slots, row, here, passed, passing))
+                spread_row(mobile, slope, seen, floor, held, bite, fibre, rules, stage, along, down, across, curve, row)
             else:
                 for ahead in range(row - 2 if row == begin else row + 1, row + 2):
                     place = Row(slots, ahead, here, passed, passing)
@@ -121,15 +117,7 @@ def pass_rows(
                         open_row(seen, held, fibre, most, floor, factors, scratch, rules, place)
                 keep_factors(factors, scratch, Row(slots, row, here, passed, passing))
                 if j >= 0:
-                    limited_row(scratch, slots, row)
-            for layer in range(2 if j >= 0 else 0):
-                to, of = row + layer * r, slots + RATES + layer
-                if law.kind != NOTHING:
-                    take_row(seen, held, fibre, scratch, of, to, here, law, rules.pace)
-                    advance_row(held, bite, scratch, of + 2, to, here, into, coefs, j)
-                advance_row(mobile, slope, scratch, of, to, here, into, coefs, j)
-                if rules.kept:
-                    see_row(seen, mobile, floor, to, to + into)
+                    limited_row(mobile, slope, seen, floor, held, bite, fibre, rules, stage, scratch, slots, row)
 
 
 @parallel_kernel
