@@ -2,7 +2,7 @@
 
 Below the underarms the shirt is rings about the trunk, and beyond them rings about the arms: each is the convex hull of
 the body's section, set off by as much as the ring is longer, so that it has its length at rest and is clear. The yoke
-between is harmonic, and then everything is drawn together by its springs, straightened and put out of the body in turn.
+between is harmonic, and then everything is drawn together (nuno_cloth.sewing.draw).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from nuno_cloth.models.shirt_pattern import Cut, Sewn
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import Arm, Wearer
+from nuno_cloth.sewing.draw import draw_together
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.harmonic import solve_harmonic
@@ -21,7 +22,7 @@ from nuno_kernels.meshes.limb import spread_hull
 from nuno_kernels.meshes.loops import Loop
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.vectors import dot, norm
 
 RINGS, AROUND = 24, 96
@@ -30,14 +31,6 @@ UPPER = 0.2
 """Share of the cloth round an arm that is laid over it from the overarm on, where the underarm is not closed yet."""
 MARGIN = 0.02
 """Where a shirt is longer than the body, its rings are those about the body so far above its lower end [m]."""
-ROUNDS = 240
-"""How often springs draw the shirt together and it is put out of the body."""
-MOMENTUM = 0.95
-"""Share of what the shirt moved the last time by which it goes on each time."""
-BENT = 0.2, 0.015
-"""What bending is at first and besides, which ends at the second: springs alone would crumple the cloth below the arms,
-where there is too much of it, until it goes through itself.
-"""
 
 
 @dataclass(frozen=True)
@@ -68,22 +61,8 @@ def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, edges: Edges, clearanc
         x[:, k] = solve_harmonic(sewn.flat + 1e-3 * sewn.front[:, None] * [0.0, 0.0, 1.0], sewn.faces, placed, x[:, k])
     tree = build_tree(wearer.x, wearer.faces)
     rest = np.linalg.norm(sewn.flat[pairs[:, 1]] - sewn.flat[pairs[:, 0]], axis=1)
-    share = 1.0 / np.bincount(pairs.reshape(-1), minlength=len(x))[:, None]
-    inside = np.ones((len(x), 1))
-    inside[pairs[edges.count == 1]] = 0.0
-    face, before = None, x
-    for turn in range(ROUNDS + 1):
-        if turn:
-            bent = BENT[0] * (1.0 - turn / ROUNDS) + BENT[1]
-            curve = inside * share * _pull(x, pairs, 0.0 * rest)
-            move = share * (_pull(x, pairs, rest) - 4.0 * bent * inside * _pull(curve, pairs, 0.0 * rest))
-            x, before = x + MOMENTUM * (x - before) + move, x
-        found = closest_points(tree, x, face)
-        face, near = found.face, found.distance < clearance
-        way = np.where(found.distance < 0.0, -1.0, 1.0)[:, None] * (x - found.point)
-        size = np.maximum(np.abs(found.distance), 1e-9)[:, None]
-        x = np.where(near[:, None], found.point + clearance * way / size, x)
-    left = closest_points(tree, x, face).distance
+    x = draw_together(x, edges, rest, tree, clearance, worn=True)
+    left = closest_points(tree, x).distance
     worst = int(np.argmin(left))
     if left[worst] < 0.5 * clearance:
         refuse(-float(left[worst]), x[worst], clearance)
@@ -97,17 +76,6 @@ def refuse(depth: float, place: Float, clearance: float) -> None:
         "the shirt would start inside of the body, or too near to it", field="over",
         value=f"{told}, {place_of(place)}", limit=f"{1e3 * clearance:.3g} mm outside", remedy="more ease, or longer",
     )  # fmt: skip
-
-
-def _pull(x: Float, pairs: Int, rest: Float) -> Float:
-    """(n, 3) sums of half of what each spring's ends are off its rest length [m]."""
-    d = x[pairs[:, 1]] - x[pairs[:, 0]]
-    size = np.linalg.norm(d, axis=1)
-    move = (0.5 * (size - rest) / np.maximum(size, 1e-12))[:, None] * d
-    first, last = pairs.T
-    return np.stack(
-        [np.bincount(first, move[:, k], len(x)) - np.bincount(last, move[:, k], len(x)) for k in range(3)], 1
-    )
 
 
 def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tuple[Float, Bool]:

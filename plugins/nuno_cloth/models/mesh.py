@@ -29,7 +29,6 @@ from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
-from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
@@ -124,14 +123,6 @@ class Mesh:
             origin=_unseen(material, edges),
             **elements._asdict(),
         )
-
-    def check_pattern(self, files: Files, name: str, gather: float) -> Checked:
-        """What is to be said of a sewing pattern before it is sewn; `gather` is the ratio of a seam's edges that is
-        told of. Raises BadInput for a file that is none.
-        """
-        from nuno_cloth.sewing.check import check_pattern
-
-        return check_pattern(files, name, gather)
 
 
 def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:

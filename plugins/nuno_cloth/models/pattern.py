@@ -1,0 +1,143 @@
+"""A garment sewn from its pattern, and put on a body."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.models.bending_friction import bytes_of_friction
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
+from nuno_cloth.models.triangles import Edges, find_edges
+from nuno_cloth.quantities import Length
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.check import check_pattern
+from nuno_cloth.sewing.draw import FINE, draw_together, points_between
+from nuno_cloth.sewing.sew import Sewn, sew
+from nuno_kernels.meshes.check import place_of
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_schemas.bodies import check_size
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.pattern import Checked
+from nuno_schemas.plugin import Config, Files
+from nuno_schemas.units import quantity
+
+
+class Over(Config):
+    """The body that wears it."""
+
+    body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
+    clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
+
+
+class PatternConfig(Config):
+    """A sewing pattern, and the body that its panels are placed round: see docs/sewing.md."""
+
+    file: str = Field(description="the pattern beside the scene: JSON as GarmentCode writes it, or YAML of that")
+    over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")
+    edge: Annotated[float, quantity("m", ge=1e-3)] = Field(default=0.02, description="length of triangles' sides [m]")
+    fabric: FabricChoice = Field(default="broadcloth", description=FABRIC)
+
+
+class Pattern:
+    """Triangles keep the shapes they are cut to, warp and weft run as in their panel, and bending goes on across seams.
+
+    A seam's vertices are one from the start; panels are drawn together round the body by nuno_cloth.sewing.draw.
+    """
+
+    name: ClassVar[str] = "pattern"
+    Config: ClassVar[type[BaseModel]] = PatternConfig
+
+    def over(self, config: PatternConfig) -> str | None:
+        """Name of the body that wears it, if any."""
+        return None if config.over is None else config.over.body
+
+    def count(self, config: PatternConfig, files: Files) -> int:
+        return _sewn(config, files).number
+
+    def memory(self, config: PatternConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
+
+    def build(self, config: PatternConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a pattern that cannot be sewn, and for a fabric of constants per spring."""
+        sewn = _sewn(config, files)
+        return self._fabric(config, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
+
+    def build_over(self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
+        """The garment on a body's mesh x (v, 3) [m], faces (f, 3).
+
+        Raises BadInput, as `build`, and for a body of no one's size, or one that the garment does not close round: with
+        the panel and the place.
+        """
+        if config.over is None:
+            raise BadInput("the garment has no body to be put on", field="over")
+        check_size(x, config.over.body, "a garment")
+        sewn, body = _sewn(config, files), build_tree(x, faces)
+        edges = find_edges(sewn.sewn_faces)
+        position = _drawn(sewn, edges, body, config.over.clearance)
+        _require_outside(position, edges, sewn, body, config.over.body)
+        return self._fabric(config, sewn, position)
+
+    def _fabric(self, config: PatternConfig, sewn: Sewn, x: Float) -> Fabric:
+        material = resolve(config.fabric)
+        if isinstance(material, HandSet):
+            raise BadInput("constants per spring make no membrane", field="fabric",
+                           remedy="give a preset or measured values")  # fmt: skip
+        held = np.zeros(len(x), np.bool_)
+        elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
+        return Fabric(
+            name=self.name, position=x, velocity=np.zeros_like(x), pinned=held, **elements._asdict()
+        )  # fmt: skip
+
+    def check_pattern(self, files: Files, name: str, gather: float) -> Checked:
+        """What is to be said of a sewing pattern before it is sewn; `gather` is the ratio of a seam's edges that is
+        told of. Raises BadInput for a file that is none.
+        """
+        return check_pattern(files, name, gather)
+
+
+def _sewn(config: PatternConfig, files: Files) -> Sewn:
+    return sew(read_pattern(files, config.file), config.edge)
+
+
+def _level(flat: Float) -> Float:
+    return np.column_stack([flat, np.zeros(len(flat))])
+
+
+def _warp(sewn: Sewn) -> Float:
+    """(f, 3) of each triangle, in `flat`."""
+    return _level(sewn.warp)[sewn.panel]
+
+
+def _drawn(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Float:
+    """(n, 3) where the garment starts [m]: vertices of a seam begin midway between the panels as they are placed."""
+    share = np.bincount(sewn.merged)
+    x = np.stack([np.bincount(sewn.merged, along) / share for along in sewn.placed.T], axis=1)
+    sides = np.linalg.norm(sewn.flat[np.roll(sewn.faces, -1, axis=1)] - sewn.flat[sewn.faces], axis=2)
+    number = edges.of_face.reshape(-1)
+    # Gathers: a side is as long as the mean of what it is in both panels.
+    rest = np.bincount(number, sides.reshape(-1)) / np.bincount(number)
+    return draw_together(x, edges, rest, body, clearance)
+
+
+def _require_outside(x: Float, edges: Edges, sewn: Sewn, body: Tree, name: str) -> None:
+    """Raises BadInput for a garment that is in the body, with the panel and the place."""
+    a, b, part = points_between(x, edges.pairs, np.zeros(len(x)), 0.0, FINE)
+    vertices = np.arange(len(x))
+    a, b, part = np.concatenate([vertices, a]), np.concatenate([vertices, b]), np.concatenate([0.0 * vertices, part])
+    there = (1.0 - part)[:, None] * x[a] + part[:, None] * x[b]
+    distance = np.asarray(closest_points(body, there).distance)
+    deepest = int(distance.argmin())
+    if distance[deepest] >= 0.0:
+        return
+    panel = sewn.names[sewn.panel[(sewn.sewn_faces == a[deepest]).any(axis=1)][0]]
+    raise BadInput(
+        f"panel {panel} cannot be put round {name}, and starts in it ({np.count_nonzero(distance < 0.0):,} places)",
+        field="over.body", value=f"{-1e3 * distance[deepest]:.3g} mm deep, {place_of(there[deepest])}",
+        remedy="place the panel so that with those it is sewn to it encloses the body, or cut it wider",
+    )  # fmt: skip

@@ -1,0 +1,137 @@
+"""Patterns put on bodies: bending across seams, rest shapes as they are cut, and starts that are clear of the body."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sewing_patterns import FEW, REAL, panel, pattern, stitch, tube
+
+from nuno.scene.files import SceneFiles
+from nuno_cloth.fabrics.material import resolve
+from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.elements import build_triangles
+from nuno_cloth.models.pattern import Pattern, PatternConfig
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.sew import sew
+from nuno_contact.offset.tree import make_tree
+from nuno_contact.untangle.search import find_crossings
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.file import read_closed
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int
+
+CLEARANCE = 5e-3
+CLOTH = Material(0.1, 1e3, 1e3, 1e2, 2e-5, 1e-5, bend_poisson=0.2)
+Body = tuple[Float, Int]
+
+
+def through(fabric: Fabric, body: Body) -> tuple[int, int]:
+    """How many edges go through triangles, of cloth and body, and of cloth and itself."""
+    n, x = fabric.number, np.concatenate([fabric.position, body[0]])
+    tree = make_tree(x, np.concatenate([fabric.faces, body[1] + np.int32(n)]), len(fabric.faces))
+    piece, meets = (np.arange(len(x)) >= n).astype(np.int32), np.array([[True, True], [True, False]])
+    edge, face = find_crossings(tree, x, piece, meets, True)
+    of_body = (face >= len(fabric.faces)) | (tree.edges[edge, 0] >= n)
+    return int(of_body.sum()), int((~of_body).sum())
+
+
+def put_on(folder: Path, name: str, body: Body, edge: float) -> Fabric:
+    config = PatternConfig(file=name, edge=edge, fabric="interlock", over={"body": "wearer", "clearance": CLEARANCE})  # type: ignore[arg-type]
+    return Pattern().build_over(config, SceneFiles(folder), 0, *body)
+
+
+def column(radii: tuple[float, float], height: tuple[float, float], around: int = 64) -> Body:
+    """An upright elliptic column, closed above and below."""
+    turn = 2.0 * np.pi * np.arange(around) / around
+    levels = np.linspace(*height, 24)
+    rings = [np.stack([radii[0] * np.sin(turn), 0.0 * turn + y, radii[1] * np.cos(turn)], axis=1) for y in levels]
+    x = np.concatenate([*rings, [[0.0, levels[0], 0.0], [0.0, levels[-1], 0.0]]])
+    i = np.arange(around)
+    j, last = (i + 1) % around, (len(levels) - 1) * around
+    sides = [
+        np.concatenate([np.stack([a + i, a + j, b + j], axis=1), np.stack([a + i, b + j, b + i], axis=1)])
+        for a, b in ((k * around, (k + 1) * around) for k in range(len(levels) - 1))
+    ]
+    ends = np.stack([j, i, 0 * i + len(x) - 2], axis=1), np.stack([last + i, last + j, 0 * i + len(x) - 1], axis=1)
+    return x, np.concatenate([*sides, *ends]).astype(np.int32)
+
+
+@pytest.mark.parametrize("angle", [0.0, 35.0])
+def test_bending_goes_on_across_a_seam(tmp_path: Path, angle: float) -> None:
+    """Two panels that are sewn, lying beside each other, store under constant curvature what a plate without seam does:
+    (B_w k_w^2 + B_f k_f^2 + 2 B_1 k_w k_f + 4 B_t k_t^2) / 2 per area.
+    """
+    half = panel((0, 0), (10, 0), (10, 20), (0, 20))
+    cut = pattern({"one": half, "other": half}, stitch("one[1]", "other[3]"))
+    (tmp_path / "plate.json").write_text(json.dumps(cut))
+    sewn = sew(read_pattern(SceneFiles(tmp_path), "plate.json"), 0.02)
+    side = np.zeros(len(sewn.flat), bool)
+    side[sewn.faces[sewn.panel == 1]] = True
+    laid = sewn.flat + np.where(side[:, None], [0.1, 0.0], 0.0)
+    share = np.bincount(sewn.merged)
+    x, y = (np.bincount(sewn.merged, along) / share for along in laid.T)
+    np.testing.assert_allclose(x[sewn.merged], laid[:, 0], atol=1e-12)
+    corners = np.column_stack([sewn.flat, 0.0 * sewn.flat[:, 0]])[sewn.faces]
+    turn = np.radians(angle)
+    warp = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    parts = build_triangles(CLOTH, corners, sewn.sewn_faces, warp, np.zeros(sewn.number, bool))
+    assert parts.bending is not None
+    (i, j), weight = parts.bending.pairs.T, parts.bending.weight
+    for k_x, k_y in ((1e-3, 0.0), (0.0, 1e-3), (1e-3, -2e-3)):
+        z = 0.5 * k_x * x**2 + 0.5 * k_y * y**2
+        tensor = np.diag([k_x, k_y])
+        w, f = warp[:2], np.array([warp[1], -warp[0]])
+        k_w, k_f, k_t = w @ tensor @ w, f @ tensor @ f, w @ tensor @ f
+        both = CLOTH.bend_poisson * np.sqrt(CLOTH.bend_warp * CLOTH.bend_weft)
+        per_area = CLOTH.bend_warp * k_w**2 + CLOTH.bend_weft * k_f**2 + 2.0 * both * k_w * k_f
+        per_area += 4.0 * CLOTH.bend_twist * k_t**2
+        energy = 0.5 * float((weight * (z[j] - z[i]) ** 2).sum())
+        assert energy == pytest.approx(0.5 * 0.04 * per_area, rel=1e-8)
+
+
+def test_panels_keep_the_shapes_and_the_weight_that_they_are_cut_to(tmp_path: Path) -> None:
+    (tmp_path / "tube.json").write_text(json.dumps(tube()))
+    fabric = put_on(tmp_path, "tube.json", column((0.08, 0.06), (0.9, 1.4)), 0.02)
+    assert fabric.membrane is not None
+    sewn = sew(read_pattern(SceneFiles(tmp_path), "tube.json"), 0.02)
+    flat = sewn.flat[sewn.faces]
+    sides = np.linalg.norm(np.roll(flat, -1, axis=1) - flat, axis=2)
+    np.testing.assert_allclose(fabric.membrane.sides(), sides, rtol=1e-9)
+    assert fabric.membrane.area.sum() == pytest.approx(2 * 0.3 * 0.2, rel=1e-12)
+    assert fabric.mass.sum() == pytest.approx(resolve("interlock").density * 0.12, rel=1e-12)
+
+
+@pytest.mark.parametrize("radii", [(0.08, 0.06), (0.105, 0.08)])
+def test_a_tube_closes_round_a_column_that_its_panels_start_far_from(
+    tmp_path: Path, radii: tuple[float, float]
+) -> None:
+    """60 cm round, on columns of 44 and 59 cm: hardly stretched, and nowhere nearer than the clearance."""
+    (tmp_path / "tube.json").write_text(json.dumps(tube()))
+    body = column(radii, (0.9, 1.4))
+    fabric = put_on(tmp_path, "tube.json", body, 0.02)
+    assert through(fabric, body) == (0, 0)
+    assert closest_points(build_tree(*body), fabric.position).distance.min() > CLEARANCE - 1e-5
+    assert fabric.membrane is not None
+    pairs, rest = fabric.membrane.edges()
+    length = np.linalg.norm(fabric.position[pairs[:, 1]] - fabric.position[pairs[:, 0]], axis=1)
+    assert np.quantile(np.abs(length / rest - 1.0), 0.95) < 0.15
+
+
+def test_a_panel_that_reaches_into_the_body_is_named(tmp_path: Path) -> None:
+    """A tube in the middle of a column three metres wide: it is not put outside of that."""
+    (tmp_path / "tube.json").write_text(json.dumps(tube()))
+    with pytest.raises(BadInput, match=r"panel (front|back) cannot be put round wearer, and starts in it"):
+        put_on(tmp_path, "tube.json", column((1.5, 1.5), (0.9, 1.4)), 0.02)
+
+
+@pytest.mark.quick(name=list(FEW))
+@pytest.mark.parametrize("name", [name for name in REAL if name != "p01"])
+def test_real_garments_start_clear_of_their_body(shared_data: Path, name: str) -> None:
+    """No edge of cloth goes through a triangle of the body, nor one of the body through cloth."""
+    body = read_closed(shared_data / "body-mean.obj")
+    fabric = put_on(shared_data / "patterns", f"{name}.json", body, 0.03 if name in FEW else 0.02)
+    assert through(fabric, body)[0] == 0
