@@ -1,4 +1,4 @@
-"""Small patterns, and real ones where they lie beside the project."""
+"""Small patterns, a body for them, and real ones where they lie beside the project."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nuno.scene.files import SceneFiles
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.pattern import Pattern
+from nuno_schemas.fabric import Float, Int
+
+Body = tuple[Float, Int]
 
 REAL = ("shirt", "hoody", "dress-pencil", "jumpsuit", *(f"p{k:02d}" for k in range(24)))
 """GarmentCode's own, and some that were sampled with its programs."""
@@ -17,6 +22,22 @@ FEW = ("shirt", "jumpsuit", "p09", "p19", "p22")
 """Of these, some that have among them all that the others have: every kind of curve, darts, gathers, a seam with its
 right side on a wrong one, vertices that are inside once sewn, and two, three, four and five openings.
 """
+
+
+def column(radii: tuple[float, float], height: tuple[float, float], around: int = 64) -> Body:
+    """An upright elliptic column, closed above and below."""
+    turn = 2.0 * np.pi * np.arange(around) / around
+    levels = np.linspace(*height, 24)
+    rings = [np.stack([radii[0] * np.sin(turn), 0.0 * turn + y, radii[1] * np.cos(turn)], axis=1) for y in levels]
+    x = np.concatenate([*rings, [[0.0, levels[0], 0.0], [0.0, levels[-1], 0.0]]])
+    i = np.arange(around)
+    j, last = (i + 1) % around, (len(levels) - 1) * around
+    sides = [
+        np.concatenate([np.stack([a + i, a + j, b + j], axis=1), np.stack([a + i, b + j, b + i], axis=1)])
+        for a, b in ((k * around, (k + 1) * around) for k in range(len(levels) - 1))
+    ]
+    ends = np.stack([j, i, 0 * i + len(x) - 2], axis=1), np.stack([last + i, last + j, 0 * i + len(x) - 1], axis=1)
+    return x, np.concatenate([*sides, *ends]).astype(np.int32)
 
 
 def panel(*corners: tuple[float, float], curves: Mapping[int, Any] | None = None, **fields: Any) -> dict[str, Any]:

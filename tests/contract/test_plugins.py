@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import pytest
 from model_files import Folder, files
+from sewing_patterns import tube
 
 from nuno_schemas.plugin import GROUPS
 from nuno_testing import contract
@@ -21,6 +23,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "sheet": {"resolution": [7, 5], "size": ["60 cm", 0.4], "pin": ["top-row", 20]},
         "skirt": {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}},
         "shirt": {"over": {"body": "b"}},
+        "pattern": {"file": "tube.json", "edge": "3 cm"},
         "mesh": {"file": "sheet.obj", "fabric": "jacket", "pin": [0]},
         "swatch": {"radius": 0.04, "hold": 0.02, "fabric": {"preset": "denim", "hysteresis_warp": 4e-4}},
         "net": {"file": "net.npz"},
@@ -70,7 +73,8 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
 
 @pytest.fixture
 def nuno_folder(files: Folder) -> Path:
-    """A mesh, a net and a motion."""
+    """A mesh, a net, a pattern and a motion."""
+    (files.root / "tube.json").write_text(json.dumps(tube()))
     (files.root / "walk.bvh").write_bytes((SCENES / "walk.bvh").read_bytes())
     return files.root
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import FEW, REAL, panel, pattern, stitch, tube
+from sewing_patterns import FEW, REAL, Body, column, panel, pattern, stitch, tube
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.material import resolve
@@ -22,11 +22,10 @@ from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Fabric
 
 CLEARANCE = 5e-3
 CLOTH = Material(0.1, 1e3, 1e3, 1e2, 2e-5, 1e-5, bend_poisson=0.2)
-Body = tuple[Float, Int]
 
 
 def through(fabric: Fabric, body: Body) -> tuple[int, int]:
@@ -42,22 +41,6 @@ def through(fabric: Fabric, body: Body) -> tuple[int, int]:
 def put_on(folder: Path, name: str, body: Body, edge: float) -> Fabric:
     config = PatternConfig(file=name, edge=edge, fabric="interlock", over={"body": "wearer", "clearance": CLEARANCE})  # type: ignore[arg-type]
     return Pattern().build_over(config, SceneFiles(folder), 0, *body)
-
-
-def column(radii: tuple[float, float], height: tuple[float, float], around: int = 64) -> Body:
-    """An upright elliptic column, closed above and below."""
-    turn = 2.0 * np.pi * np.arange(around) / around
-    levels = np.linspace(*height, 24)
-    rings = [np.stack([radii[0] * np.sin(turn), 0.0 * turn + y, radii[1] * np.cos(turn)], axis=1) for y in levels]
-    x = np.concatenate([*rings, [[0.0, levels[0], 0.0], [0.0, levels[-1], 0.0]]])
-    i = np.arange(around)
-    j, last = (i + 1) % around, (len(levels) - 1) * around
-    sides = [
-        np.concatenate([np.stack([a + i, a + j, b + j], axis=1), np.stack([a + i, b + j, b + i], axis=1)])
-        for a, b in ((k * around, (k + 1) * around) for k in range(len(levels) - 1))
-    ]
-    ends = np.stack([j, i, 0 * i + len(x) - 2], axis=1), np.stack([last + i, last + j, 0 * i + len(x) - 1], axis=1)
-    return x, np.concatenate([*sides, *ends]).astype(np.int32)
 
 
 @pytest.mark.parametrize("angle", [0.0, 35.0])

@@ -1,4 +1,4 @@
-"""`nuno sew --check`: what looks wrong with a pattern, and whether it can be sewn."""
+"""`nuno sew`: what looks wrong with a pattern, whether it can be sewn, and a body that wears it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sewing_patterns import back, front, panel, pattern, stitch, tube
+import trimesh
+from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 
 from nuno.cli import main
 
@@ -120,3 +121,46 @@ def test_the_page_shows_what_is_said_of_its_skirt(
 def test_a_ratio_below_one_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sew", "--check", "--gather", "0.9", "x.json"]) == 2
     assert "--gather" in capsys.readouterr().err
+
+
+def wear(folder: Path, monkeypatch: pytest.MonkeyPatch, *flags: str) -> int:
+    """A tube of 60 cm, put on a column of 44."""
+    (folder / "tube.json").write_text(json.dumps(tube()))
+    trimesh.Trimesh(*column((0.08, 0.06), (0.9, 1.4)), process=False).export(folder / "column.obj")
+    monkeypatch.chdir(folder)
+    return main(["sew", "tube.json", *flags])
+
+
+REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
+    "neither": ((), "a pattern is put on a body, or checked"),
+    "both": (("--check", "--body", "column.obj"), "a pattern is put on a body, or checked"),
+    "two": (("tube.json", "--body", "column.obj"), "a body is put on one pattern at a time"),
+    "no body": (("--body", "colum.obj"), "body: no such file"),
+    "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and another one"),
+    "fabric": (("--body", "column.obj", "--fabric", "demin"), "'denim'"),
+    "edge": (("--body", "column.obj", "--edge", "2 km"), "edge"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_put_on_is_refused_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    (tmp_path / "mine.yaml").write_text("mine")
+    flags, problem = REFUSED[case]
+    assert wear(tmp_path, monkeypatch, *flags) == 2
+    assert problem in capsys.readouterr().err
+    assert (tmp_path / "mine.yaml").read_text() == "mine" and not (tmp_path / "recordings").exists()
+
+
+@pytest.mark.full
+def test_a_body_wears_a_pattern_and_no_edge_goes_through_anything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the collision service's own look at every frame; and again, on one thread, to the same bits."""
+    assert wear(tmp_path, monkeypatch, "--body", "column.obj") == 0
+    said = capsys.readouterr().out
+    assert "cloth passes through cloth or wearer in 0 of" in said
+    assert main(["run", "tube-worn.yaml", "--threads", "1", "--no-view"]) == 0
+    digests = [line for line in (said + capsys.readouterr().out).splitlines() if line.startswith("digest")]
+    assert len(digests) == 2 and digests[0] == digests[1]

@@ -31,7 +31,7 @@ class Over(Config):
     """The body that wears it."""
 
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
-    clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
+    clearance: Length = Field(default=2e-2, description="how far from the surface it starts at least [m]")
 
 
 class PatternConfig(Config):
@@ -39,8 +39,10 @@ class PatternConfig(Config):
 
     file: str = Field(description="the pattern beside the scene: JSON as GarmentCode writes it, or YAML of that")
     over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")
-    edge: Annotated[float, quantity("m", ge=1e-3)] = Field(default=0.02, description="length of triangles' sides [m]")
-    fabric: FabricChoice = Field(default="broadcloth", description=FABRIC)
+    edge: Annotated[float, quantity("m", ge=1e-3, le=0.2)] = Field(
+        default=0.02, description="length of triangles' sides [m]"
+    )
+    fabric: FabricChoice = Field(default="interlock", description=FABRIC)
 
 
 class Pattern:

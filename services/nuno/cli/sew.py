@@ -1,9 +1,10 @@
-"""`nuno sew`: what is to be said of a sewing pattern before it is sewn."""
+"""`nuno sew`: a pattern put on a body, as a scene that is written and run; or what is to be said of it before."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -15,24 +16,88 @@ from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
 
+WORN = """\
+nuno: 1
+name: {name}
+description: A garment sewn from its pattern is drawn on a body, and comes to rest there.
+duration: 3 s
+until: rest
+frame_rate: 60 Hz
+solver: {{plugin: respa, dt: auto}}
+damping: 8
+objects:
+  - name: garment
+    colour: "#5b84b8"
+    model: {{plugin: pattern, file: {file}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
+bodies:
+  - name: wearer
+    collider: {{plugin: mesh, file: {body}}}
+    friction: 0.4
+cloth_contact: {{plugin: offset, thickness: 2 mm, bodies: [wearer]}}
+operations:
+  - {{plugin: untangle}}
+view: {{azimuth: 20 deg, elevation: 5 deg}}
+"""
+"""The scene of a pattern on a body: the guarantee of cloth contact begins once `untangle` is done."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "patterns", nargs="+", type=Path, metavar="PATTERN",
         help="a pattern as GarmentCode writes it: JSON, or YAML of the same fields",
     )  # fmt: skip
-    parser.add_argument(
-        "--check", action="store_true", required=True,
+    worn = parser.add_argument_group("put on a body")
+    add_flags(worn, {
+        "--body": ("FILE", "the body that wears it, in metres: OBJ, PLY, STL or GLB, upright, facing +z", Path),
+        "--fabric": ("NAME", "a preset (default: interlock); nuno fabrics lists them", str),
+        "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
+        "--scene": ("FILE", "the scene that is written and run (default: PATTERN-worn.yaml, here)", Path),
+    })  # fmt: skip
+    checked = parser.add_argument_group("or only look at the patterns")
+    checked.add_argument(
+        "--check", action="store_true",
         help="say what is wrong with it and what looks wrong, and simulate nothing; exit code 2 if it cannot be sewn",
     )  # fmt: skip
     add_flags(
-        parser, {"--gather": ("RATIO", "tell of seams whose edges differ by more than this (default: 1.1)", float)}
+        checked, {"--gather": ("RATIO", "tell of seams whose edges differ by more than this (default: 1.1)", float)}
     )
-    parser.set_defaults(gather=1.1)
-    parser.add_argument("--json", action="store_true", help="the same for a program, as one JSON object a line")
+    checked.add_argument("--json", action="store_true", help="the same for a program, as one JSON object a line")
+    parser.set_defaults(gather=1.1, fabric="interlock", edge="2 cm")
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.check == (args.body is not None):
+        remedy = "nuno sew PATTERN --body body.obj, or nuno sew --check PATTERN..."
+        raise BadInput("a pattern is put on a body, or checked", remedy=remedy)
+    return check(args) if args.check else wear(args)
+
+
+def wear(args: argparse.Namespace) -> int:
+    """Write a scene in which a body wears the pattern, and run it."""
+    from nuno.cli import main as nuno
+
+    if len(args.patterns) > 1:
+        raise BadInput("a body is put on one pattern at a time", value=f"{len(args.patterns)} patterns")
+    pattern, body = args.patterns[0], args.body
+    for file, what in ((pattern, "pattern"), (body, "body")):
+        if not file.is_file():
+            raise BadInput("no such file", field=what, value=str(file))
+    scene = args.scene or Path(f"{pattern.stem}-worn.yaml")
+    values = {"name": scene.stem, "file": pattern.name, "body": body.name, "edge": args.edge, "fabric": args.fabric}
+    text = WORN.format(**{name: json.dumps(value) for name, value in values.items()})
+    if scene.exists() and scene.read_text(encoding="utf-8") != text:
+        remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
+        raise BadInput("the scene is there already, and another one", value=str(scene), remedy=remedy)
+    scene.write_text(text, encoding="utf-8")
+    roots = dict.fromkeys(str(file.resolve().parent) for file in (pattern, body))
+    command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
+                                    for word in ("--root", root))]  # fmt: skip
+    print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
+    return nuno(command)
+
+
+def check(args: argparse.Namespace) -> int:
+    """Say what is to be said of each pattern."""
     if not args.gather >= 1.0:
         raise BadInput("no seam's longer edge is shorter", field="--gather", value=args.gather, limit="at least 1")
     model, code = registry.offering("nuno.models", "check_pattern", "reads sewing patterns"), 0
