@@ -38,7 +38,7 @@ def make_dye_bands(
 
 def zeros(*shape: int) -> Float:
     """Zeros that begin at a multiple of a vector's size, as all rows then do: no vector of a row lies in two lines of
-    the cache, which made a step of two threads a tenth slower.
+    the cache.
     """
     room = np.zeros(math.prod(shape) + WIDTH)
     begin = -room.ctypes.data // room.itemsize % WIDTH

@@ -8,7 +8,7 @@ of `nuno_dye.solvers.diffusion`.
 A level of a row needs two rows more on either side than it writes: the fluxes of its neighbours' neighbours decide
 their factors. So each level of a pass runs two rows behind the one before. One loop over a row's vectors does all that
 a level does there: fibre takes its dye in the row below, the row's own fluxes and factors become known, and with them
-the row above moves. A loop for each of these read and wrote nearly twice as much, all of it beyond the first cache.
+the row above moves. A loop for each of these read and wrote more, all of it beyond the first cache.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from nuno_kernels.lanes.choose import higher, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
 
-LEVELS = 6
-"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and what is known of one takes 72 kB a step. Two cores that share
-their memory with others took a step 1.5 times as fast as with 4."""
+LEVELS = 4
+"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and what is known of one takes 72 kB a step. Three to six are alike
+within the spread of `nuno bench speed dye`."""
 RIGHT, DOWN, CAME, WENT, UP, THROUGH, KNOWN = 0, 2, 4, 6, 8, 10, 11
 """Rows of scratch for a row of cells, of either layer: its fluxes to the right and down, its factors of what flows in
 and out, and the scaled flux from above; the flux between the layers; and how many rows that are."""
 EMPTYING = 0.99
 """Share of what a cell holds that may flow out of it in a step before factors of what flows out are asked for: they are
-1 then, with a margin for rounding, and need a division and a sixth of what a step reads."""
+1 then, with a margin for rounding, and need a division and memory."""
 BELOW_ONE = 1.0 - 2.0**-50
 """Scaled flows are smaller by this much than what there is, or is room for: rounding then neither empties a cell
 below nothing nor fills it beyond."""

@@ -87,6 +87,6 @@ def dye(repeats: int) -> list[Result]:
     """All cases."""
     results = [
         time_dye("diffusion, 800x600x2, every face its own weight", *free_diffusion(600, 800), repeats),
-        time_dye("the whole model, 800x600x2", *whole_model(600, 800), repeats, 0.4, 1.0),
+        time_dye("the whole model, 800x600x2", *whole_model(600, 800), repeats, 0.8, 1.2),
     ]
     return results + [time_dye(f"figure 9, 200x200x2, {law}", *figure_9(law), repeats, 0.44, 1.1) for law in LAWS]
