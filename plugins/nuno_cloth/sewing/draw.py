@@ -75,8 +75,8 @@ def draw_together(
 def put_out(
     x: Float, pairs: Int, body: Tree, clearance: float, spacing: float, face: Int | None = None
 ) -> tuple[Float, int, Int]:
-    """Vertices (n, 3) and points of edges put out of the body, how many had to be, and the body's triangle (n,) next to
-    each vertex, which `face` is thought to be.
+    """Points of edges and then vertices (n, 3) put out of the body, how many had to be, and the body's triangle (n,)
+    next to each vertex, which `face` is thought to be. The other way round, points take vertices back into the body.
     """
     found = closest_points(body, x, face)
     a, b, part = points_between(x, pairs, found.distance, clearance, spacing)

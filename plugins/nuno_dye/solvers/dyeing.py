@@ -27,8 +27,8 @@ from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
 
 LEVELS = 4
-"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and what is known of one takes 72 kB a step. Three to six are alike
-within the spread of `nuno bench speed dye`."""
+"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and what is known of one takes 72 kB a step. Three to six are
+alike within the spread of `nuno bench speed dye`."""
 RIGHT, DOWN, CAME, WENT, UP, THROUGH, KNOWN = 0, 2, 4, 6, 8, 10, 11
 """Rows of scratch for a row of cells, of either layer: its fluxes to the right and down, its factors of what flows in
 and out, and the scaled flux from above; the flux between the layers; and how many rows that are."""
