@@ -136,7 +136,7 @@ REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "both": (("--check", "--body", "column.obj"), "a pattern is put on a body, or checked"),
     "two": (("tube.json", "--body", "column.obj"), "a body is put on one pattern at a time"),
     "no body": (("--body", "colum.obj"), "body: no such file"),
-    "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and another one"),
+    "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and has been changed"),
     "fabric": (("--body", "column.obj", "--fabric", "demin"), "'denim'"),
     "edge": (("--body", "column.obj", "--edge", "2 km"), "edge"),
 }
@@ -151,6 +151,14 @@ def test_what_cannot_be_put_on_is_refused_before_anything_runs(
     assert wear(tmp_path, monkeypatch, *flags) == 2
     assert problem in capsys.readouterr().err
     assert (tmp_path / "mine.yaml").read_text() == "mine" and not (tmp_path / "recordings").exists()
+
+
+def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for fabric, meant in (("demin", "'denim'"), ("plyester", "'polyester'")):
+        assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", fabric) == 2
+        assert meant in capsys.readouterr().err
 
 
 @pytest.mark.full

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shlex
 import sys
 from dataclasses import asdict
@@ -83,12 +84,13 @@ def wear(args: argparse.Namespace) -> int:
         if not file.is_file():
             raise BadInput("no such file", field=what, value=str(file))
     scene = args.scene or Path(f"{pattern.stem}-worn.yaml")
-    values = {"name": scene.stem, "file": pattern.name, "body": body.name, "edge": args.edge, "fabric": args.fabric}
-    text = WORN.format(**{name: json.dumps(value) for name, value in values.items()})
-    if scene.exists() and scene.read_text(encoding="utf-8") != text:
+    given = {"name": scene.stem, "file": pattern.name, "body": body.name, "edge": args.edge, "fabric": args.fabric}
+    # What was written for other flags, and not changed since, may go.
+    own = re.escape(WORN.format(**dict.fromkeys(given, "\0"))).replace(re.escape("\0"), ".*")
+    if scene.exists() and not re.fullmatch(own, scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
-        raise BadInput("the scene is there already, and another one", value=str(scene), remedy=remedy)
-    scene.write_text(text, encoding="utf-8")
+        raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
+    scene.write_text(WORN.format(**{name: json.dumps(value) for name, value in given.items()}), encoding="utf-8")
     roots = dict.fromkeys(str(file.resolve().parent) for file in (pattern, body))
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
