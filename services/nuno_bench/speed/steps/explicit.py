@@ -23,6 +23,8 @@ DT = 1e-5
 TENSIONS = ("springs", "membrane")
 MESH_SIDE = 101
 """Vertices a side of a mesh: 20,000 triangles."""
+DISORDER = 1.18
+"""Times as long as row by row that a step of vertices in no order may take: 0.85 of the speed."""
 WORK = 13_000_000
 """Vertex-steps of one sample: a few tenths of a second, so that a frame's entry does not show."""
 
@@ -103,7 +105,7 @@ def membrane(repeats: int) -> list[Result]:
 
 
 def numbering(repeats: int) -> list[Result]:
-    """The same mesh row by row and numbered at random: how fast it then is, over how fast it was."""
+    """The same mesh row by row and numbered at random: how long a step then takes, over how long it took."""
     results = []
     for tension in TENSIONS:
         fabrics = {
@@ -111,11 +113,9 @@ def numbering(repeats: int) -> list[Result]:
             for order in ("row by row", "at random")
         }
         found, (near, far) = in_turns("numbering", fabrics, repeats)
-        ratios = tuple(one / other for one, other in zip(near, far, strict=True))
-        results += [
-            *found,
-            Result("numbering", f"{tension}: speed at random over row by row", "times", ratios, bar=0.85),
-        ]
+        ratios = tuple(other / one for one, other in zip(near, far, strict=True))
+        what = f"{tension}: a step at random over one row by row"
+        results += [*found, Result("numbering", what, "times", ratios, bar=DISORDER, at_most=True)]
     return results
 
 
