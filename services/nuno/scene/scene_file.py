@@ -135,7 +135,7 @@ def shipped(folder: str = "") -> dict[str, Path]:
     return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}
 
 
-FOLDERS = ("contact", "dye", "extreme", "instruments", "knit")
+FOLDERS = ("contact", "dye", "extreme", "instruments", "knit", "sewn")
 """Of shipped scenes."""
 
 
