@@ -14,8 +14,6 @@ about cuffs and hems that have none to speak of.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from nuno_cloth.models.triangles import Edges
@@ -49,34 +47,44 @@ def draw_together(
     Cloth that is `worn` from the start, with edges about as long as they are cut, is not shortened, and only its
     vertices are kept out.
     """
-    coarse, fine = (math.inf, math.inf) if worn else (COARSE, FINE)
     pairs = edges.pairs
     share = 1.0 / np.bincount(pairs.reshape(-1), minlength=len(x))[:, None]
     inside = np.ones((len(x), 1))
     inside[pairs[edges.count == 1]] = 0.0
-    if body is not None:
-        for _ in range(FIRST):
-            x, near, _ = put_out(x, pairs, body, clearance, coarse)
-            if not near:
-                break
+    face: Int | None = None
+
+    def cleared(x: Float, spacing: float) -> tuple[Float, int]:
+        """Points before vertices: the other way round, they take vertices back into the body."""
+        nonlocal face
+        if body is None:
+            return x, 0
+        points = 0
+        if not worn:
+            x, points, face = put_points_out(x, pairs, body, clearance, spacing, face)
+        x, vertices, face = put_out(x, body, clearance, face)
+        return x, points + vertices
+
+    for _ in range(FIRST):
+        x, near = cleared(x, COARSE)
+        if not near:
+            break
     start = rest if worn else np.maximum(_lengths(x, pairs), rest)
-    before, face = x, None
+    before = x
     for turn in range(1, ROUNDS + 1):
         length = start * (rest / start) ** min(1.0, turn / (SHORTENED * ROUNDS))
         bent = BENT[0] * (1.0 - turn / ROUNDS) + BENT[1]
         curve = inside * share * _pull(x, pairs, 0.0 * rest)
         move = share * (_pull(x, pairs, length) - 4.0 * bent * inside * _pull(curve, pairs, 0.0 * rest))
         x, before = x + MOMENTUM * (x - before) + move, x
-        if body is not None:
-            x, _, face = put_out(x, pairs, body, clearance, coarse if turn < 0.75 * ROUNDS else fine, face)
+        x, _ = cleared(x, COARSE if turn < 0.75 * ROUNDS else FINE)
     return np.ascontiguousarray(x)
 
 
-def put_out(
-    x: Float, pairs: Int, body: Tree, clearance: float, spacing: float, face: Int | None = None
+def put_points_out(
+    x: Float, pairs: Int, body: Tree, clearance: float, spacing: float, face: Int | None
 ) -> tuple[Float, int, Int]:
-    """Points of edges and then vertices (n, 3) put out of the body, how many had to be, and the body's triangle (n,)
-    next to each vertex, which `face` is thought to be. The other way round, points take vertices back into the body.
+    """Vertices (n, 3) moved so that points of edges come out of the body, how many had to, and the body's triangle (n,)
+    next to each vertex, which `face` is thought to be.
     """
     found = closest_points(body, x, face)
     a, b, part = points_between(x, pairs, found.distance, clearance, spacing)
@@ -90,10 +98,15 @@ def put_out(
     weight = np.bincount(ends, own, len(x))
     move = np.stack([np.bincount(ends, own**2 * along, len(x)) for along in out.T], axis=1)
     x = x + np.divide(move, weight[:, None], out=np.zeros_like(x), where=weight[:, None] > 0.0)
-    found = closest_points(body, x, found.face)
+    return x, len(at), found.face
+
+
+def put_out(x: Float, body: Tree, clearance: float, face: Int | None) -> tuple[Float, int, Int]:
+    """Vertices (n, 3) put out of the body, how many had to be, and the body's triangle (n,) next to each."""
+    found = closest_points(body, x, face)
     near = found.distance < clearance
     x = np.where(near[:, None], x + (clearance - found.distance)[:, None] * _way(x, found.point, found.distance), x)
-    return x, int(np.count_nonzero(near)) + len(at), found.face
+    return x, int(np.count_nonzero(near)), found.face
 
 
 def points_between(x: Float, pairs: Int, distance: Float, clearance: float, spacing: float) -> tuple[Int, Int, Float]:
