@@ -145,3 +145,17 @@ def test_by_reference_is_one_argument() -> None:
         library = made.library.get_function(made.fndesc.llvm_func_name)
         arguments[kind] = len(list(library.arguments))
     assert arguments[Pair] - arguments[Lent] == 13
+
+
+def taking_apart(arrays: int) -> int:
+    """Lines of code of a kernel that Python calls with so many arrays by reference."""
+    held = by_reference(NamedTuple("Held", [(f"array_{i}", Any) for i in range(arrays)]))  # type: ignore[misc]
+    fresh = numba.njit(**FLAGS)(lambda held: 1.0)
+    fresh.compile((numba.typeof(held(*[np.zeros(3)] * arrays)),))
+    (code,) = fresh.inspect_llvm().values()
+    return len(code.splitlines())
+
+
+def test_python_hands_over_an_array_by_a_few_instructions() -> None:
+    """Seven lines, where numba takes twenty and a branch: a system has two hundred arrays."""
+    assert taking_apart(40) - taking_apart(20) <= 8 * 20
