@@ -172,3 +172,27 @@ def test_a_body_wears_a_pattern_and_no_edge_goes_through_anything(
     assert main(["run", "tube-worn.yaml", "--threads", "1", "--no-view"]) == 0
     digests = [line for line in (said + capsys.readouterr().out).splitlines() if line.startswith("digest")]
     assert len(digests) == 2 and digests[0] == digests[1]
+    recording = next((tmp_path / "recordings").glob("*.mcap"))
+    # A tube of 60 cm on a column of 44, before it slides off.
+    assert main(["fit", str(recording), "--json", "--frame", "5", "--at", "middle=18 cm"]) == 0
+    (fit,) = json.loads(capsys.readouterr().out)
+    assert fit["girths"][0]["cut"] == pytest.approx(0.6, abs=1e-3)
+    assert fit["ease"]["middle"] == pytest.approx(0.158, abs=1e-3)
+
+
+def test_fit_asks_for_a_body_and_a_garment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bare.yaml").write_text(
+        "nuno: 1\nname: bare\nduration: 0.02 s\nframe_rate: 50 Hz\nsolver: {plugin: symplectic_euler, dt: auto}\n"
+        "objects: [{name: cloth, model: {plugin: sheet, size: [0.1 m, 0.1 m], resolution: [3, 3], fabric: denim}}]\n"
+    )
+    file = str(tmp_path / "bare.mcap")
+    assert main(["run", str(tmp_path / "bare.yaml"), "--no-view", "--record", file]) == 0
+    for flags, problem in (
+        ((), "the recording has no body to fit"),
+        (("--at", "bust=1 kg"), "--at"),
+        (("--at", "1 m"), "a height has a name"),
+        (("--frame", "7"), "no such frame"),
+    ):
+        capsys.readouterr()
+        assert main(["fit", file, *flags]) == 2
+        assert problem in capsys.readouterr().err

@@ -1,0 +1,84 @@
+"""`nuno fit`: how a garment of a recording fits the body that wears it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from nuno.cli.common import add_flags
+from nuno.cli.top import align
+from nuno.fit.measure import Fit, Girth, Spread
+from nuno.fit.read import read_fits
+from nuno.recording.reader import open_recording
+from nuno.supervision import runs
+from nuno_schemas.errors import BadInput
+from nuno_schemas.units import to_si
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
+    parser.add_argument(
+        "--at", action="append", default=[], metavar="NAME=HEIGHT",
+        help="measure at this height above the body's sole too, or instead of one of its own: --at bust='1.2 m'",
+    )  # fmt: skip
+    add_flags(parser, {
+        "--frame": ("N", "the frame that is measured (default: the last)", int),
+        "--body": ("NAME", "the body that wears it (default: the only one)", str),
+    })  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="the same for a program, in SI units")
+
+
+def main(args: argparse.Namespace) -> int:
+    heights = dict(_height(item) for item in args.at)
+    with open_recording(runs.find_recording(args.recording)) as recording:
+        fits = read_fits(recording, args.frame, args.body, heights)
+    if args.json:
+        print(json.dumps([asdict(fit) | {"ease": {one.name: one.ease for one in fit.girths}} for fit in fits]))
+        return 0
+    print("\n".join(describe(fit) for fit in fits))
+    return 0
+
+
+def _height(item: str) -> tuple[str, float]:
+    name, equals, text = item.partition("=")
+    if not name or not equals:
+        raise BadInput("a height has a name", field="--at", value=item, remedy="for example: --at 'elbow=1.1 m'")
+    try:
+        return name, to_si(text, "m")
+    except ValueError as error:
+        raise BadInput(str(error), field="--at", value=item) from None
+
+
+def describe(fit: Fit) -> str:
+    """A table for a person, in centimetres."""
+    rows = [["at", "height cm", "body cm", "cut cm", "worn cm", "ease cm"], *map(_row, fit.girths)]
+    lines = [f"{fit.name}", "", align(rows)] if fit.girths else [f"{fit.name}"]
+    rows = [["opening", "from cm", "to cm", "cut cm"]]
+    rows += [[f"{i}", *(f"{1e2 * value:.1f}" for value in one)] for i, one in enumerate(fit.openings, 1)]
+    lines += ["", align(rows)] if fit.openings else []
+    rows = [["strain", "median %", "95 % below", "most %"]]
+    rows += [[name, *_percents(spread)] for name, spread in fit.strains.items()]
+    lines += ["", align(rows)]
+    if (p := fit.pressed) is not None:
+        text = f"{p.mean:.0f} Pa on {1e4 * p.area:.0f} cm² of cloth, 95 % of it below {p.high:.0f} Pa"
+        lines += ["", f"presses    {text}; {p.force:.2f} N in all"]
+    return "\n".join([*lines, ""])
+
+
+def _row(one: Girth) -> list[str]:
+    open_ = one.share is not None and one.ease is None and one.body is not None
+    ease = (
+        f"open, {100 * (one.share or 0):.0f} % round"
+        if open_
+        else "-"
+        if one.ease is None
+        else f"{1e2 * one.ease:+.1f}"
+    )
+    cells = ["-" if value is None else f"{1e2 * value:.1f}" for value in (one.body, one.cut, one.worn)]
+    return [one.name, f"{1e2 * one.height:.1f}", *cells, ease]
+
+
+def _percents(spread: Spread) -> list[str]:
+    return [f"{100 * value:+.1f}" for value in (spread.median, spread.high, spread.most)]

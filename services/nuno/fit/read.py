@@ -1,0 +1,104 @@
+"""The garments of a recording, and the body that wears them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from nuno.cloth.pressure import named_heights
+from nuno.collision.bodies import build_bodies
+from nuno.collision.surfaces import surface, vertex_normals
+from nuno.export.cloth import ShownPiece, read_pieces
+from nuno.fit.measure import Fit, measure, measure_pressure
+from nuno.fit.places import find_heights
+from nuno.moments import Moment, states
+from nuno.recording.reader import Recording
+from nuno.recording.restore import restored_scene
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.bodies import OF_TRIANGLES
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.triangles import Membrane
+
+Mesh = tuple[Float, Int]
+"""Vertices (m, 3) [m] and faces (g, 3)."""
+CONTACTS = ("contact", "cloth_contact")
+
+
+def read_fits(
+    recording: Recording, frame: int | None = None, body: str | None = None, heights: dict[str, float] | None = None
+) -> list[Fit]:
+    """How each garment of a frame (default: the last) fits a body (default: the only one).
+
+    heights [m] are above the body's lowest point, by name, and go before those that the body knows itself. Raises
+    BadInput for a recording without such a body, or without a garment of measured fabric.
+    """
+    known = sorted(number for number, _ in recording.marks().values())
+    if not known:
+        raise BadInput("the recording holds no frames", str(recording.path))
+    (moment,) = states(recording, [known[-1] if frame is None else frame], forces=True)
+    with restored_scene(recording) as loaded:
+        mesh, own, search = _wearer(loaded, body, moment.t, str(recording.path))
+    floor = float(mesh[0][:, 1].min())
+    at = (own or find_heights(*mesh)) | {name: floor + height for name, height in (heights or {}).items()}
+    at = dict(sorted(at.items(), key=lambda one: -one[1]))
+    normals = _normals(mesh, search(moment.x))
+    fits = [fit for piece in read_pieces(recording) if (fit := _fit(piece, moment, mesh, at, normals))]
+    if not fits:
+        problem, remedy = "no garment of a measured fabric, whose triangles were cut", "give its model a preset fabric"
+        raise BadInput(problem, str(recording.path), remedy=remedy)
+    return [replace(fit, girths=[replace(one, height=one.height - floor) for one in fit.girths],
+                    openings=[(a - floor, b - floor, c) for a, b, c in fit.openings]) for fit in fits]  # fmt: skip
+
+
+def _fit(piece: ShownPiece, moment: Moment, mesh: Mesh, at: dict[str, float], normals: Float) -> Fit | None:
+    """None for a piece without a membrane."""
+    fabric, forces, start, stop = moment.fabric, moment.forces, piece.start, piece.stop
+    if fabric is None or forces is None or fabric.membrane is None:
+        return None
+    whole = fabric.membrane
+    mine = (whole.faces[:, 0] >= start) & (whole.faces[:, 0] < stop)
+    if not mine.any():
+        return None
+    faces = (whole.faces[mine] - start).astype(np.int32)
+    membrane = Membrane(faces, whole.along[mine], whole.across[mine], whole.area[mine], whole.moduli[:, mine],
+                        whole.damping[:, mine])  # fmt: skip
+    x = moment.x[start:stop]
+    fit = measure(piece.name, x, membrane, mesh, at)
+    force = sum((forces.parts[part][start:stop] for part in CONTACTS if part in forces.parts), 0.0 * x)
+    return replace(fit, pressed=measure_pressure(membrane, force, normals[start:stop]))
+
+
+def _normals(mesh: Mesh, found: Any) -> Float:
+    """(n, 3) of a body, at its points closest to others."""
+    of_corners = vertex_normals(*mesh)[mesh[1][found.face]]
+    normal = np.einsum("nc,ncd->nd", found.weights, of_corners)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
+
+
+def _wearer(
+    loaded: Loaded, name: str | None, t: float, path: str
+) -> tuple[Mesh, dict[str, float], Callable[[Float], Any]]:
+    """A body's mesh as it is at t [s], heights that it knows by name [m], and what finds its closest points."""
+    names = [one.name for one in loaded.scene.bodies]
+    if not names:
+        raise BadInput("the recording has no body to fit", path)
+    if name is None and len(names) > 1:
+        raise BadInput("which body wears it is not said", path, field="--body", limit=", ".join(names))
+    if name is not None and name not in names:
+        raise BadInput("no such body", path, field="--body", value=name, remedy=nearest(name, names))
+    number = 0 if name is None else names.index(name)
+    bodies = build_bodies(loaded)
+    geometry = bodies.geometry
+    own = [int(i) for i in np.flatnonzero(geometry.body == number)]
+    collider = loaded.colliders[number].plugin
+    if not own or any(geometry.kind[i] not in OF_TRIANGLES for i in own) or not hasattr(collider, "search"):
+        problem, remedy = "fit is measured on a body of triangles", "give it a mesh as its collider"
+        raise BadInput(problem, path, field="--body", value=names[number], remedy=remedy)
+    shown = surface(geometry.of_primitives(own))
+    heights = named_heights(loaded) if len(names) == 1 else {}
+    mesh = np.ascontiguousarray(shown.at(bodies.poses(t))), shown.faces
+    return mesh, heights, collider.search(*mesh)

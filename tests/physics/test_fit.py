@@ -1,0 +1,126 @@
+"""How a garment fits: girths of meshes, of cloth as it was cut and as it is worn, strain and pressure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from sewing_patterns import column
+
+from nuno.fit.measure import measure, measure_pressure
+from nuno.fit.places import find_heights, trunk
+from nuno.fit.slices import cut
+from nuno_schemas.fabric import Float
+from nuno_schemas.triangles import Membrane
+
+AROUND, LEVELS = 32, 6
+
+
+def worn_tube(girth: float, height: float, radius: float, stretch: float = 1.0) -> tuple[Float, Membrane]:
+    """A tube cut to a girth and a height [m], weft round it, worn at another radius and so much longer."""
+    turn, up = np.meshgrid(np.arange(AROUND + 1), np.arange(LEVELS), indexing="ij")
+    flat = np.stack([girth * turn / AROUND, height * up / (LEVELS - 1)], axis=2).reshape(-1, 2)
+    a = (turn[:-1, :-1] * LEVELS + up[:-1, :-1]).reshape(-1)
+    corners = np.concatenate(
+        [np.stack([a, a + LEVELS, a + LEVELS + 1], axis=1), np.stack([a, a + LEVELS + 1, a + 1], axis=1)]
+    )
+    sides = np.stack([flat[corners[:, 1]] - flat[corners[:, 0]], flat[corners[:, 2]] - flat[corners[:, 0]]], axis=2)
+    along, across = (
+        np.linalg.solve(sides, np.array([[0.0], [1.0]]))[..., 0],
+        np.linalg.solve(sides, np.array([[1.0], [0.0]]))[..., 0],
+    )
+    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    ring = np.stack([radius * np.sin(angle), 0.0 * angle, radius * np.cos(angle)], axis=1)
+    x = (
+        ring[:, None] + stretch * np.array([0.0, 1.0, 0.0]) * height * np.arange(LEVELS)[:, None] / (LEVELS - 1)
+    ).reshape(-1, 3)
+    faces = (corners // LEVELS % AROUND * LEVELS + corners % LEVELS).astype(np.int32)
+    area = 0.5 * np.abs(np.linalg.det(sides))
+    return x, Membrane(faces, along, across, area, np.ones((4, len(area))), np.zeros((3, len(area))))
+
+
+@pytest.mark.parametrize("height", [0.31, 0.5, 0.2 + 0.6 * 7 / 23])
+def test_a_level_cut_of_a_column_is_its_polygon(height: float) -> None:
+    """Once round, counter-clockwise seen from above; also at a height of vertices."""
+    x, faces = column((0.3, 0.2), (0.2, 0.8))
+    (one,) = cut(x, faces, height).curves()
+    turn = 2.0 * np.pi * np.arange(65) / 64
+    sides = np.diff(np.stack([0.2 * np.cos(turn), 0.3 * np.sin(turn)], axis=1), axis=0)
+    # Sides of the mesh's diagonals part those of the polygon, on the same lines.
+    assert one.length() == pytest.approx(np.linalg.norm(sides, axis=1).sum(), rel=1e-12)
+    assert one.hull()[0] == pytest.approx(one.length(), rel=1e-12)
+    assert one.turns(np.zeros(2)) == pytest.approx(1.0, abs=1e-12) and one.turns(np.array([1.0, 0.0])) == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+def test_of_a_trunk_and_arms_the_tape_goes_round_the_trunk() -> None:
+    """And bridges a hollow."""
+    parts = [trimesh.creation.box((0.4, 1.0, 0.2)), trimesh.creation.box((0.1, 1.0, 0.1))]
+    parts[1].apply_translation((0.5, 0.0, 0.0))
+    body = trimesh.util.concatenate(parts)
+    found = trunk(cut(np.array(body.vertices), np.array(body.faces, np.int32), 0.123))
+    assert found is not None and found.hull()[0] == pytest.approx(1.2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("girth", "radius"), [(1.3, 0.2), (1.1, 0.19)])
+def test_ease_is_what_was_cut_less_the_tape(girth: float, radius: float) -> None:
+    x, membrane = worn_tube(girth, 0.4, radius, stretch=1.05)
+    body = column((0.18, 0.18), (-0.5, 0.9))
+    fit = measure("tube", x, membrane, body, {"waist": 0.17, "neck": 0.8})
+    waist, neck = fit.girths
+    tape, worn = 128 * 0.18 * np.sin(np.pi / 64), 2 * AROUND * radius * np.sin(np.pi / AROUND)
+    assert (waist.body, waist.cut, waist.worn) == pytest.approx((tape, girth, worn), rel=1e-9)
+    assert waist.ease == pytest.approx(girth - tape, rel=1e-9)
+    assert neck.body == pytest.approx(tape) and neck.cut is None and neck.ease is None
+    assert [one[2] for one in fit.openings] == pytest.approx([girth, girth])
+    np.testing.assert_allclose([one[:2] for one in fit.openings], [(0.42, 0.42), (0.0, 0.0)], atol=1e-12)
+    for name, strain in (("warp", 0.05), ("weft", worn / girth - 1.0)):
+        spread = fit.strains[name]
+        assert (spread.median, spread.high, spread.most) == pytest.approx((strain, strain, strain), abs=1e-9)
+
+
+def test_what_is_open_in_front_has_no_ease() -> None:
+    x, membrane = worn_tube(1.3, 0.4, 0.2)
+    front = (x[membrane.faces].mean(axis=1)[:, 2] > 0.19).nonzero()[0]
+    keep = np.setdiff1d(np.arange(membrane.number), front)
+    opened = Membrane(membrane.faces[keep], membrane.along[keep], membrane.across[keep], membrane.area[keep],
+                      membrane.moduli[:, keep], membrane.damping[:, keep])  # fmt: skip
+    (waist,) = measure("tube", x, opened, column((0.18, 0.18), (-0.5, 0.9)), {"waist": 0.17}).girths
+    assert waist.ease is None and waist.share is not None and 0.8 < waist.share < 0.95
+
+
+def test_pressure_is_force_over_the_area_of_cloth() -> None:
+    """Forces along the surface press with nothing, and opposite ones between layers of the same cloth cancel."""
+    x, membrane = worn_tube(1.3, 0.4, 0.2)
+    normal = x * [1.0, 0.0, 1.0] / 0.2
+    area = np.bincount(membrane.faces.reshape(-1), np.repeat(membrane.area / 3.0, 3), len(x))
+    force = 250.0 * area[:, None] * normal + [0.0, 0.3, 0.0]
+    pressed = measure_pressure(membrane, force, normal)
+    assert (pressed.mean, pressed.high) == pytest.approx((250.0, 250.0))
+    assert pressed.area == pytest.approx(1.3 * 0.4) and pressed.force == pytest.approx(250.0 * 1.3 * 0.4)
+    assert measure_pressure(membrane, -force, normal).area == 0.0
+
+
+def test_heights_of_a_body_are_where_a_tape_finds_its_girths(shared_data: Path) -> None:
+    """Against measurements that came with the body, to a centimetre; wherever it stands, and whatever its size."""
+    mesh = trimesh.load(shared_data / "body-mean.obj", process=False)
+    x, faces = np.array(mesh.vertices), np.array(mesh.faces, np.int32)
+    measured = yaml.safe_load((shared_data / "body-mean.yaml").read_text())["body"]
+    size, shift = 0.5, np.array([3.0, -2.0, 1.0])
+    for scale, moved in ((1.0, np.zeros(3)), (size, shift)):
+        there = scale * x + moved
+        for name, height in find_heights(there, faces).items():
+            found = trunk(cut(there, faces, height))
+            assert found is not None
+            assert found.hull()[0] / scale == pytest.approx(
+                0.01 * measured["hips" if name == "hip" else name], abs=0.01
+            )
+        assert set(find_heights(there, faces)) == {"bust", "waist", "hip"}
+
+
+def test_a_column_has_no_waist() -> None:
+    assert find_heights(*column((0.3, 0.2), (0.2, 1.8))) == {}
