@@ -220,17 +220,22 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     m.so_far[STEPS] += 1
     dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the lists that there are, and where others find more to be met, with those.
+    passes = False
     for _ in range(3 if m.local.shape[0] > 0 else 0):
-        if m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) > 0:
+        passes = m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
+        if m.number[LACKING] == 0 and not passes:
             push_on(m, x, v, dt)
         lists = m.number[CHOICES]
         if not list_for(m, x, s, threads):
             return False
         if m.number[CHOICES] == lists:
             break
+        passes = False
     if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
-    if m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0:
+    if not passes and (
+        m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0
+    ):
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, m.last)

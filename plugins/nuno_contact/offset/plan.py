@@ -35,8 +35,10 @@ WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, (1.0 / 96.0, 1.0 / 24.0), 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most. The shorter one is for where a
 vertex has many that are near and few of them touch, as of edges not much longer than the thickness.
 """
-LISTS = 0.6
-"""Of an interval: for how long the list is made at least; else for two windows of what is near."""
+LISTS, RESTLESS = 0.6, 0.05
+"""Of an interval: for how long the list is made at least; else for two windows of what is near, or for longer and
+longer, up to LONGEST, while no more than this share of the vertices need more room for it.
+"""
 CROWDED = 24.0, 36.0
 """Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near
 to each other, if each may stray by more than they are apart. Up to the second it is made for more where vertices
@@ -116,6 +118,17 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
+def is_quiet(unrest: Float, window: float, least: float) -> bool:
+    """Whether nearly all vertices are expected to stray by less than `least` [m] in so long a window: a plan for that
+    long has hardly more pairs.
+    """
+    restless = 0
+    for i in range(unrest.shape[0]):
+        restless += 1 if AHEAD * window * window * unrest[i] > least else 0
+    return restless < RESTLESS * unrest.shape[0]
+
+
+@block_kernel
 def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: int | None) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
     before where the last plan was lived out and a step costs less by what is near than by its share of choosing that,
@@ -153,12 +166,15 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
     if end > 1.0 or strays(m, 0, last, begun) or strays(m, 0, sum_rows(last, 1.0, near), end):
         if s > clock[LIST_BEGUN]:
             learn(m, 0, last, s - clock[LIST_BEGUN], begun)
-        scale, pairs = clock[LIST_ROOM], m.number[LISTED] / last.shape[1]
+        scale, pairs = clock[LIST_ROOM], m.number[LISTED] / (last.shape[1] - m.local.shape[0])
         if pairs > CROWDED[0] and begun > EARLY:
             scale *= 0.7
         elif pairs < 0.5 * CROWDED[0] or (pairs < CROWDED[1] and begun < EARLY):
             scale = min(1.0, 1.2 * scale)
         whole, clock[LIST_ROOM] = max(2.0 * window, LISTS), scale
+        longer = min(LONGEST, GROWTH * clock[LIST_WINDOW])
+        if begun > EARLY and longer > whole and is_quiet(m.unrest[0], longer, LEAST[0] * m.law[0]):
+            whole = longer
         allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
             spread[0, i] = max(scale * spread[0, i], 0.5 * spread[1, i]) + spread[1, i]
