@@ -1,4 +1,4 @@
-"""Bodies that cloth meets: rigid primitives on moving frames."""
+"""Bodies that cloth meets: rigid primitives on moving frames, and skins that follow several of them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
+from nuno_schemas.skin import Skin
 
-CAPSULE, PLANE, BOX, MESH, FIELD = 0, 1, 2, 3, 4
-OF_TRIANGLES = (MESH, FIELD)
-"""Kinds of primitives that have a mesh; that of a FIELD may have holes."""
+CAPSULE, PLANE, BOX, MESH, FIELD, SKIN = 0, 1, 2, 3, 4, 5
+OF_TRIANGLES = (MESH, FIELD, SKIN)
+"""Kinds of primitives that have a mesh; that of a FIELD may have holes, and that of a SKIN bends."""
 
 
 def no_rows(kind: type[np.generic], *columns: int) -> NDArray[Any]:
@@ -31,25 +32,27 @@ class Geometry:
     """Everything about bodies that does not change: sent once.
 
     bodies     names of the b bodies; frames: names "body/frame" of the f frames
-    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX, MESH or FIELD
-    frame      (p,) int32    frame that carries the primitive
+    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX, MESH, FIELD or SKIN
+    frame      (p,) int32    frame that carries the primitive; the first of those that carry a skin
     body       (p,) int32    body it belongs to; a body is the union of its primitives
     a, b       (p, 3)        in the frame [m]: capsule ends; plane point and unit normal;
-                             box centre and half extents; lowest and highest corner of a mesh or field
+                             box centre and half extents; lowest and highest corner of a mesh or field, and of a
+                             skin as it is bound
     radius     (p,)          [m], capsules only, else 0
     stiffness  (b,)          penalty stiffness per cloth vertex [N/m]; NaN = chosen by the solver
     damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
     friction   (b,)          Coulomb coefficient
-    vertices   (v, 3)        of all meshes, in their primitives' frames [m]
-    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH closed
+    vertices   (v, 3)        of all meshes, in their primitives' frames, those of skins as they are bound [m]
+    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH and SKIN closed
     owner      (t,) int32    primitive that the triangle belongs to
     fields                   of the primitives of kind FIELD, in their order, None where contact is with the triangles;
                              empty where they are only to be drawn
+    skins                    of the primitives of kind SKIN, in their order
     """
 
     bodies: Annotated[tuple[str, ...], "b"]
     frames: Annotated[tuple[str, ...], "f"]
-    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, FIELD)]
+    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, SKIN)]
     frame: Annotated[Int, "p", Bounds(0, below="f")]
     body: Annotated[Int, "p", Bounds(0, below="b")]
     a: Annotated[Float, "p", 3]
@@ -62,6 +65,11 @@ class Geometry:
     faces: Annotated[Int, "t", 3, Bounds(0, below="v")] = field(default_factory=partial(no_rows, np.int32, 3))
     owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
     fields: tuple[DistanceField | None, ...] = ()
+    skins: tuple[Skin, ...] = ()
+
+    def skin(self, primitive: int) -> Skin | None:
+        """What carries a primitive that is a skin, None for others."""
+        return self.skins[int((self.kind[:primitive] == SKIN).sum())] if self.kind[primitive] == SKIN else None
 
     def distance_field(self, primitive: int) -> DistanceField | None:
         """The field that contact with a primitive reads, None where it reads none."""
@@ -76,6 +84,7 @@ class Geometry:
         return replace(
             self, **own, faces=self.faces[kept], owner=np.searchsorted(chosen, self.owner[kept]).astype(np.int32),
             fields=tuple(self.distance_field(i) for i in chosen if self.kind[i] == FIELD),
+            skins=tuple(skin for i in chosen if (skin := self.skin(i)) is not None),
         )  # fmt: skip
 
     def of_bodies(self, chosen: Sequence[int]) -> Geometry:
@@ -88,6 +97,19 @@ class Geometry:
     def mesh(self, primitive: int) -> tuple[Float, Int]:
         """Vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""
         return pick_mesh(self.vertices, self.faces[self.owner == primitive])
+
+    def placed(self, primitive: int, poses: Poses) -> tuple[Float, Int]:
+        """The same with its vertices in the world. Raises IndexError for poses of fewer frames.
+
+        Added up by hand: a product of matrices, whose bits differ between machines, would go into cloth drawn over it.
+        """
+        x, faces = self.mesh(primitive)
+        frame = int(self.frame[primitive])
+        if (skin := self.skin(primitive)) is not None:
+            return poses.bend(skin, frame, x), faces
+        turn = rotation_matrices(poses.rotation[frame][None])[0]
+        turned = x[:, :1] * turn[:, 0] + x[:, 1:2] * turn[:, 1] + x[:, 2:] * turn[:, 2]
+        return turned + poses.translation[frame], faces
 
 
 def pick_mesh(vertices: Float, faces: Int) -> tuple[Float, Int]:
@@ -103,12 +125,23 @@ class Poses:
     rotation    (f, 4) unit quaternions w, x, y, z
     translation (f, 3) [m]
     Within a frame of animation both are interpolated (slerp, linear), and the velocity of that
-    interpolation is the body's velocity.
+    interpolation is the body's velocity. Vertices of skins go straight from where they are at its start to where they
+    are at its end.
     """
 
     t: Annotated[float, Bounds()]
     rotation: Annotated[Float, "f", 4]
     translation: Annotated[Float, "f", 3]
+
+    def bend(self, skin: Skin, first: int, x: Float) -> Float:
+        """(v, 3) where the vertices x (v, 3) of a skin, whose frames begin at number `first`, are in the world [m].
+
+        Raises IndexError for poses of fewer frames.
+        """
+        own = slice(first, first + len(skin.place))
+        if len(self.rotation[own]) < len(skin.place):
+            raise IndexError(f"a skin on {len(skin.place)} frames from number {first} on, of {len(self.rotation)}")
+        return skin.bend(x, self.rotation[own], self.translation[own])
 
     def same_place(self, other: Poses) -> bool:
         """Whether the frames are where others are, to the last bit."""

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from nuno_schemas.bodies import CAPSULE, FIELD, Geometry, Poses, no_rows
+from nuno_schemas.bodies import CAPSULE, SKIN, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
+from nuno_schemas.skin import Skin
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
 from nuno_schemas.written import Fields, Written
 
@@ -28,7 +29,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, mesh, net",
     "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, drag",
     "nuno.integrators": "advance a fabric's state in time",
-    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf",
+    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf, skin",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
@@ -198,7 +199,7 @@ class BodyShape:
     """A collider's primitives and frames, in the layout of Geometry (one body)."""
 
     frames: Annotated[tuple[str, ...], "j"]
-    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, FIELD)]
+    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, SKIN)]
     frame: Annotated[Int, "p", Bounds(0, below="j")]
     a: Annotated[Float, "p", 3]
     b: Annotated[Float, "p", 3]
@@ -209,6 +210,9 @@ class BodyShape:
     fields: tuple[DistanceField, ...] = ()
     notes: tuple[str, ...] = ()
     """What the user should know of it, in words: where a mesh is open."""
+    skins: tuple[Skin, ...] = ()
+    pose: Callable[[float], tuple[Float, Float]] | None = None
+    """As that of Mover, where the frames are not where the motion has them; None: they are."""
 
 
 class Motion(Plugin, Protocol):

@@ -20,7 +20,7 @@ from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
-from nuno_schemas.plugin import Mover
+from nuno_schemas.plugin import BodyShape, Mover
 from nuno_schemas.system import Term
 
 LOGGER = logging.getLogger("nuno.plugins")
@@ -79,7 +79,9 @@ class Foreign:
         if isinstance(found, Term) and callable(found.data):
             return replace(found, data=self._force(found.data))
         if isinstance(found, Mover):
-            return replace(found, pose=lambda t: self._pose(found, t))
+            return replace(found, pose=lambda t: self._pose(found.pose, len(found.joints), t))
+        if isinstance(found, BodyShape) and (pose := found.pose) is not None:
+            return replace(found, pose=lambda t: self._pose(pose, len(found.frames), t))
         if isinstance(found, Isotherm) and found.function is not None:
             return replace(found, function=self._law(found.function))
         return found
@@ -110,9 +112,8 @@ class Foreign:
 
         return fixed
 
-    def _pose(self, mover: Mover, t: float) -> tuple[Float, Float]:
-        rotation, translation = self._call("its pose", mover.pose, t)
-        number = len(mover.joints)
+    def _pose(self, pose: Callable[..., Any], number: int, t: float) -> tuple[Float, Float]:
+        rotation, translation = self._call("its pose", pose, t)
         self._check(f"at {t:g} s its rotation", rotation, (number, 4), strided=True)
         self._check(f"at {t:g} s its translation", translation, (number, 3), strided=True)
         with self._named(f"at {t:g} s"):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.wrong import Wrong, check_array, check_field, check_layout, check_number, check_type
+from nuno.wrong import Wrong, check_array, check_field, check_layout, check_number, check_skins, check_type
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
 from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State
@@ -88,6 +88,9 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
         raise Wrong(f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one")
     for i, field in enumerate(shape.fields):
         check_field(f"fields[{i}]", field)
+    check_skins(shape)
+    if shape.pose is not None and (mover is None or not callable(shape.pose)):
+        raise Wrong("pose is no function" if mover is not None else "pose is one of a body without a motion")
 
 
 def check_mover(mover: Mover) -> None:

@@ -1,4 +1,4 @@
-"""Values held against what they have to be: arrays, numbers, classes whose annotations say so, distance fields."""
+"""Values held against what they have to be: arrays, numbers, classes whose annotations say so, distance fields, skins."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from nuno_schemas.bodies import SKIN, Geometry
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
+from nuno_schemas.plugin import BodyShape
 
 UNBOUNDED = Bounds()
+WHOLE = 1e-9
+"""How far weights may be from adding up to 1."""
 
 
 class Wrong(Exception):
@@ -147,6 +151,22 @@ def check_field(what: str, field: DistanceField) -> None:
     parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
     if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
         raise Wrong(f"{what}.child: cells lead nowhere")
+
+
+def check_skins(shape: Geometry | BodyShape) -> None:
+    """Skins of as many vertices as their primitives have, on frames that there are, whose weights add up to one."""
+    primitives = np.flatnonzero(shape.kind == SKIN).tolist()
+    if len(shape.skins) != len(primitives):
+        raise Wrong(f"skins are {len(shape.skins)}, of {len(primitives)} primitives that have one")
+    for number, (primitive, skin) in enumerate(zip(primitives, shape.skins, strict=True)):
+        check_layout(f"skins[{number}].", skin)
+        vertices = len(np.unique(shape.faces[shape.owner == primitive]))
+        if len(skin.joint) != vertices or not skin.joint.shape[1]:
+            raise Wrong(f"skins[{number}] is of {skin.joint.shape} joints, and has {vertices} vertices")
+        if (bad := np.flatnonzero(np.abs(skin.weight.sum(axis=1) - 1.0) > WHOLE)).size:
+            raise Wrong(f"skins[{number}].weight adds up to {skin.weight[bad[0]].sum():g} at row {bad[0]}, not 1")
+        if int(shape.frame[primitive]) + len(skin.place) > len(shape.frames):
+            raise Wrong(f"skins[{number}] is on {len(skin.place)} frames, of {len(shape.frames)}")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | tuple[int, ...] | None, ...]) -> bool:

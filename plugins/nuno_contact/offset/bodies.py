@@ -1,7 +1,8 @@
 """Bodies of triangles that cloth meets as it meets cloth: vertices without mass behind the cloth's own.
 
 They go where their body's frame carries them, each in a straight line within a step, and have a part in lists, planes
-and forces like any other vertex. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is
+and forces like any other vertex. Those of a skin are where its frames have them at both ends of an interval, and go
+in a straight line between. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is
 held between bodies or pins, is cut short as cloth is: it stays behind its body, follows by CATCH_UP faster than that at
 most, and is where its body is again as soon as cloth lets it. To catch up at once would throw cloth about. So what is
 promised of cloth and the vertices in here holds whatever bodies do, and of the bodies themselves wherever none of their
@@ -16,15 +17,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
-from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.skin import Skin
 from nuno_schemas.vectors import norm
 
 if TYPE_CHECKING:
@@ -36,9 +38,15 @@ SAME = 1e-9
 """A vertex is behind its body if it is farther from where that has it [m] than rounding explains."""
 
 
+OF_SKIN = -1
+"""Stands for the frame of a vertex that goes with several."""
+
+
 class Solids(NamedTuple):
     """Bodies by name: x (b, 3) where their vertices start [m], local (b, 3) in their frames (b,) of f, the number of
     the body (b,) that each is of, faces (t, 3), law (bodies, 2) friction and damping of each.
+
+    Of skins, whose frame is OF_SKIN and local their vertices as bound: skin, all of them as one, on frames carrier (e,).
     """
 
     names: Sequence[str]
@@ -49,6 +57,11 @@ class Solids(NamedTuple):
     faces: Int
     law: Float
     frames: int
+    skin: Skin
+    carrier: Int
+
+
+NO_SKIN = Skin(np.zeros((0, 1), np.int32), np.zeros((0, 1)), np.zeros((0, 3)))
 
 
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
@@ -56,8 +69,7 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     if geometry is None or poses is None:
         none = np.zeros((0, 3))
         number, faces = np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
-        return Solids((), none, none, number, number, faces, np.zeros((0, 2)), 0)
-    rotation = rotation_matrices(poses.rotation)
+        return Solids((), none, none, number, number, faces, np.zeros((0, 2)), 0, NO_SKIN, number)
     parts: list[tuple[Float, Float, Int, Int, Int]] = []
     count = 0
     for primitive, kind in enumerate(geometry.kind.tolist()):
@@ -67,15 +79,32 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
                 "cloth contact meets bodies of triangles", field="bodies", value=geometry.bodies[body],
                 remedy="leave it out here, or give it a mesh as collider",
             )  # fmt: skip
-        x, triangles = geometry.mesh(primitive)
-        # Added up by hand: the bits of products of matrices differ between machines.
-        turned = x[:, :1] * rotation[frame][:, 0] + x[:, 1:2] * rotation[frame][:, 1] + x[:, 2:] * rotation[frame][:, 2]
+        (x, triangles), (placed, _) = geometry.mesh(primitive), geometry.placed(primitive, poses)
+        frame = OF_SKIN if kind == SKIN else frame
         of = np.full(len(x), frame, np.int32), np.full(len(x), body, np.int32)
-        parts.append((turned + poses.translation[frame], x, *of, triangles + np.int32(count)))
+        parts.append((placed, x, *of, triangles + np.int32(count)))
         count += len(x)
     places, local, frames, bodies, faces = (np.concatenate(part) for part in zip(*parts, strict=True))
     law = np.stack([geometry.friction, geometry.damping], axis=1)
-    return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames))
+    skin = join_skins(geometry.skins)
+    first = geometry.frame[geometry.kind == SKIN]
+    each = [at + np.arange(len(one.place), dtype=np.int32) for at, one in zip(first, geometry.skins, strict=True)]
+    carrier = np.concatenate([np.zeros(0, np.int32), *each]).astype(np.int32)
+    return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames), skin, carrier)
+
+
+def join_skins(skins: Sequence[Skin]) -> Skin:
+    """All of them as one, on the frames of one after the other; of as many weights as the one that has most."""
+    if not skins:
+        return NO_SKIN
+    most = max(skin.joint.shape[1] for skin in skins)
+    starts = np.cumsum([0, *(len(skin.place) for skin in skins)])
+    joint = [
+        np.pad(skin.joint + np.int32(at), ((0, 0), (0, most - skin.joint.shape[1])), "edge")
+        for skin, at in zip(skins, starts, strict=False)
+    ]
+    weight = [np.pad(skin.weight, ((0, 0), (0, most - skin.weight.shape[1]))) for skin in skins]
+    return Skin(*(np.concatenate(part) for part in (joint, weight, [skin.place for skin in skins])))
 
 
 def size_of(x: Float, faces: Int) -> Float:
@@ -85,21 +114,58 @@ def size_of(x: Float, faces: Int) -> Float:
     return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
 
 
+def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
+    """Of the arrays of bodies, those of all vertices `wide`, which is 0 where there are none."""
+    return {
+        "local": np.array(solids.local, np.float64, order="C"),
+        "frame": np.array(solids.frame, np.int32),
+        "body_law": np.array(solids.law, np.float64, order="C"),
+        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
+        "origin0": np.zeros((solids.frames, 3)),
+        "spin": np.zeros((solids.frames, 3)),
+        "shift": np.zeros((solids.frames, 3)),
+        "frames": np.zeros((solids.frames, 18)),
+        "skin_joint": np.array(solids.skin.joint, np.int32),
+        "skin_weight": np.array(solids.skin.weight, np.float64, order="C"),
+        "skin_place": np.array(solids.skin.place, np.float64, order="C"),
+        "skin_frame": np.array(solids.carrier, np.int32),
+        "skin_begin": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
+        "skin_end": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
+        "skin_pace": np.zeros(1),
+        "whole": np.zeros((3, wide)),
+        "whole_velocity": np.zeros((3, wide)),
+        "goal": np.zeros((3, wide)),
+        "way": np.zeros((3, wide)),
+        "behind": np.zeros(len(solids.x), np.bool_),
+    }
+
+
 def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
     """Write the interval into a meeting that has bodies."""
-    if len(m.local):
-        write_interval(m, start, end)
+    if not len(m.local):
+        return
+    write_interval(m, start, end)
+    if len(m.skin_joint):
+        mine, skin, moving = m.frame == OF_SKIN, Skin(m.skin_joint, m.skin_weight, m.skin_place), end.t > start.t
+        for poses, to in ((start, m.skin_begin), (end if moving else start, m.skin_end)):
+            to[mine] = skin.bend(m.local[mine], poses.rotation[m.skin_frame], poses.translation[m.skin_frame])
+        m.skin_pace[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
 @block_kernel
 def pose_solids(m: Meeting, s: float, x: Float, v: Float) -> None:
     """Put the bodies' vertices in x, v (3, n + b) where they are at fraction s of the interval."""
-    frames, local, of_frame = m.frames, m.local, m.frame
+    frames, local, of_frame, begin, end = m.frames, m.local, m.frame, m.skin_begin, m.skin_end
     for f in range(frames.shape[0]):
         pose_frame(s, f, m.rotation0, m.origin0, m.spin, m.shift, frames)
     first = x.shape[1] - local.shape[0]
     for b in range(local.shape[0]):
-        carry(local, b, frames, of_frame[b], x, v, first + b)
+        if of_frame[b] >= 0:
+            carry(local, b, frames, of_frame[b], x, v, first + b)
+            continue
+        for row in range(3):
+            x[row, first + b] = (1.0 - s) * begin[b, row] + s * end[b, row]
+            v[row, first + b] = m.skin_pace[0] * (end[b, row] - begin[b, row])
 
 
 @block_kernel

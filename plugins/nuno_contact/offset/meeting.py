@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.bodies import Solids, size_of
+from nuno_contact.offset.bodies import Solids, parts_of_bodies, size_of
 from nuno_contact.offset.tree import Tree, beside, make_tree, rings
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import Long, block_count
@@ -160,6 +160,17 @@ class Meeting(NamedTuple):
     spin: Float
     shift: Float
     frames: Float
+    skin_joint: Int
+    """Of the s of them that are of skins: (s, k) which carriers they go with, and skin_weight (s, k); skin_place (e, 3)
+    where the carriers lie as the skins are bound [m], skin_frame (e,) which frames they are"""
+    skin_weight: Float
+    skin_place: Float
+    skin_frame: Int
+    skin_begin: Float
+    """Of all bodies' vertices, where there are skins: (b, 3) where those of skins begin in the interval [m], skin_end
+    (b, 3) where they end, and skin_pace (1,) over its duration [1/s]"""
+    skin_end: Float
+    skin_pace: Float
     whole: Float
     """Of a meeting with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
     whole_velocity: Float
@@ -220,25 +231,6 @@ def room_for_pairs(places: int) -> dict[str, Any]:
         "kept_normal": np.zeros((places, 3)),
         "kept": np.zeros(places, np.bool_),
         "pulled": np.zeros((places, 4)),
-    }
-
-
-def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
-    """Of the arrays of bodies, those of all vertices `wide`, which is 0 where there are none."""
-    return {
-        "local": np.array(solids.local, np.float64, order="C"),
-        "frame": np.array(solids.frame, np.int32),
-        "body_law": np.array(solids.law, np.float64, order="C"),
-        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
-        "origin0": np.zeros((solids.frames, 3)),
-        "spin": np.zeros((solids.frames, 3)),
-        "shift": np.zeros((solids.frames, 3)),
-        "frames": np.zeros((solids.frames, 18)),
-        "whole": np.zeros((3, wide)),
-        "whole_velocity": np.zeros((3, wide)),
-        "goal": np.zeros((3, wide)),
-        "way": np.zeros((3, wide)),
-        "behind": np.zeros(len(solids.x), np.bool_),
     }
 
 

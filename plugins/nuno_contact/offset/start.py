@@ -14,7 +14,7 @@ from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import build_tree
-from nuno_schemas.bodies import MESH, Geometry
+from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.vectors import norm
@@ -72,7 +72,7 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
         own, faces = geometry.mesh(primitive)
         x = solids.x[count : count + len(own)]
         count += len(own)
-        if kind != MESH:
+        if kind not in (MESH, SKIN):
             continue
         distance = np.asarray(closest_points(build_tree(x, faces), fabric.position).distance)
         if len(inside := np.flatnonzero(distance < 0.0)):

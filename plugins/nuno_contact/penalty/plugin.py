@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from nuno_contact.penalty.contact import make_contact
 from nuno_contact.reaction import elastic_stiffness
-from nuno_schemas.bodies import MESH, Geometry
+from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
@@ -62,8 +62,13 @@ def slip_speed(damping: float) -> float:
 
 def check(geometry: Geometry) -> None:
     """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
-    for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
+    for primitive in np.flatnonzero(np.isin(geometry.kind, (MESH, SKIN))).tolist():
         body = geometry.bodies[geometry.body[primitive]]
+        if geometry.kind[primitive] == SKIN:
+            raise BadInput(
+                "penalty contact goes by the distance from bodies that do not bend, and a skin does", field=body,
+                remedy=f"cloth_contact: {{plugin: offset, bodies: [{body}]}} meets its triangles",
+            )  # fmt: skip
         raise BadInput(
             "penalty contact knows no meshes",
             field=body,

@@ -11,7 +11,7 @@ from nuno_contact.quantities import Size
 from nuno_contact.sliding.bodies import Slid, make_slides
 from nuno_kernels.meshes.check import check_closed, check_crossings
 from nuno_kernels.meshes.tree import build_tree
-from nuno_schemas.bodies import OF_TRIANGLES, Geometry
+from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
@@ -56,6 +56,11 @@ def check_meshes(geometry: Geometry) -> None:
     """Raises BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
     for primitive, kind in enumerate(geometry.kind.tolist()):
         body = geometry.bodies[geometry.body[primitive]]
+        if kind == SKIN:
+            raise BadInput(
+                "sliding contact is with bodies that do not bend, and a skin does", field=body,
+                remedy=f"cloth_contact: {{plugin: offset, bodies: [{body}]}} meets its triangles",
+            )  # fmt: skip
         if kind not in OF_TRIANGLES:
             raise BadInput(
                 "sliding contact is with meshes", field=body,

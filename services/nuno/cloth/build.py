@@ -142,19 +142,7 @@ def mesh_of(name: str, geometry: Geometry | None, poses: Poses | None) -> tuple[
     if len(own) != 1 or geometry.kind[own[0]] not in OF_TRIANGLES:
         remedy = "give the body collider: {plugin: mesh, ...}"
         raise BadInput("only a mesh can be drawn over", field="over.body", value=name, remedy=remedy)
-    return place_mesh(geometry, poses, int(own[0]))
-
-
-def place_mesh(geometry: Geometry, poses: Poses, primitive: int) -> tuple[Float, Int]:
-    """Vertices (v, 3) [m] in the world and faces (f, 3) of a primitive that is a mesh.
-
-    Added up by hand: a product of matrices, whose bits differ between machines, would go into the cloth drawn over it.
-    """
-    x, faces = geometry.mesh(primitive)
-    frame = int(geometry.frame[primitive])
-    turn = rotation_matrices(poses.rotation[frame][None])[0]
-    turned = x[:, :1] * turn[:, 0] + x[:, 1:2] * turn[:, 1] + x[:, 2:] * turn[:, 2]
-    return turned + poses.translation[frame], faces
+    return geometry.placed(int(own[0]), poses)
 
 
 def check_texture(fabric: Fabric, name: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,10 +37,11 @@ def build_bodies(loaded: Loaded) -> Bodies:
         try:
             mover = motion.plugin.prepare(motion.config, loaded.files) if motion else None
             field = f"bodies[{i}].collider"
-            shapes.append(collider.plugin.build(collider.config, mover, loaded.files))
+            shape = collider.plugin.build(collider.config, mover, loaded.files)
         except BadInput as error:
             raise loaded.at(field, error) from None
-        movers.append(mover)
+        shapes.append(shape)
+        movers.append(replace(mover, pose=shape.pose) if mover and shape.pose else mover)
     notes = (f"{body.name}: {n}" for body, shape in zip(loaded.scene.bodies, shapes, strict=True) for n in shape.notes)
     return Bodies(_geometry(loaded, shapes), tuple(movers), tuple(notes))
 
@@ -65,6 +66,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
         np.array([b.friction for b in bodies]),
         *_join_meshes(shapes),
         tuple(fields),
+        tuple(skin for s in shapes for skin in s.skins),
     )
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from nuno.collision.mesh import are_inside, columns_of, distances
-from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
+from nuno.collision.mesh import Columns, are_inside, columns_of, distances, make_columns
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, SKIN, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 from nuno_schemas.field import DistanceField
 
@@ -27,8 +27,8 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
 def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
     """(n,) how deep [m] points lie inside bodies, 0 outside.
 
-    Primitives whose bounding sphere does not reach the points' bounding box are passed over:
-    nothing can lie inside of them.
+    Primitives whose bounding sphere does not reach the points' bounding box are passed over: nothing can lie inside of
+    them. Not so skins, which bend.
     """
     finite = points[np.isfinite(points).all(axis=1)]
     if not len(finite):
@@ -38,10 +38,10 @@ def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
     reach = 0.5 * np.linalg.norm(geometry.b - geometry.a, axis=1) + geometry.radius
     boxes = geometry.kind == BOX
     centre[boxes], reach[boxes] = geometry.a[boxes], np.linalg.norm(geometry.b[boxes], axis=1)
-    turns = rotation_matrices(poses.rotation)[geometry.frame]
+    turns, skins = rotation_matrices(poses.rotation)[geometry.frame], geometry.kind == SKIN
     centre = np.einsum("pij,pj->pi", turns, centre) + poses.translation[geometry.frame]
     away = np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0), axis=1)
-    near = np.flatnonzero((away <= reach) | (geometry.kind == PLANE))
+    near = np.flatnonzero((away <= reach) | (geometry.kind == PLANE) | skins)
     return np.maximum(-_lowest(points, geometry, poses, near, True), 0.0)
 
 
@@ -54,6 +54,9 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
     points = np.where(finite[:, None], points, 0.0)
     turns = rotation_matrices(poses.rotation)
     for i in chosen:
+        if geometry.kind[i] == SKIN:
+            nearest = np.minimum(nearest, _bent(points, geometry, i, poses, inside_only))
+            continue
         frame = geometry.frame[i]
         local = (points - poses.translation[frame]) @ turns[frame]
         kind, a, b = int(geometry.kind[i]), geometry.a[i], geometry.b[i]
@@ -73,7 +76,22 @@ def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
     if (field := geometry.distance_field(i)) is not None:
         return field_distance(p, field)
     vertices, faces = geometry.mesh(i)
-    inside = are_inside(p, columns_of(vertices, faces, geometry.faces, i))
+    return _to_mesh(p, columns_of(vertices, faces, geometry.faces, i), inside_only)
+
+
+def _bent(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool) -> Float:
+    """To a skin, of points in the world."""
+    vertices, faces = geometry.placed(i, poses)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    near = ((p >= low) & (p <= high)).all(axis=1) if inside_only else np.ones(len(p), bool)
+    distance = np.full(len(p), np.inf)
+    if near.any():
+        distance[near] = _to_mesh(p[near], make_columns(vertices, faces), inside_only)
+    return distance
+
+
+def _to_mesh(p: Float, columns: Columns, inside_only: bool) -> Float:
+    vertices, faces, inside = columns.vertices, columns.faces, are_inside(p, columns)
     if not inside_only:
         return np.where(inside, -1.0, 1.0) * distances(p, vertices, faces)
     distance = np.full(len(p), np.inf)

@@ -8,9 +8,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
-from nuno.wrong import Wrong, check_field, check_layout
-from nuno_schemas.bodies import Geometry, Poses
+from nuno.wrong import Wrong, check_field, check_layout, check_skins
+from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
+from nuno_schemas.skin import Skin
 
 GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
@@ -21,6 +22,7 @@ _MESHES = ("vertices", "faces", "owner")
 
 _FIELDS = ("low", "shape", "child", "corners")
 _NUMBERS = ("size", "tolerance", "band")
+_SKINS = ("joint", "weight", "place")
 
 
 def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
@@ -31,6 +33,8 @@ def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
         text["fields"].append(None if field is None else {name: getattr(field, name) for name in _NUMBERS})
         if field is not None:
             arrays |= {f"field{number}.{name}": getattr(field, name) for name in _FIELDS}
+    for number, skin in enumerate(geometry.skins):
+        arrays |= {f"skin{number}.{name}": getattr(skin, name) for name in _SKINS}
     return encode_arrays(arrays, text)
 
 
@@ -40,8 +44,11 @@ def decode_geometry(payload: bytes) -> Geometry:
     try:
         fields = tuple(_field(arrays, number, text["fields"][number]) for number in range(len(text.get("fields", ()))))
         plain = {name: arrays[name] for name in (*_ARRAYS, *_MESHES)}
-        geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
+        number = int((plain["kind"] == SKIN).sum())
+        skins = tuple(Skin(*(arrays[f"skin{i}.{name}"] for name in _SKINS)) for i in range(number))
+        geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields, skins=skins)
         check_layout("", geometry)  # kernels take shapes and indices as they are
+        check_skins(geometry)
         for number, field in enumerate(geometry.fields):
             if field is not None:
                 check_field(f"fields[{number}]", field)

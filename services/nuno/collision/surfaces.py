@@ -11,22 +11,29 @@ import numpy as np
 from nuno.collision.primitives import box_mesh, capsule_mesh, plane_mesh
 from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.skin import Skin
 
 
 @dataclass(frozen=True)
 class Surfaces:
     """Triangles of all bodies in their frames: vertices (n, 3) [m], faces (f, 3) counter-clockwise seen from outside,
-    and the frame (n,) that each vertex is in.
+    and the frame (n,) that each vertex is in; and of skins, whose vertices go with several frames, the number of the
+    first vertex and what carries them.
     """
 
     vertices: Float
     faces: Int
     frame: Int
+    skins: tuple[tuple[int, Skin], ...] = ()
 
     def at(self, poses: Poses) -> Float:
         """(n, 3) vertices in the world [m]. Raises IndexError for poses of fewer frames."""
         turned = np.einsum("nij,nj->ni", rotation_matrices(poses.rotation)[self.frame], self.vertices)
-        return np.asarray(turned + poses.translation[self.frame])
+        placed = np.asarray(turned + poses.translation[self.frame])
+        for first, skin in self.skins:
+            own = slice(first, first + len(skin.joint))
+            placed[own] = poses.bend(skin, int(self.frame[first]), self.vertices[own])
+        return placed
 
 
 NO_SURFACES = Surfaces(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
@@ -36,7 +43,7 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
     """The surfaces of all primitives, one after the other.
 
     `inset` [m] draws bodies thinner by so much: between its vertices cloth cuts through round bodies that its vertices
-    rest on. Meshes are as they are. Planes, which have no end, are patches of `plane_size` [m].
+    rest on. Meshes and skins are as they are. Planes, which have no end, are patches of `plane_size` [m].
     """
     parts = [_primitive(geometry, i, inset, plane_size) for i in range(len(geometry.kind))]
     if not parts:
@@ -44,7 +51,12 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
     sizes = [len(x) for x, _ in parts]
     faces = [own + at for (_, own), at in zip(parts, np.cumsum([0, *sizes]), strict=False)]
     frame = np.repeat(geometry.frame, sizes).astype(np.int32)
-    return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame)
+    skins = tuple(
+        (int(at), skin)
+        for i, at in enumerate(np.cumsum([0, *sizes[:-1]]))
+        if (skin := geometry.skin(i)) is not None
+    )
+    return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame, skins)
 
 
 def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:

@@ -167,7 +167,7 @@ def find_named(path: str, names: Iterable[str]) -> str | None:
 class ShownBodies(Surfaces):
     """Bodies without their level floors: `floor` is the height of the highest [m], or None."""
 
-    floor: float | None
+    floor: float | None = None
 
 
 def read_bodies(recording: Recording) -> ShownBodies | None:

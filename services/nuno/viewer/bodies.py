@@ -1,7 +1,8 @@
-"""Bodies in rerun: one mesh a frame of the skeleton, moved by transforms."""
+"""Bodies in rerun: one mesh a frame of the skeleton, moved by transforms; and skins, whose vertices move."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from nuno.export.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
 from nuno.wire.arrays import BadMessage
-from nuno_schemas.bodies import PLANE, Geometry, Poses
+from nuno_schemas.bodies import PLANE, SKIN, Geometry, Poses
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
 
@@ -21,7 +22,7 @@ GROUND = "#d3d6d9"
 
 
 class BodiesView:
-    """Logs a scene's bodies: meshes at once, poses in batches.
+    """Logs a scene's bodies: meshes at once, poses and where skins are in batches.
 
     recording  the rerun stream
     geometry   what the bodies are
@@ -37,16 +38,18 @@ class BodiesView:
             raise BadMessage(f"a primitive of a frame that is not among the {number}")
         self.recording, self.batch = recording, batch
         self.paths = [layout.entity("world", "bodies", *name.split("/", 1)) for name in geometry.frames]
-        shown = surface(geometry, INSET)
+        rigid = geometry.of_primitives(np.flatnonzero(geometry.kind != SKIN).tolist())
+        self.skins = [SkinView(recording, geometry, i) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
+        shown = surface(rigid, INSET)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
             mine = frames == frame
             if mine.any():
                 own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
-                plain = (geometry.kind[geometry.frame == frame] == PLANE).all()
+                plain = (rigid.kind[rigid.frame == frame] == PLANE).all()
                 recording.log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True, strict=True)
         # Planes have no end and are no part of what should be in view.
-        ended = ~np.isin(frames, geometry.frame[geometry.kind == PLANE])
+        ended = ~np.isin(frames, rigid.frame[rigid.kind == PLANE])
         self._ended = Surfaces(vertices[ended], NO_SURFACES.faces, frames[ended])
         self._last: Poses | None = None
         self._shown: Poses | None = None
@@ -54,7 +57,9 @@ class BodiesView:
 
     def points(self) -> Float:
         """(n, 3) where the bodies' surfaces are now; none before they have been placed."""
-        return NO_SURFACES.vertices if self._last is None else self._ended.at(self._last)
+        if (last := self._last) is None:
+            return NO_SURFACES.vertices
+        return np.concatenate([self._ended.at(last), *(skin.at(last) for skin in self.skins)])
 
     def move(self, frame: int, poses: Poses) -> None:
         """Where the bodies are in a frame of animation. Raises BadMessage for a wrong number."""
@@ -87,8 +92,46 @@ class BodiesView:
                 turn, shift = pose[rows, i, :4][:, [1, 2, 3, 0]], pose[rows, i, 4:]
                 columns = rr.Transform3D.columns(translation=shift, quaternion=turn)
                 self.recording.send_columns(path, index, columns, strict=True)
+        changed = np.flatnonzero(moved.any(axis=1))
+        for skin in self.skins if len(changed) else ():
+            index = [
+                rr.TimeColumn("frame", sequence=numbers[changed]),
+                rr.TimeColumn(layout.TIMELINE, duration=times[changed]),
+            ]
+            skin.log(index, [self._waiting[i][1] for i in changed])
         self._shown = self._waiting[-1][1]
         self._waiting = []
+
+
+class SkinView:
+    """Logs a skin's triangles at once, and where its vertices are.
+
+    recording  the rerun stream
+    geometry   what the bodies are, of which `primitive` is the skin
+    """
+
+    def __init__(self, recording: Any, geometry: Geometry, primitive: int) -> None:
+        self.recording, self.geometry, self.primitive = recording, geometry, primitive
+        self.faces = geometry.mesh(primitive)[1]
+        self.path = layout.entity("world", "bodies", geometry.bodies[geometry.body[primitive]], "skin")
+        mesh = rr.Mesh3D.from_fields(
+            triangle_indices=self.faces.astype(np.uint32), albedo_factor=int(pack(parse_hex(BODY))[0])
+        )
+        recording.log(self.path, mesh, static=True, strict=True)
+
+    def at(self, poses: Poses) -> Float:
+        """(n, 3) where its vertices are [m]."""
+        return self.geometry.placed(self.primitive, poses)[0]
+
+    def log(self, index: list[Any], poses: Sequence[Poses]) -> None:
+        """Where it is at the moments of `index`."""
+        placed = [self.at(moment) for moment in poses]
+        columns = rr.Mesh3D.columns(
+            vertex_positions=np.concatenate(placed).astype(np.float32),
+            vertex_normals=np.concatenate([vertex_normals(x, self.faces) for x in placed]).astype(np.float32),
+        )
+        sizes = [len(x) for x in placed]
+        self.recording.send_columns(self.path, index, columns.partition(sizes), strict=True)
 
 
 def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:

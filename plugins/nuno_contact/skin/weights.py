@@ -1,0 +1,131 @@
+"""How much each bone carries of each vertex of a skin: heat that flows over the surface from the nearest bone.
+
+Of each bone the weights w are what
+
+    (L + H) w = H p
+
+says, with L the cotangent Laplacian (nuno_kernels.meshes.harmonic), H the vertex' area over the square of its distance
+to the nearest bone, and p 1 where that bone is the nearest and 0 elsewhere (I. Baran and J. Popovic, Automatic rigging
+and animation of 3D characters, SIGGRAPH 2007, 4). The matrix is an M-matrix and the p add up to one, so that weights lie
+in [0, 1] and add up to one, and they pass from one bone to the next over about the limb's thickness. Nearest is among
+the bones that a vertex sees through the body, so that a hand beside a thigh does not carry it.
+
+Solved by conjugate gradients for all bones together, not by a factorisation, whose bits differ between processors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.harmonic import edge_weights
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import dot, norm
+
+HEAT = 2.0
+"""Of H: the larger, the shorter the way over which weights pass from bone to bone."""
+CARRIERS = 4
+"""Bones that carry a vertex, at most."""
+LOOKS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
+"""Shares of the way from a vertex to a bone, at which all must be inside of the body for the bone to be seen."""
+NEAREST = 1e-3
+"""Share of the body's height below which distances count as that."""
+ACCURACY, ROUNDS = 1e-7, 2000
+"""Residual that the solution is left with, as a share of that at the start."""
+BITS = 2.0**32
+"""Weights are whole numbers over this, so that they add up to one exactly in any order."""
+
+
+def find_weights(x: Float, faces: Int, ends: Float, bone: Int) -> tuple[Int, Float]:
+    """The parts that carry each vertex (v, CARRIERS), by number, the one that carries most first, and their weights (v,
+    CARRIERS).
+
+    x (v, 3) [m], faces (f, 3) of a closed mesh; ends (b, 2, 3) [m] of bones, of which bone (b,) is of which part.
+    """
+    nearest, distance = see_bones(x, faces, ends)
+    parts = int(bone.max()) + 1
+    heat = spread_heat(x, faces, np.asarray(bone)[nearest], distance, parts)
+    return keep_largest(heat)
+
+
+def to_bones(x: Float, ends: Float) -> tuple[Float, Float]:
+    """Distance (v, b) [m] of points to bones, and the nearest points (v, b, 3) of these."""
+    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    size = np.maximum(dot(along, along), 1e-30)
+    share = np.clip(dot(x[:, None] - start, along) / size, 0.0, 1.0)
+    near = start + share[..., None] * along
+    return norm(x[:, None] - near), near
+
+
+def see_bones(x: Float, faces: Int, ends: Float) -> tuple[Int, Float]:
+    """The nearest bone (v,) that each vertex sees, and its distance (v,) [m]; the nearest where it sees none."""
+    distance, near = to_bones(x, ends)
+    order = np.argsort(distance, axis=1, kind="stable")
+    found, tree = order[:, 0].copy(), build_tree(x, faces)
+    waiting = np.arange(len(x))
+    for turn in range(ends.shape[0]):
+        to = near[waiting, order[waiting, turn]]
+        seen = np.ones(len(waiting), bool)
+        for share in LOOKS:
+            seen &= np.asarray(closest_points(tree, x[waiting] + share * (to - x[waiting])).distance) < 0.0
+        found[waiting[seen]] = order[waiting[seen], turn]
+        waiting = waiting[~seen]
+        if not len(waiting):
+            break
+    least = NEAREST * float(np.ptp(x[:, 1]))
+    return found.astype(np.int32), np.maximum(distance[np.arange(len(x)), found], least)
+
+
+def spread_heat(x: Float, faces: Int, part: Int, distance: Float, parts: int) -> Float:
+    """(v, parts) the heat of each part at each vertex. Raises BadInput for a mesh on which it is not found."""
+    pairs, weight = edge_weights(x, faces)
+    number = len(x)
+    (i, j), corner = pairs.T, x[faces]
+    area = norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])) / 6.0
+    source = HEAT * np.bincount(faces.ravel(), np.repeat(area, 3), number) / distance**2
+    diagonal = np.bincount(i, weight, number) + np.bincount(j, weight, number) + source
+    rows, columns = np.concatenate([i, j, np.arange(number)]), np.concatenate([j, i, np.arange(number)])
+    matrix = csr_array((np.concatenate([-weight, -weight, diagonal]), (rows, columns)), shape=(number, number))
+    right = np.zeros((number, parts))
+    right[np.arange(number), part] = source
+    heat = np.zeros((number, parts))
+    heat[np.arange(number), part] = 1.0
+    return _solve(matrix, diagonal[:, None], right, heat)
+
+
+def _solve(matrix: csr_array, diagonal: Float, right: Float, heat: Float) -> Float:
+    """Conjugate gradients, preconditioned with the diagonal, of each column."""
+    residual = right - matrix @ heat
+    z = residual / diagonal
+    direction, power = z, (residual * z).sum(axis=0)
+    least = ACCURACY**2 * np.maximum(power, 1e-300)
+    for _ in range(ROUNDS):
+        if (power <= least).all():
+            return heat
+        image = matrix @ direction
+        bent = (direction * image).sum(axis=0)
+        step = np.where(power > least, power / np.where(bent > 0.0, bent, 1.0), 0.0)
+        heat = heat + step * direction
+        residual = residual - step * image
+        z = residual / diagonal
+        before, power = power, (residual * z).sum(axis=0)
+        direction = z + power / np.where(before > 0.0, before, 1.0) * direction
+    raise BadInput(
+        "no weights of its joints are found for this body", field="file", limit=f"{ROUNDS:,} rounds",
+        remedy="mend or remesh it: its triangles differ too much in size, or are no more than lines",
+    )  # fmt: skip
+
+
+def keep_largest(heat: Float) -> tuple[Int, Float]:
+    """Of (v, parts) the largest, less the largest that is left out, so that they pass to 0 and not jump; of one sum."""
+    kept = min(CARRIERS, heat.shape[1])
+    order = np.argsort(-heat, axis=1, kind="stable")
+    largest = np.take_along_axis(heat, order, axis=1)
+    beyond = largest[:, kept : kept + 1] if heat.shape[1] > kept else 0.0
+    weight = np.maximum(largest[:, :kept] - np.maximum(beyond, 0.0), 0.0)
+    weight = np.round(weight / weight.sum(axis=1, keepdims=True) * BITS) / BITS
+    weight[:, 0] = 1.0 - weight[:, 1:].sum(axis=1)
+    return order[:, :kept].astype(np.int32), weight
