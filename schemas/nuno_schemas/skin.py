@@ -15,23 +15,22 @@ from nuno_schemas.layout import Bounds
 class Skin:
     """What carries the v vertices of a skin: k of the j frames from that of its primitive on.
 
+    place  (j, 3) [m]    where the frames lie, unturned, in the vertices as they stand in the geometry
     joint  (v, k) int32  which of these frames, from 0, the one with the largest weight first
     weight (v, k)        how much of the vertex each carries, one in all
-    place  (j, 3) [m]    where the frames lie, unturned, in the vertices as they stand in the geometry
     """
 
+    place: Annotated[Float, "j", 3]
     joint: Annotated[Int, "v", "k", Bounds(0, below="j")]
     weight: Annotated[Float, "v", "k", Bounds(0.0, 1.0)]
-    place: Annotated[Float, "j", 3]
 
     def bend(self, x: Float, rotation: Float, translation: Float) -> Float:
         """(v, 3) where vertices x (v, 3) are [m], with the j frames turned by quaternions (j, 4) and at (j, 3) [m].
 
         Each frame's motion since the skin was bound is a dual quaternion, of which those of a vertex are added by
-        weight, and the sum is made one of length 1 (L. Kavan et al., Geometric skinning with approximate dual quaternion
-        blending, ACM Transactions on Graphics 27(4), 2008). Sums of matrices instead, linear blend skinning, would be no
-        turn any more, and draw joints thin: a person of A-pose who lets the arms hang loses a fourteenth of the volume.
-        Added up by hand, for the same bits everywhere.
+        weight, and the sum is made one of length 1 (L. Kavan et al., Geometric skinning with approximate dual
+        quaternion blending, ACM Transactions on Graphics 27(4), 2008). Sums of matrices instead, linear blend skinning,
+        are no turns any more, and draw joints thin. Added up by hand, for the same bits everywhere.
         """
         shift = translation - _turned(rotation, self.place)
         w, v = rotation[:, :1], rotation[:, 1:]

@@ -1,4 +1,4 @@
-"""Values held against what they have to be: arrays, numbers, classes whose annotations say so, distance fields, skins."""
+"""Values held against what they have to be: arrays, numbers, classes whose annotations say so, fields, skins."""
 
 from __future__ import annotations
 

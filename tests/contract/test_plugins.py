@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from model_files import Folder, files
+from persons import person_file
 from sewing_patterns import tube
 
 from nuno_schemas.plugin import GROUPS
@@ -43,6 +44,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "skeleton": {},
         "mesh": {"shape": "leg", "resolution": 24},
         "sdf": {"shape": "leg", "resolution": 24, "tolerance": "2 mm"},
+        "skin": {"file": "person.obj", "stand": "0.1 s", "blend": "0.5 s"},
     },
     "nuno.motions": {
         "keyframes": {"times": [0, 1, 3], "rotations": [[0, 0, 0], [0, 1, 0.5], [1, 0, 0]], "between": "ease"},
@@ -73,8 +75,9 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
 
 @pytest.fixture
 def nuno_folder(files: Folder) -> Path:
-    """A mesh, a net, a pattern and a motion."""
+    """A mesh, a net, a pattern, a person and a motion."""
     (files.root / "tube.json").write_text(json.dumps(tube()))
+    (files.root / "person.obj").write_text(person_file(0.025))
     (files.root / "walk.bvh").write_bytes((SCENES / "walk.bvh").read_bytes())
     return files.root
 
@@ -84,7 +87,7 @@ def test_every_plugin_of_a_kind_is_tried(group: str) -> None:
     assert set(EXAMPLES[group]) == {point.name for point in entry_points(group=group)}
 
 
-LONG = ("particle_wind", "euler", "rk4_printed", "dopri5", "shirt", "implicit")
+LONG = ("particle_wind", "euler", "rk4_printed", "dopri5", "shirt", "implicit", "skin")
 """Plugins whose kernels or cloth take long to make, beside others of their kind that take their paths."""
 
 for group in GROUPS:

@@ -1,7 +1,8 @@
-"""A person's mesh as a body that moves with its skin: joints and weights are found, and a motion is carried over to it."""
+"""A person's mesh as a body that moves with its skin: its joints and weights are found, a motion is carried over."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import ClassVar, Literal, cast
 
@@ -9,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.colliders.shapes import ORIGIN
-from nuno_contact.quantities import Point, Size, Span
+from nuno_contact.quantities import Angle, Point, Size, Span
 from nuno_contact.skin.bones import bones_of
 from nuno_contact.skin.figure import find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
@@ -30,11 +31,15 @@ class SkinConfig(Config):
     file: str = Field(description="a closed mesh beside the scene: OBJ, PLY, STL or GLB")
     scale: Size = Field(default=1.0, description="length of one of the file's units [m]")
     up: Literal["y", "z"] = Field(default="y", description="which of the file's axes points up; z is turned to y")
-    centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie [m]; the motion begins there")
+    centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie [m]; it begins there")
     mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
+    spread: Angle = Field(
+        default=math.radians(10.0),
+        description="how much more the arms are held off the trunk than in the motion, of a body slimmer perhaps [rad]",
+    )
     stand: Span = Field(default=0.0, description="how long it stands in its own pose before it begins to move [s]")
     blend: Span = Field(
-        default=1.0, description="over how long it goes from its own pose into the motion, smoothly [s]; the motion runs on"
+        default=1.0, description="over how long it goes from its own pose into the motion, which runs on meanwhile [s]"
     )
 
 
@@ -45,8 +50,8 @@ class SkinCollider:
     Config: ClassVar[type[BaseModel]] = SkinConfig
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        """Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed, cannot be read or
-        is of no one who stands so; one that passes through itself is noted.
+        """Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed, cannot be read,
+        or is of no one who stands so; one that passes through itself is noted.
         """
         c = cast(SkinConfig, config)
         if mover is None or len(mover.joints) < 2:
@@ -60,14 +65,12 @@ class SkinCollider:
         x = np.ascontiguousarray(x + np.asarray(c.centre))
         figure, parts = find_figure(x, faces), list(roles)
         part, weight = find_weights(x, faces, *bones_of(figure, parts))
-        gait = fit_gait(mover, roles, figure, c.stand, c.blend)
+        gait = fit_gait(mover, roles, figure, c.spread, c.stand, c.blend)
         feet = {number: part[:, 0] == number for number, name in enumerate(parts) if name.endswith("_foot")}
         gait = replace(gait, lift=find_lift(gait, x, feet))
         joint, place = np.array(list(roles.values()), np.int32), gait.place[gait.follows]
-        skin = Skin(np.ascontiguousarray(joint[part]), weight, np.ascontiguousarray(place))
-        return replace(
-            skin_shape(mover, x, faces, skin), pose=gait.pose, notes=crossing_notes(x, faces)
-        )
+        skin = Skin(np.ascontiguousarray(place), np.ascontiguousarray(joint[part]), weight)
+        return replace(skin_shape(mover, x, faces, skin), pose=gait.pose, notes=crossing_notes(x, faces))
 
 
 def skin_shape(mover: Mover, x: Float, faces: Int, skin: Skin) -> BodyShape:

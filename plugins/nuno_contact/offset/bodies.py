@@ -46,7 +46,8 @@ class Solids(NamedTuple):
     """Bodies by name: x (b, 3) where their vertices start [m], local (b, 3) in their frames (b,) of f, the number of
     the body (b,) that each is of, faces (t, 3), law (bodies, 2) friction and damping of each.
 
-    Of skins, whose frame is OF_SKIN and local their vertices as bound: skin, all of them as one, on frames carrier (e,).
+    Of skins, whose frame is OF_SKIN and local their vertices as bound: skin, all of them as one, on frames carrier
+    (e,).
     """
 
     names: Sequence[str]
@@ -61,7 +62,7 @@ class Solids(NamedTuple):
     carrier: Int
 
 
-NO_SKIN = Skin(np.zeros((0, 1), np.int32), np.zeros((0, 1)), np.zeros((0, 3)))
+NO_SKIN = Skin(np.zeros((0, 3)), np.zeros((0, 1), np.int32), np.zeros((0, 1)))
 
 
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
@@ -104,7 +105,7 @@ def join_skins(skins: Sequence[Skin]) -> Skin:
         for skin, at in zip(skins, starts, strict=False)
     ]
     weight = [np.pad(skin.weight, ((0, 0), (0, most - skin.weight.shape[1]))) for skin in skins]
-    return Skin(*(np.concatenate(part) for part in (joint, weight, [skin.place for skin in skins])))
+    return Skin(*(np.concatenate(part) for part in ([skin.place for skin in skins], joint, weight)))
 
 
 def size_of(x: Float, faces: Int) -> Float:
@@ -146,7 +147,7 @@ def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
         return
     write_interval(m, start, end)
     if len(m.skin_joint):
-        mine, skin, moving = m.frame == OF_SKIN, Skin(m.skin_joint, m.skin_weight, m.skin_place), end.t > start.t
+        mine, skin, moving = m.frame == OF_SKIN, Skin(m.skin_place, m.skin_joint, m.skin_weight), end.t > start.t
         for poses, to in ((start, m.skin_begin), (end if moving else start, m.skin_end)):
             to[mine] = skin.bend(m.local[mine], poses.rotation[m.skin_frame], poses.translation[m.skin_frame])
         m.skin_pace[0] = 1.0 / (end.t - start.t) if moving else 0.0

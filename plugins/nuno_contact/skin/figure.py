@@ -1,11 +1,11 @@
 """Where the joints of a standing person lie, found from the mesh alone.
 
 The person stands upright, y up, and faces +z, with feet and arms apart as in a T-pose or an A-pose. Legs are found by
-level sections, arms by the way over the surface from the neck: their tips are the farthest for how little lower they lie.
-Where along a limb, and up a trunk, its joints come is by shares of its length: hip joints, knees, ankles and trunk as
-read off sections of a real body of 1.666 m (a CC0 mesh; see nuno_contact.motions.hula), arms by the segments of R. Drillis
-and R. Contini, Body segment parameters, New York University, 1966: hand, forearm and upper arm are 0.108, 0.146 and
-0.186 of the height.
+level sections, arms by the way over the surface from the neck: their tips are the farthest for how little lower they
+lie. Where along a limb, and up a trunk, its joints come is by shares of its length: hip joints, knees, ankles and trunk
+as read off sections of a real body of 1.666 m (a CC0 mesh; see nuno_contact.motions.hula), arms by the segments of
+R. Drillis and R. Contini, Body segment parameters, New York University, 1966: hand, forearm and upper arm are 0.108,
+0.146 and 0.186 of the height.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ OVER_CROTCH = 0.04
 """So much of the height the hip joints lie above where the thighs meet."""
 HAND, FOREARM, UPPER_ARM = 0.108, 0.146, 0.186
 ARM = HAND + FOREARM + UPPER_ARM
-BEYOND_PIT = 0.045
+BEYOND_PIT = 0.03
 """The shoulder joint lies so much of the height beyond the section through the armpit, along the arm."""
 CROTCH = (0.38, 0.56)
 """Between these shares of the height thighs meet."""
@@ -43,8 +43,8 @@ SIDES = (("left", 1.0), ("right", -1.0))
 
 @dataclass(frozen=True)
 class Figure:
-    """Joints and ends of bones of a body by name, each (3,) [m]: hips (midway between the hip joints), spine, chest, neck,
-    head, top, and of either side, as left_arm: arm, forearm, hand, hand_end, thigh, shin, foot, foot_end, heel.
+    """Joints and ends of bones of a body by name, each (3,) [m]: hips (midway between the hip joints), spine, chest,
+    neck, head, top, and of either side, as left_arm: arm, forearm, hand, hand_end, thigh, shin, foot, foot_end, heel.
     """
 
     places: dict[str, Float]
@@ -64,12 +64,14 @@ def find_figure(x: Float, faces: Int) -> Figure:
     floor = float(x[:, 1].min())
     legs = [_leg_loops(x, faces, floor + share * height) for share in (0.06, 0.15, 0.25)]
     if any(len(pair) != 2 for pair in legs):
-        raise _refused("no two legs are found on the body", f"{[len(pair) for pair in legs]} in sections below the knees")
+        sections = ", ".join(str(len(pair)) for pair in legs)
+        raise _refused("no two legs are found on the body", f"{sections} in sections below the knees")
     middle = float(np.mean([loop.centroid()[0] for loop in legs[0]]))
     crotch = _find_crotch(x, faces, floor, height, middle)
     places: dict[str, Float] = {}
     for side, sign in SIDES:
-        places |= {f"{side}_{name}": at for name, at in _find_leg(x, faces, floor, height, crotch, middle, sign).items()}
+        leg = _find_leg(x, faces, floor, height, crotch, middle, sign)
+        places |= {f"{side}_{name}": at for name, at in leg.items()}
     places["hips"] = 0.5 * (places["left_thigh"] + places["right_thigh"])
     hip = float(places["hips"][1])
     for name, share in TRUNK.items():
@@ -127,7 +129,8 @@ def _find_leg(
     foot = x[(x[:, 1] < floor + 0.05 * height) & (sign * (x[:, 0] - middle) > 0.0)]
     ahead, behind = float(foot[:, 2].max() - ankle[2]), float(ankle[2] - foot[:, 2].min())
     if ahead < 1.2 * behind or ahead < float(np.abs(foot[:, 0] - ankle[0]).max()):
-        raise _refused("the body does not face +z", f"a foot reaches {ahead:.2g} m to +z of its ankle, {behind:.2g} m to -z")
+        reach = f"a foot reaches {ahead:.2g} m to +z of its ankle, {behind:.2g} m to -z"
+        raise _refused("the body does not face +z", reach)
     tip = foot[int(foot[:, 2].argmax())]
     return {
         "thigh": np.array([thigh[0], hip_y, thigh[2]]),

@@ -1,11 +1,11 @@
 """A motion of one skeleton, carried over to a body that has its own.
 
-Of every part the motion gives the rotation R(t) against the skeleton at rest, whose bones lie otherwise than the body's: a
-T-pose and an A-pose. So a part turns by R(t) A, where A is fixed and lays the body's bone along the skeleton's: for limbs
-the least turn that does, for the trunk, head and feet none but that from the body's axes to the skeleton's. Joints then
-follow by the body's own bones. The hips go as the skeleton's do, by as much as the body's legs are longer, beginning
-where the body stands and as it faces. Feet go on the floor that the body stands on, by the median of the lowest
-point over the first two seconds.
+Of every part the motion gives the rotation R(t) against the skeleton at rest, whose bones lie otherwise than the
+body's: a T-pose and an A-pose. So a part turns by R(t) A, where A is fixed and lays the body's bone along the
+skeleton's: for limbs the least turn that does, for the trunk, head and feet none but that from the body's axes to the
+skeleton's. Joints then follow by the body's own bones. The hips go as the skeleton's do, by as much as the body's legs
+are longer, beginning where the body stands and as it faces. Feet go on the floor that the body stands on, by the median
+of the lowest point over the first two seconds.
 """
 
 from __future__ import annotations
@@ -44,16 +44,19 @@ STILL = np.array([1.0, 0.0, 0.0, 0.0])
 class Gait:
     """Poses of a body's parts, in an order in which what carries comes before what it carries.
 
-    carrier (p,) number of what carries each, -1 for the hips; joint (p,) of the motion; place (p, 3) [m] in the body;
-    aligned (p, 4) the turn A of each; follows (j,) the part that each joint of the motion goes with; heading (4,) the turn
-    about y that has the motion begin as the body faces; scale of lengths; first (3,) [m] the skeleton's hips as they
-    begin, lift [m] how much higher than in the body the hips begin; stand, blend [s]
+    carrier (p,) number of what carries each, -1 for the hips; joint (p,) of the motion; hips: its hip joints; chest and
+    arms: numbers of parts; place (p, 3) [m] in the body; aligned (p, 4) the turn A of each; follows (j,) the part that
+    each joint of the motion goes with; heading (4,) the turn about y that has the motion begin as the body faces; scale
+    of lengths; first (3,) [m] the skeleton's hips as they begin, lift [m] how much higher than in the body the hips
+    begin; spread [rad] by how much more the arms are raised off the trunk than in the motion; stand, blend [s]
     """
 
     motion: Mover
     carrier: tuple[int, ...]
     joint: tuple[int, ...]
     hips: tuple[int, int]
+    chest: int
+    arms: tuple[tuple[int, ...], tuple[int, ...]]
     place: Float
     aligned: Float
     follows: Int
@@ -61,6 +64,7 @@ class Gait:
     scale: float
     first: Float
     lift: float
+    spread: float
     stand: float
     blend: float
 
@@ -80,6 +84,11 @@ class Gait:
         """Rotations (p, 4) of the parts in the world, and the place (3,) of the hips, at the motion's time t [s]."""
         rotation, place = self.motion.pose(t)
         turned = multiply(self.heading, multiply(rotation[list(self.joint)], self.aligned))
+        chest = turned[self.chest]
+        for side, arm in zip((1.0, -1.0), self.arms, strict=True):
+            # About the chest's own axis ahead.
+            raised = multiply(multiply(chest, from_axis_angle(AXES[2], side * self.spread)), invert(chest))
+            turned[list(arm)] = multiply(raised, turned[list(arm)])
         way = self.scale * (0.5 * (place[self.hips[0]] + place[self.hips[1]]) - self.first)
         root = self.place[0] + turn(rotation_matrices(self.heading[None])[0], way)
         return turned, root + np.array([0.0, self.lift, 0.0])
@@ -103,7 +112,7 @@ class Gait:
         return (from_matrices(matrix) if share < 1.0 else turned), place
 
 
-def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, stand: float, blend: float) -> Gait:
+def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, spread: float, stand: float, blend: float) -> Gait:
     """Of a motion whose joints are of the parts `roles`, for a body.
 
     Raises BadInput for a skeleton at rest that does not stand, and one whose limbs have no length.
@@ -117,13 +126,16 @@ def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, stand: float,
     ahead = turn(rotation_matrices(multiply(rotation[roles["hips"]], from_matrices(axes))[None])[0], AXES[2])
     heading = from_axis_angle(AXES[1], -math.atan2(float(ahead[0]), float(ahead[2])))
     carriers = [carrier_of(part, roles) for part in parts]
-    legs = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("thigh", "shin"), ("shin", "foot"))]
+    bones = ("thigh", "shin"), ("shin", "foot")
+    legs = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in bones]
     theirs = sum(float(norm(rest[roles[b]] - rest[roles[a]])) for a, b in legs)
     return Gait(
         motion=motion,
         carrier=tuple(parts.index(name) if name else -1 for name in carriers),
         joint=tuple(roles.values()),
         hips=hips,
+        chest=parts.index("chest"),
+        arms=(_arm_of("left", parts), _arm_of("right", parts)),
         place=np.stack([figure[part] for part in parts]),
         aligned=np.stack(aligned),
         follows=_follow(motion, list(roles.values())),
@@ -131,9 +143,15 @@ def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, stand: float,
         scale=sum(float(norm(figure[b] - figure[a])) for a, b in legs) / theirs,
         first=0.5 * (place[hips[0]] + place[hips[1]]),
         lift=0.0,
+        spread=spread,
         stand=stand,
         blend=blend,
     )
+
+
+def _arm_of(side: str, parts: list[str]) -> tuple[int, ...]:
+    """Numbers of the parts of an arm."""
+    return tuple(parts.index(f"{side}_{name}") for name in ("arm", "forearm", "hand"))
 
 
 def find_lift(gait: Gait, x: Float, feet: dict[int, Bool]) -> float:
@@ -162,8 +180,8 @@ def _axes_of(rest: Float, roles: dict[str, int]) -> Float:
         found.append(math.copysign(1.0, float(way[axis])) * AXES[axis])
     if float(norm(left)) == 0.0 or float(norm(up)) == 0.0 or float(dot(found[0], found[1])) != 0.0:
         raise BadInput(
-            "the motion's skeleton does not stand at rest: its head is not above its hips, or its hip joints not beside "
-            "each other", field="motion",
+            "the motion's skeleton does not stand at rest: its head is not above its hips, or its hip joints are not "
+            "beside each other", field="motion", remedy="take a motion whose rest pose is a T-pose or an A-pose",
         )  # fmt: skip
     return np.stack([*found, np.cross(*found)], axis=1)
 

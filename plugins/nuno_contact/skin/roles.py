@@ -79,7 +79,8 @@ def _check(mover: Mover, found: dict[str, int], parents: list[int]) -> None:
         if carrier and found[carrier] not in _path(joint, parents)[:-1]:
             raise BadInput(
                 f"the motion's {part} does not hang on its {carrier}", field="motion",
-                value=f"{mover.joints[joint]}, {mover.joints[found[carrier]]}", limit="a skeleton whose root is the hips",
+                value=f"{mover.joints[joint]}, {mover.joints[found[carrier]]}",
+                limit="a skeleton whose root is the hips",
             )  # fmt: skip
 
 

@@ -4,11 +4,12 @@ Of each bone the weights w are what
 
     (L + H) w = H p
 
-says, with L the cotangent Laplacian (nuno_kernels.meshes.harmonic), H the vertex' area over the square of its distance
-to the nearest bone, and p 1 where that bone is the nearest and 0 elsewhere (I. Baran and J. Popovic, Automatic rigging
-and animation of 3D characters, SIGGRAPH 2007, 4). The matrix is an M-matrix and the p add up to one, so that weights lie
-in [0, 1] and add up to one, and they pass from one bone to the next over about the limb's thickness. Nearest is among
-the bones that a vertex sees through the body, so that a hand beside a thigh does not carry it.
+says, with L the cotangent Laplacian (nuno_kernels.meshes.harmonic), H HEAT times the vertex' area over the square of
+its distance to the nearest bone, and p 1 where that bone is the nearest and 0 elsewhere (I. Baran and J. Popovic,
+Automatic rigging and animation of 3D characters, SIGGRAPH 2007, 4). The matrix is an M-matrix and the p add up to one,
+so that weights lie in [0, 1] and add up to one, and they pass from one bone to the next over about the limb's
+thickness. Nearest is among the bones that a vertex sees through the body, so that a hand beside a thigh does not carry
+it.
 
 Solved by conjugate gradients for all bones together, not by a factorisation, whose bits differ between processors.
 """

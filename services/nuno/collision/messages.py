@@ -22,7 +22,7 @@ _MESHES = ("vertices", "faces", "owner")
 
 _FIELDS = ("low", "shape", "child", "corners")
 _NUMBERS = ("size", "tolerance", "band")
-_SKINS = ("joint", "weight", "place")
+_SKINS = ("place", "joint", "weight")
 
 
 def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:

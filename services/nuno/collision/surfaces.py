@@ -52,9 +52,7 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
     faces = [own + at for (_, own), at in zip(parts, np.cumsum([0, *sizes]), strict=False)]
     frame = np.repeat(geometry.frame, sizes).astype(np.int32)
     skins = tuple(
-        (int(at), skin)
-        for i, at in enumerate(np.cumsum([0, *sizes[:-1]]))
-        if (skin := geometry.skin(i)) is not None
+        (int(at), skin) for i, at in enumerate(np.cumsum([0, *sizes[:-1]])) if (skin := geometry.skin(i)) is not None
     )
     return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame, skins)
 

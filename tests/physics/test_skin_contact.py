@@ -1,0 +1,194 @@
+"""Cloth meets a skin that bends as it meets bodies that do not: nothing passes through, and it rubs along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from met_bodies import Met, Motion, Shape, geometry_of
+from sheets import Pile, sheet
+
+from nuno.collision.distance import penetration, signed_distance
+from nuno.collision.messages import decode_geometry, encode_geometry
+from nuno.collision.surfaces import surface
+from nuno.wire.arrays import BadMessage
+from nuno_bench.problem.oracle import Oracle
+from nuno_contact.offset.bodies import pose_solids, set_solid_poses
+from nuno_contact.offset.places import LEFT_OUT, TOUCHING
+from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
+from nuno_contact.sliding.plugin import Sliding, SlidingConfig
+from nuno_schemas.bodies import SKIN, Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.skin import Skin
+
+ASIDE = np.array([0.002, 0.0, 0.001])
+"""So that nothing lies above anything exactly."""
+
+
+def bar(length: float = 0.24, width: float = 0.03, parts: int = 24) -> Shape:
+    """A bar along x of so many parts."""
+    at = length * (np.arange(parts + 1) / parts - 0.5)
+    ring = width * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    x = np.concatenate([np.column_stack([np.full(4, a), ring]) for a in at] + [[[at[0], 0, 0], [at[-1], 0, 0]]])
+    sides = []
+    for k in range(parts):
+        for c in range(4):
+            a, b = 4 * k + c, 4 * k + (c + 1) % 4
+            sides += [[a, b, a + 4], [b, b + 4, a + 4]]
+    last = 4 * parts
+    ends = [[len(x) - 2, (c + 1) % 4, c] for c in range(4)]
+    ends += [[len(x) - 1, last + c, last + (c + 1) % 4] for c in range(4)]
+    faces = np.array(sides + ends, np.int32)
+    corners = x[faces]
+    if float((np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum()) < 0.0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    return x, faces
+
+
+def halves(x: Float) -> Skin:
+    """Of two frames: the middle of the left half and of the right one; weights pass over a fifth of the length."""
+    right = np.clip(0.5 + x[:, 0] / (0.2 * np.ptp(x[:, 0])), 0.0, 1.0)
+    weight = np.stack([1.0 - right, right], axis=1)
+    order = np.argsort(-weight, axis=1, kind="stable")
+    return Skin(np.zeros((2, 3)), order.astype(np.int32), np.take_along_axis(weight, order, axis=1))
+
+
+def skinned(shape: Shape, rough: float) -> Geometry:
+    """A bar that is a skin."""
+    kind, frames = np.array([SKIN], np.int8), ("body 0/left", "body 0/right")
+    return replace(geometry_of([shape], rough), kind=kind, frames=frames, skins=(halves(shape[0]),))
+
+
+class Bent(Met):
+    """Pieces, and a skin on two frames."""
+
+    def __init__(self, *pieces: Fabric, motions: Sequence[Motion], rough: float = 0.3, **settings: Any) -> None:
+        self.motions, self.geometry = list(motions), skinned(bar(), rough)
+        Pile.__init__(self, *pieces, bodies=(self.geometry, self.poses(0.0)), **settings)
+        faces = np.concatenate([self.fabric.faces, self.geometry.faces + np.int32(self.fabric.number)])
+        self.oracle = Oracle(np.concatenate([self.fabric.position, self.places(0.0)]), faces)
+
+    def places(self, t: float) -> Float:
+        return self.geometry.placed(0, self.poses(t))[0]
+
+
+def above(speed: float = 0.0) -> Fabric:
+    """A level sheet over the bar."""
+    at = ASIDE + np.array([0.0, 0.015 + 2e-3, 0.0])
+    return sheet(14, 0.18, at=at, v=np.array([0.0, -speed, 0.0]))
+
+
+def lifted(sign: float) -> Motion:
+    """A half of the bar goes up, turned about the middle, to 0.6 rad and back ten times a second, in haste."""
+    return lambda t: (sign * 0.6 * np.sin(20.0 * np.pi * t) ** 2, np.zeros(3))
+
+
+def sliding(t: float) -> tuple[float, Float]:
+    """Sideways, from rest, at 1 m/s^2."""
+    return 0.0, np.array([0.0, 0.0, 0.5 * t * t])
+
+
+@pytest.mark.quick(solver=["symplectic_euler"])
+@pytest.mark.parametrize("solver", ["symplectic_euler", "xpbd", "implicit_euler"])
+def test_a_bar_that_bends_passes_through_no_cloth(solver: str) -> None:
+    """Up to 0.3 m/s at its ends; nothing is behind at the end, and without contact its edges pass through."""
+    met, late, most = Bent(above(), motions=[lifted(-1.0), lifted(1.0)], solver=solver), 0, 0
+    for _ in range(12):
+        met.go(60)
+        assert not met.crossed
+        late, most = late + (met.behind > 0), max(most, int(met.meeting.number[TOUCHING]))
+    assert late <= 1 and met.meeting.so_far[LEFT_OUT] == 0
+    assert most > 10
+    met.state.x[:, 1] = 0.015
+    assert met.crossed
+
+
+def test_a_skin_whose_frames_move_as_one_rubs_as_a_rigid_body_does() -> None:
+    """Cloth that lies on a bar which slides off sideways: the same to the rounding of both."""
+    one = Bent(above(), motions=[sliding, sliding], rough=0.4)
+    other = Met(above(), shapes=[bar()], motions=[sliding], rough=0.4)
+    for _ in range(8):
+        one.go(100)
+        other.go(100)
+    assert one.meeting.number[TOUCHING] > 5
+    assert np.abs(one.state.x - other.state.x).max() < 1e-9
+    assert one.state.v[:, 2].mean() > 0.05  # it is dragged along
+
+
+def test_vertices_of_a_skin_go_straight_and_as_fast_as_is_said() -> None:
+    """From where the frames have them at the start of an interval to where they have them at its end."""
+    met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)])
+    ends = met.poses(0.004), met.poses(0.009)
+    set_solid_poses(met.meeting, *ends)
+    n, whole = met.fabric.number, met.meeting.whole.shape
+    x, v = np.zeros(whole), np.zeros(whole)
+    places = [met.geometry.placed(0, poses)[0] for poses in ends]
+    for s in (0.0, 0.3, 1.0):
+        pose_solids(met.meeting, s, x, v)
+        assert np.abs(x[:, n:].T - (1.0 - s) * places[0] - s * places[1]).max() < 1e-15
+        assert np.abs(v[:, n:].T - (places[1] - places[0]) / 0.005).max() < 1e-9
+    set_solid_poses(met.meeting, ends[0], ends[0])
+    pose_solids(met.meeting, 1.0, x, v)
+    assert np.abs(x[:, n:].T - places[0]).max() == 0.0 and np.abs(v[:, n:]).max() == 0.0
+
+
+def test_threads_give_the_same_bits() -> None:
+    """Of cloth on a bar that bends."""
+    found = []
+    for threads in (1, 2):
+        met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)], threads=threads)
+        for _ in range(3):
+            met.go(40)
+        found.append((met.state.x.tobytes(), met.state.v.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_the_collision_service_measures_and_draws_a_skin_where_it_is() -> None:
+    """As it does a mesh of the vertices as they are then."""
+    geometry, poses = skinned(bar(), 0.3), Bent.poses(SimpleBent(), 0.025)
+    placed, faces = geometry.placed(0, poses)
+    assert np.abs(placed - geometry.vertices).max() > 0.02
+    assert np.array_equal(surface(geometry).at(poses), placed)
+    still_mesh = geometry_of([(placed, faces)], 0.3)
+    world = Poses(0.0, np.eye(4)[:1], np.zeros((1, 3)))
+    points = np.random.default_rng(5).uniform(-1.0, 1.0, (400, 3)) * [0.15, 0.1, 0.03]
+    assert np.array_equal(signed_distance(points, geometry, poses), signed_distance(points, still_mesh, world))
+    depth = penetration(points, geometry, poses)
+    assert (depth > 0.0).sum() > 10
+    assert np.array_equal(depth, penetration(points, still_mesh, world))
+
+
+class SimpleBent(Bent):
+    """The motions alone."""
+
+    def __init__(self) -> None:
+        self.motions = [lifted(-1.0), lifted(1.0)]
+
+
+def test_skins_cross_the_bus_and_damaged_ones_are_refused() -> None:
+    """To the last bit; of a wrong number of vertices, frames that are not there, weights that are not of one sum."""
+    geometry = skinned(bar(), 0.3)
+    found = decode_geometry(encode_geometry(geometry))
+    for name in ("joint", "weight", "place"):
+        assert np.array_equal(getattr(found.skins[0], name), getattr(geometry.skins[0], name))
+    skin = geometry.skins[0]
+    for bad in (
+        replace(skin, joint=skin.joint[:-1], weight=skin.weight[:-1]),
+        replace(skin, joint=skin.joint + np.int32(1)),
+        replace(skin, weight=0.5 * skin.weight),
+        replace(skin, place=np.zeros((3, 3))),
+    ):
+        with pytest.raises(BadMessage):
+            decode_geometry(encode_geometry(replace(geometry, skins=(bad,))))
+
+
+def test_contact_that_cannot_follow_a_skin_refuses_it_with_the_remedy() -> None:
+    geometry, fabric = skinned(bar(), 0.3), above()
+    for plugin, config in ((Penalty(), PenaltyConfig()), (Sliding(), SlidingConfig())):
+        with pytest.raises(BadInput, match="bend") as caught:
+            plugin.prepare(config, fabric, geometry, np.array([0.0, -9.81, 0.0]))
+        assert "cloth_contact" in str(caught.value.remedy)
