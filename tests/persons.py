@@ -1,4 +1,4 @@
-"""A person of rounded limbs, of no one's data, who stands in an A-pose: a closed mesh to find joints in."""
+"""A person of rounded limbs, of no one's data, who stands in an A-pose, and a bar that bends: skins to test with."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from functools import cache
 import numpy as np
 
 from nuno_contact.figures.isosurface import find_isosurface
+from nuno_kernels.meshes.check import volume
+from nuno_schemas.bodies import SKIN, Geometry
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.skin import Skin
 
 ROUNDING = 0.02
 """How far limbs are blended into each other [m]."""
@@ -71,3 +74,35 @@ def write_mesh(x: Float, faces: Int) -> str:
 def person_file(spacing: float) -> str:
     """The person as an OBJ file."""
     return write_mesh(*person(spacing))
+
+
+def bar(length: float = 0.24, width: float = 0.03, parts: int = 24) -> tuple[Float, Int]:
+    """A closed bar along x of so many parts."""
+    at = length * (np.arange(parts + 1) / parts - 0.5)
+    ring = width * np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
+    x = np.concatenate([np.column_stack([np.full(4, a), ring]) for a in at] + [[[at[0], 0, 0], [at[-1], 0, 0]]])
+    faces, last, end = [], 4 * parts, len(x)
+    for c in range(4):
+        d = (c + 1) % 4
+        faces += [[end - 2, d, c], [end - 1, last + c, last + d]]
+        for k in range(0, last, 4):
+            faces += [[k + c, k + d, k + c + 4], [k + d, k + d + 4, k + c + 4]]
+    triangles = np.array(faces, np.int32)
+    return x, triangles if volume(x, triangles) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
+
+
+def skinned(friction: float = 0.3) -> Geometry:
+    """A bar that is a skin of two frames, at its middle: one carries the left half and the other the right one, and
+    weights pass over a fifth of the length.
+    """
+    x, faces = bar()
+    right = np.clip(0.5 + x[:, 0] / (0.2 * np.ptp(x[:, 0])), 0.0, 1.0)
+    weight = np.stack([1.0 - right, right], axis=1)
+    order = np.argsort(-weight, axis=1, kind="stable")
+    skin = Skin(np.zeros((2, 3)), order.astype(np.int32), np.take_along_axis(weight, order, axis=1))
+    one, none = np.ones(1), np.zeros(1, np.int32)
+    return Geometry(
+        ("bar",), ("bar/left", "bar/right"), np.array([SKIN], np.int8), none, none, x.min(axis=0)[None],
+        x.max(axis=0)[None], np.zeros(1), np.nan * one, 0.5 * one, friction * one, x, faces,
+        np.zeros(len(faces), np.int32), skins=(skin,),
+    )  # fmt: skip

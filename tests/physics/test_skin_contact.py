@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from met_bodies import Met, Motion, Shape, geometry_of
+from met_bodies import Met, Motion, geometry_of
+from persons import bar, skinned
 from sheets import Pile, sheet
 
 from nuno.collision.distance import penetration, signed_distance
@@ -20,54 +21,19 @@ from nuno_contact.offset.bodies import pose_solids, set_solid_poses
 from nuno_contact.offset.places import LEFT_OUT, TOUCHING
 from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
 from nuno_contact.sliding.plugin import Sliding, SlidingConfig
-from nuno_schemas.bodies import SKIN, Geometry, Poses
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.skin import Skin
 
 ASIDE = np.array([0.002, 0.0, 0.001])
 """So that nothing lies above anything exactly."""
-
-
-def bar(length: float = 0.24, width: float = 0.03, parts: int = 24) -> Shape:
-    """A bar along x of so many parts."""
-    at = length * (np.arange(parts + 1) / parts - 0.5)
-    ring = width * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    x = np.concatenate([np.column_stack([np.full(4, a), ring]) for a in at] + [[[at[0], 0, 0], [at[-1], 0, 0]]])
-    sides = []
-    for k in range(parts):
-        for c in range(4):
-            a, b = 4 * k + c, 4 * k + (c + 1) % 4
-            sides += [[a, b, a + 4], [b, b + 4, a + 4]]
-    last = 4 * parts
-    ends = [[len(x) - 2, (c + 1) % 4, c] for c in range(4)]
-    ends += [[len(x) - 1, last + c, last + (c + 1) % 4] for c in range(4)]
-    faces = np.array(sides + ends, np.int32)
-    corners = x[faces]
-    if float((np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum()) < 0.0:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-    return x, faces
-
-
-def halves(x: Float) -> Skin:
-    """Of two frames: the middle of the left half and of the right one; weights pass over a fifth of the length."""
-    right = np.clip(0.5 + x[:, 0] / (0.2 * np.ptp(x[:, 0])), 0.0, 1.0)
-    weight = np.stack([1.0 - right, right], axis=1)
-    order = np.argsort(-weight, axis=1, kind="stable")
-    return Skin(np.zeros((2, 3)), order.astype(np.int32), np.take_along_axis(weight, order, axis=1))
-
-
-def skinned(shape: Shape, rough: float) -> Geometry:
-    """A bar that is a skin."""
-    kind, frames = np.array([SKIN], np.int8), ("body 0/left", "body 0/right")
-    return replace(geometry_of([shape], rough), kind=kind, frames=frames, skins=(halves(shape[0]),))
 
 
 class Bent(Met):
     """Pieces, and a skin on two frames."""
 
     def __init__(self, *pieces: Fabric, motions: Sequence[Motion], rough: float = 0.3, **settings: Any) -> None:
-        self.motions, self.geometry = list(motions), skinned(bar(), rough)
+        self.motions, self.geometry = list(motions), skinned(rough)
         Pile.__init__(self, *pieces, bodies=(self.geometry, self.poses(0.0)), **settings)
         faces = np.concatenate([self.fabric.faces, self.geometry.faces + np.int32(self.fabric.number)])
         self.oracle = Oracle(np.concatenate([self.fabric.position, self.places(0.0)]), faces)
@@ -149,7 +115,7 @@ def test_threads_give_the_same_bits() -> None:
 
 def test_the_collision_service_measures_and_draws_a_skin_where_it_is() -> None:
     """As it does a mesh of the vertices as they are then."""
-    geometry, poses = skinned(bar(), 0.3), Bent.poses(SimpleBent(), 0.025)
+    geometry, poses = skinned(), Bent.poses(SimpleBent(), 0.025)
     placed, faces = geometry.placed(0, poses)
     assert np.abs(placed - geometry.vertices).max() > 0.02
     assert np.array_equal(surface(geometry).at(poses), placed)
@@ -171,7 +137,7 @@ class SimpleBent(Bent):
 
 def test_skins_cross_the_bus_and_damaged_ones_are_refused() -> None:
     """To the last bit; of a wrong number of vertices, frames that are not there, weights that are not of one sum."""
-    geometry = skinned(bar(), 0.3)
+    geometry = skinned()
     found = decode_geometry(encode_geometry(geometry))
     for name in ("joint", "weight", "place"):
         assert np.array_equal(getattr(found.skins[0], name), getattr(geometry.skins[0], name))
@@ -187,7 +153,7 @@ def test_skins_cross_the_bus_and_damaged_ones_are_refused() -> None:
 
 
 def test_contact_that_cannot_follow_a_skin_refuses_it_with_the_remedy() -> None:
-    geometry, fabric = skinned(bar(), 0.3), above()
+    geometry, fabric = skinned(), above()
     for plugin, config in ((Penalty(), PenaltyConfig()), (Sliding(), SlidingConfig())):
         with pytest.raises(BadInput, match="bend") as caught:
             plugin.prepare(config, fabric, geometry, np.array([0.0, -9.81, 0.0]))

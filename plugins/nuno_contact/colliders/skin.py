@@ -34,7 +34,7 @@ class SkinConfig(Config):
     centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie [m]; it begins there")
     mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
     spread: Angle = Field(
-        default=math.radians(10.0),
+        default=math.radians(20.0),
         description="how much more the arms are held off the trunk than in the motion, of a body slimmer perhaps [rad]",
     )
     stand: Span = Field(default=0.0, description="how long it stands in its own pose before it begins to move [s]")

@@ -26,7 +26,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm
 
-HEAT = 2.0
+HEAT = 1.0
 """Of H: the larger, the shorter the way over which weights pass from bone to bone."""
 CARRIERS = 4
 """Bones that carry a vertex, at most."""

@@ -1,0 +1,112 @@
+"""A person who moves with the skin, in whole runs: what is recorded, drawn and replayed; and a sewn garment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from persons import person_file
+
+from nuno.cli import main
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.export.cloth import body_vertices, read_bodies
+from nuno.recording.reader import open_recording
+from nuno_bench.problem.oracle import Oracle
+from nuno_schemas.bodies import SKIN
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION
+
+WALK = Path(__file__).resolve().parents[2] / "scenes" / "walk.bvh"
+
+
+def write_scene(folder: Path, **fields: Any) -> Path:
+    """A scarf falls on the shoulders of a person who sets out."""
+    (folder / "person.obj").write_text(person_file(0.025))
+    (folder / "walk.bvh").write_bytes(WALK.read_bytes())
+    model = {"plugin": "sheet", "size": [0.5, 0.3], "resolution": [9, 7], "plane": "xz", "centre": [0.004, 1.76, 0.003],
+             "fabric": "interlock", "cells": "triangles"}  # fmt: skip
+    scene = {
+        "nuno": 1, "name": "walker", "duration": 0.4, "frame_rate": 50, "solver": {"plugin": "symplectic_euler"},
+        "objects": [{"name": "scarf", "model": model}],
+        "bodies": [{"name": "wearer", "collider": {"plugin": "skin", "file": "person.obj", "blend": 0.2},
+                    "motion": {"plugin": "bvh", "file": "walk.bvh"}}],
+        "cloth_contact": {"plugin": "offset", "thickness": "2 mm", "bodies": ["wearer"]},
+    } | fields  # fmt: skip
+    (folder / "walker.yaml").write_text(yaml.safe_dump(scene))
+    return folder / "walker.yaml"
+
+
+def judge(record: Path) -> tuple[int, int]:
+    """In how many frames anything passes through anything, as ipctk sees it, and as the collision service does."""
+    with open_recording(record) as recording:
+        message = recording.last(GEOMETRY.name)
+        assert message is not None
+        geometry = decode_geometry(message.payload)
+        poses = [decode_poses(message.payload) for message in recording.messages([BODIES.name])]
+        told = [recording.json(message.payload)["crossings"] for message in recording.messages([PENETRATION.name])]
+        cloth, seen = recording.fabric()[0]["faces"], 0
+        for frame, pose in zip(recording.frames(), poses, strict=True):
+            x = np.asarray(frame.x, np.float64)
+            body, faces = geometry.placed(0, pose)
+            oracle = Oracle(np.concatenate([x, body]), np.concatenate([cloth, faces + np.int32(len(x))]))
+            seen += oracle.crossed(np.concatenate([x, body]))
+        return seen, sum(number > 0 for number in told)
+
+
+@pytest.mark.full
+def test_a_run_is_recorded_drawn_and_simulated_again_with_the_same_bits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "walker.mcap"
+    assert main(["run", str(write_scene(tmp_path)), "--record", str(record), "--no-view"]) == 0
+    assert judge(record) == (0, 0)
+    with open_recording(record) as recording:
+        bodies = read_bodies(recording)
+        first, last = (body_vertices(recording, bodies, t) for t in (0.0, 0.4))
+        message = recording.last(GEOMETRY.name)
+        assert message is not None
+        geometry = decode_geometry(message.payload)
+    assert geometry.kind.tolist() == [SKIN]
+    assert np.abs(first - geometry.vertices).max() < 1e-12
+    moved = np.linalg.norm(last - first, axis=1)
+    assert moved.max() > 0.2 > 0.1 > moved.min()
+    assert main(["verify", str(record)]) == 0
+    assert main(["replay", str(record), "--save", str(tmp_path / "walker.rrd")]) == 0
+    assert (tmp_path / "walker.rrd").stat().st_size > 1e6
+    assert main(["export", str(record), "--png", str(tmp_path / "walker.png")]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.full
+def test_contact_by_distance_refuses_a_skin_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for contact in ("penalty", "sliding"):
+        scene = write_scene(tmp_path, cloth_contact={"plugin": "offset"}, contact={"plugin": contact})
+        assert main(["run", str(scene), "--no-view"]) == 2
+        said = capsys.readouterr().err
+        assert "bend" in said
+        assert "bodies: [wearer]" in said
+
+
+@pytest.mark.full
+def test_a_sewn_shirt_is_worn_by_a_body_that_walks(shared_data: Path, tmp_path: Path) -> None:
+    """For 1.5 s, all but 0.1 s on the move: no edge of cloth through the skin in any frame, nor of it through cloth."""
+    for name in ("body-mean.obj", "cmu_12_01_walk.bvh", "patterns/shirt.json"):
+        (tmp_path / Path(name).name).symlink_to(shared_data / name)
+    model = {"plugin": "pattern", "file": "shirt.json", "edge": "3 cm", "fabric": "interlock",
+             "over": {"body": "wearer", "clearance": "2 cm"}}  # fmt: skip
+    collider = {"plugin": "skin", "file": "body-mean.obj", "stand": 0.1, "blend": 0.8}
+    motion = {"plugin": "bvh", "file": "cmu_12_01_walk.bvh"}
+    scene = write_scene(
+        tmp_path, duration=1.5, frame_rate=60, solver={"plugin": "respa"}, damping=8,
+        objects=[{"name": "shirt", "model": model}], operations=[{"plugin": "untangle"}],
+        bodies=[{"name": "wearer", "collider": collider, "motion": motion, "friction": 0.4}],
+    )  # fmt: skip
+    record = tmp_path / "shirt.mcap"
+    assert main(["run", str(scene), "--record", str(record), "--no-view", "--root", str(shared_data)]) == 0
+    with open_recording(record) as recording:
+        told = [recording.json(message.payload)["crossings"] for message in recording.messages([PENETRATION.name])]
+    assert len(told) == 91 and not any(told)
