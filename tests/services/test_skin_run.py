@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from persons import person_file
+from persons import person_file, skinned
+from test_viewer_file import read, write
+from viewer_run import messages
 
 from nuno.cli import main
-from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.export.cloth import body_vertices, read_bodies
 from nuno.recording.reader import open_recording
 from nuno_bench.problem.oracle import Oracle
-from nuno_schemas.bodies import SKIN
+from nuno_schemas.bodies import SKIN, Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION
 
 WALK = Path(__file__).resolve().parents[2] / "scenes" / "walk.bvh"
@@ -53,6 +55,27 @@ def judge(record: Path) -> tuple[int, int]:
             oracle = Oracle(np.concatenate([x, body]), np.concatenate([cloth, faces + np.int32(len(x))]))
             seen += oracle.crossed(np.concatenate([x, body]))
         return seen, sum(number > 0 for number in told)
+
+
+def test_a_skin_is_drawn_where_its_frames_bend_it(tmp_path: Path) -> None:
+    """In each frame, in the world; and where nothing moves, no more."""
+    geometry, still, fed = skinned(), Poses(0.0, np.eye(4)[[0, 0]], np.zeros((2, 3))), []
+
+    def bent(frame: int, t: float) -> Poses:
+        half = 0.1 * min(frame, 2)
+        turns = np.array([[np.cos(half), 0, 0, -np.sin(half)], [np.cos(half), 0, 0, np.sin(half)]])
+        return Poses(t, turns, still.translation)
+
+    for topic, frame, t, payload in messages(4, 8, 6):
+        if topic == GEOMETRY.name:
+            payload = encode_geometry(geometry)
+        fed.append((topic, frame, t, encode_poses(bent(frame, t), frame) if topic == BODIES.name else payload))
+    found = read(write(tmp_path / "skin.rrd", fed), "/world/bodies/bar/skin", "Mesh3D:vertex_positions")
+    assert sorted(found) == [0, 1, 2]
+    for frame, points in found.items():
+        expected = geometry.placed(0, bent(frame, 0.0))[0]
+        assert np.array_equal(np.float32(points), expected.astype(np.float32))
+    assert np.abs(np.array(found[2]) - found[0]).max() > 0.02
 
 
 @pytest.mark.full

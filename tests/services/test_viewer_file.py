@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from persons import skinned
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
-from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.collision.surfaces import surface, vertex_normals
 from nuno.export.cloth import ShownPiece
 from nuno.export.paint import INSET, paint_yarns
@@ -25,9 +23,9 @@ from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import require
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
-from nuno_schemas.bodies import Poses, rotation_matrices
+from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
+from nuno_schemas.messages import BODIES, FABRIC, STATE
 from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
@@ -110,27 +108,6 @@ def test_bodies_stand_where_the_poses_put_them(saved: Path) -> None:
         along = np.clip((world - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
         distance = np.linalg.norm(world - a - along[:, None] * (b - a), axis=1)
         assert np.abs(distance - (geometry.radius[1] - INSET)).max() < 1e-6
-
-
-def test_a_skin_is_drawn_where_its_frames_bend_it(tmp_path: Path) -> None:
-    """In each frame, in the world; and where nothing moves, no more."""
-    geometry, still, fed = skinned(), Poses(0.0, np.eye(4)[[0, 0]], np.zeros((2, 3))), []
-
-    def bent(frame: int, t: float) -> Poses:
-        half = 0.1 * min(frame, 2)
-        turns = np.array([[np.cos(half), 0, 0, -np.sin(half)], [np.cos(half), 0, 0, np.sin(half)]])
-        return Poses(t, turns, still.translation)
-
-    for topic, frame, t, payload in messages(4, 8, 6):
-        if topic == GEOMETRY.name:
-            payload = encode_geometry(geometry)
-        fed.append((topic, frame, t, encode_poses(bent(frame, t), frame) if topic == BODIES.name else payload))
-    found = read(write(tmp_path / "skin.rrd", fed), "/world/bodies/bar/skin", "Mesh3D:vertex_positions")
-    assert sorted(found) == [0, 1, 2]
-    for frame, points in found.items():
-        expected = geometry.placed(0, bent(frame, 0.0))[0]
-        assert np.array_equal(np.float32(points), expected.astype(np.float32))
-    assert np.abs(np.array(found[2]) - found[0]).max() > 0.02
 
 
 def test_a_body_that_rests_is_placed_once(saved: Path) -> None:
