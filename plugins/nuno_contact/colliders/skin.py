@@ -9,6 +9,7 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.colliders.mesh import MeshCollider, Search
 from nuno_contact.colliders.shapes import ORIGIN
 from nuno_contact.quantities import Angle, Point, Size, Span
 from nuno_contact.skin.bones import bones_of
@@ -48,6 +49,10 @@ class SkinCollider:
 
     name: ClassVar[str] = "skin"
     Config: ClassVar[type[BaseModel]] = SkinConfig
+
+    def search(self, vertices: Float, faces: Int) -> Search:
+        """The closest point of its mesh where that is, for others than the contact: see MeshCollider."""
+        return MeshCollider().search(vertices, faces)
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed, cannot be read,
