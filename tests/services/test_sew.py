@@ -136,6 +136,8 @@ REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "both": (("--check", "--body", "column.obj"), "a pattern is put on a body, or checked"),
     "two": (("tube.json", "--body", "column.obj"), "a body is put on one pattern at a time"),
     "no body": (("--body", "colum.obj"), "body: no such file"),
+    "no motion": (("--body", "column.obj", "--motion", "walk.bvh"), "motion: no such file"),
+    "motion alone": (("--check", "--motion", "walk.bvh"), "a motion moves a body"),
     "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and has been changed"),
     "fabric": (("--body", "column.obj", "--fabric", "demin"), "'denim'"),
     "edge": (("--body", "column.obj", "--edge", "2 km"), "edge"),
@@ -156,9 +158,14 @@ def test_what_cannot_be_put_on_is_refused_before_anything_runs(
 def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for fabric, meant in (("demin", "'denim'"), ("plyester", "'polyester'")):
-        assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", fabric) == 2
+    """Also for a body that moves."""
+    (tmp_path / "walk.bvh").write_text("")
+    for fabric, meant, *flags in (
+        ("demin", "'denim'"), ("plyester", "'polyester'", "--motion", "walk.bvh"), ("denm", "'denim'")
+    ):  # fmt: skip
+        assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", fabric, *flags) == 2
         assert meant in capsys.readouterr().err
+        assert ("plugin: skin" in (tmp_path / "tube-worn.yaml").read_text()) == bool(flags)
 
 
 @pytest.mark.full

@@ -125,7 +125,7 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
     restless = 0
     for i in range(unrest.shape[0]):
         restless += 1 if AHEAD * window * window * unrest[i] > least else 0
-    return restless < RESTLESS * unrest.shape[0]
+    return bool(restless < RESTLESS * unrest.shape[0])
 
 
 @block_kernel

@@ -29,7 +29,7 @@ damping: 8
 objects:
   - name: garment
     colour: "#5b84b8"
-    model: {{plugin: pattern, file: {file}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
+    model: {{plugin: pattern, file: {pattern}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
 bodies:
   - name: wearer
     collider: {{plugin: mesh, file: {body}}}
@@ -40,6 +40,14 @@ operations:
 view: {{azimuth: 20 deg, elevation: 5 deg}}
 """
 """The scene of a pattern on a body: the guarantee of cloth contact begins once `untangle` is done."""
+WALKED = (
+    WORN.replace("and comes to rest there", "comes to rest there, and goes along as the body moves")
+    .replace("duration: 3 s\nuntil: rest\n", "duration: 4 s\n")
+    .replace("damping: 8", "damping: 1")
+    .replace("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
+             "    motion: {{plugin: bvh, file: {motion}}}")
+)  # fmt: skip
+"""The same on a body that stands for a second and sets out: what moves is held back less than what is to rest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     worn = parser.add_argument_group("put on a body")
     add_flags(worn, {
         "--body": ("FILE", "the body that wears it, in metres: OBJ, PLY, STL or GLB, upright, facing +z", Path),
+        "--motion": ("FILE", "a BVH that the body moves by, with its skin (default: it stands)", Path),
         "--fabric": ("NAME", "a preset (default: interlock); nuno fabrics lists them", str),
         "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
         "--scene": ("FILE", "the scene that is written and run (default: PATTERN-worn.yaml, here)", Path),
@@ -67,6 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.motion is not None and args.body is None:
+        raise BadInput("a motion moves a body", field="--motion", value=str(args.motion), remedy="add --body FILE")
     if args.check == (args.body is not None):
         remedy = "nuno sew PATTERN --body body.obj, or nuno sew --check PATTERN..."
         raise BadInput("a pattern is put on a body, or checked", remedy=remedy)
@@ -79,23 +90,33 @@ def wear(args: argparse.Namespace) -> int:
 
     if len(args.patterns) > 1:
         raise BadInput("a body is put on one pattern at a time", value=f"{len(args.patterns)} patterns")
-    pattern, body = args.patterns[0], args.body
-    for file, what in ((pattern, "pattern"), (body, "body")):
+    files = {"pattern": args.patterns[0], "body": args.body} | ({"motion": args.motion} if args.motion else {})
+    for what, file in files.items():
         if not file.is_file():
             raise BadInput("no such file", field=what, value=str(file))
+    pattern = files["pattern"]
     scene = args.scene or Path(f"{pattern.stem}-worn.yaml")
-    given = {"name": scene.stem, "file": pattern.name, "body": body.name, "edge": args.edge, "fabric": args.fabric}
-    # What was written for other flags, and not changed since, may go.
-    own = re.escape(WORN.format(**dict.fromkeys(given, "\0"))).replace(re.escape("\0"), ".*")
-    if scene.exists() and not re.fullmatch(own, scene.read_text(encoding="utf-8")):
+    names = {what: file.name for what, file in files.items()}
+    given = names | {"name": scene.stem, "edge": args.edge, "fabric": args.fabric}
+    if scene.exists() and not _is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    scene.write_text(WORN.format(**{name: json.dumps(value) for name, value in given.items()}), encoding="utf-8")
-    roots = dict.fromkeys(str(file.resolve().parent) for file in (pattern, body))
+    text = (WALKED if args.motion else WORN).format(**{name: json.dumps(value) for name, value in given.items()})
+    scene.write_text(text, encoding="utf-8")
+    roots = dict.fromkeys(str(file.resolve().parent) for file in files.values())
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     return nuno(command)
+
+
+def _is_own(text: str) -> bool:
+    """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
+    fields = ("name", "pattern", "body", "motion", "edge", "fabric")
+    own = (
+        re.escape(one.format(**dict.fromkeys(fields, "\0"))).replace(re.escape("\0"), ".*") for one in (WORN, WALKED)
+    )
+    return any(re.fullmatch(one, text) for one in own)
 
 
 def check(args: argparse.Namespace) -> int:
