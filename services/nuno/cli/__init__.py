@@ -33,7 +33,7 @@ COMMANDS = {
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": (
         "nuno_bench.gallery.command",
-        "one page with pictures of all scenes of a kind: contact, dye, knit, wrinkle",
+        "one page with pictures of all scenes of a kind: contact, dye, knit, sewn, wrinkle",
     ),
     "plugins": ("nuno.cli.lists", "which plugins are installed"),
     "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),

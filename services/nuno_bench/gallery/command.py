@@ -13,18 +13,21 @@ from nuno.ahead import Pace, run_seconds
 from nuno.scene import scene_file
 from nuno.words import roughly
 from nuno_bench import machine, options
-from nuno_bench.gallery import contact, dye, knit, wrinkle
+from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed
 from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
 
-KINDS: dict[str, Kind] = {"contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "wrinkle": wrinkle.KIND}
+KINDS: dict[str, Kind] = {
+    "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
+}  # fmt: skip
 ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
-                        "figures of the dye paper; knit, all knits; wrinkle, lines drawn on cloth")  # fmt: skip
+                        "figures of the dye paper; knit, all knits; sewn, garments from patterns; "
+                        "wrinkle, lines drawn on cloth")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
