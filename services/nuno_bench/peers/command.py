@@ -22,8 +22,14 @@ from nuno_bench.peers.contact.queries import ask
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import Point, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
+from nuno_bench.peers.skirt import page as skirt_page
+from nuno_bench.peers.skirt import table as skirt_table
+from nuno_bench.peers.skirt.ours import converge
+from nuno_bench.peers.skirt.problem import hula_skirt
+from nuno_bench.peers.skirt.problem import look as look_at_skirt
 from nuno_bench.peers.table import KINDS, Kind
 from nuno_bench.report import page, plots
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 
@@ -35,7 +41,7 @@ class Scene:
     section  of the documentation
     kinds    of engines
     require  raises BadInput where something is missing that it cannot be without
-    measure  kinds, what is left out, repeats, limit [s]: all that is found
+    measure  kinds, what is left out, what was asked for (repeats, limit, duration [s]): all that is found
     page     module that shows that: `tables`, `verdicts`, `report`
     """
 
@@ -43,7 +49,7 @@ class Scene:
     section: str
     kinds: Sequence[Kind]
     require: Callable[[], None]
-    measure: Callable[[list[Kind], list[str], int, float], Any]
+    measure: Callable[[list[Kind], list[str], argparse.Namespace], Any]
     page: ModuleType
 
 
@@ -54,60 +60,75 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
     parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
-    options.add_repeats(parser, 3, "seconds to simulate at each setting")
+    options.add_repeats(parser, 3, "runs at each setting")
+    options.add_seconds(parser, "--duration", SECONDS, "simulated time, of the skirt alone")
     limit = "wall time of a setting, start and all; no repeats after a third of it"
     options.add_seconds(parser, "--limit", 200.0, limit)
-    options.add_shared(parser, "--out", "--docs")
+    options.add_shared(parser, "--out", "--html", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run every setting, print the tables, write page and JSON. A peer that breaks is a finding."""
     scene = SCENES[args.scene]
+    if args.scene != "skirt" and args.duration != SECONDS:
+        problem, remedy = f"what is said of the {args.scene} is of {SECONDS:g} s", "nuno bench peers skirt takes others"
+        raise BadInput(problem, field="--duration", value=f"{args.duration:g} s", remedy=remedy)
     scene.require()
     kinds = choose(scene.kinds, args.only)
     left_out = leave_out(kinds, args.only)
     page.check_section(args.docs, scene.section)
     others = machine.Others()
-    found = scene.measure(kinds, left_out, args.repeats, args.limit)
+    found = scene.measure(kinds, left_out, args)
     used = [kind.package for kind in kinds if kind.package and not kind.missing]
     for table in page.nonempty(scene.page.tables(found)):
         print(table.text() if isinstance(table, page.Table) else table)
     for text in [*map(": ".join, sheet_page.notes(found.points).rows), *scene.page.verdicts(found), *left_out]:
         print(text)
     report = scene.page.report(found, machine.about(others, peers=sheet_page.versions(used)))
-    report.write_beside(args.out / scene.section.replace(" ", "-"), args.docs, scene.section)
+    base = args.out / scene.section.replace(" ", "-")
+    report.write(args.html or base.with_suffix(".html"), base.with_suffix(".json"), args.docs, scene.section)
     return 0
 
 
 def points_of(
-    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], repeats: int, limit: float
+    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], asked: argparse.Namespace
 ) -> Iterator[Point[S]]:
     """Of every kind that is installed, at all of its settings."""
     for kind in kinds:
         for name in () if kind.missing else kind.settings:
             print(f"{kind.name}, {name} ...", file=sys.stderr)
-            yield measure(kind, name, posed, score, repeats, limit)
+            yield measure(kind, name, posed, score, asked.repeats, asked.limit, asked.duration)
 
 
-def measure_sheet(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> sheet_page.Found:
+def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> sheet_page.Found:
     """Against the converged run of ours."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
     converged, begin = Nuno(sheet, REFERENCE), time.perf_counter()
     exact = converged.advance(SECONDS)
     taken, score = time.perf_counter() - begin, partial(judge, sheet, exact=exact)
-    return sheet_page.Found(kinds, list(points_of(kinds, sheet, score, repeats, limit)), left_out, taken)
+    return sheet_page.Found(kinds, list(points_of(kinds, sheet, score, asked)), left_out, taken)
 
 
-def measure_contact(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> contact_page.Found:
+def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> contact_page.Found:
     """By the frames of every engine; and questions about ours."""
     pile = five_sheets()
-    points = list(points_of(kinds, pile, partial(look, pile), repeats, limit))
+    points = list(points_of(kinds, pile, partial(look, pile), asked))
     answers = []
     if any(kind.name == "ipctk" for kind in kinds):
         print("questions to ipctk ...", file=sys.stderr)
-        answers = ask(pile, Solver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), repeats)
+        answers = ask(pile, Solver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
     return contact_page.Found(kinds, points, left_out, answers)
+
+
+def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> skirt_page.Found:
+    """Against the converged run of ours, beside one that checks it."""
+    print("the lead-in and the converged runs ...", file=sys.stderr)
+    skirt = hula_skirt(asked.duration, threads=machine.cores())
+    points = converge(skirt, asked.duration)
+    exact = points[0].score.frames
+    points += points_of(kinds, skirt, partial(look_at_skirt, skirt, exact=exact), asked)
+    return skirt_page.Found(kinds, points, left_out, skirt)
 
 
 def require_oracle() -> None:
@@ -119,4 +140,6 @@ SCENES = {
                    sheet_page),
     "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", contact_table.KINDS,
                      require_oracle, measure_contact, contact_page),
+    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers-skirt", skirt_table.KINDS,
+                   plots.require_matplotlib, measure_skirt, skirt_page),
 }  # fmt: skip

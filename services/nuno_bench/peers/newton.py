@@ -78,13 +78,13 @@ class VBD(_Newton):
 
     def _build(self, builder: Any) -> None:
         super()._build(builder)
-        builder.set_coloring(colour(self.sheet))
+        builder.set_coloring(colour(len(self.sheet.mass), self.sheet.pairs))
 
 
-def colour(sheet: Sheet) -> list[NDArray[np.int32]]:
-    """Groups of vertices that no spring joins, first come first served."""
-    near: list[list[int]] = [[] for _ in sheet.mass]
-    for i, j in sheet.pairs.tolist():
+def colour(number: int, pairs: NDArray[np.int64]) -> list[NDArray[np.int32]]:
+    """Groups of so many vertices that no pair (s, 2) joins, first come first served."""
+    near: list[list[int]] = [[] for _ in range(number)]
+    for i, j in pairs.tolist():
         near[i].append(j)
         near[j].append(i)
     colours = np.full(len(near), -1)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
-from nuno_bench.peers.process import Point
+from nuno_bench.peers.process import Point, fastest, is_ours
 from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, MARKERS, Curve, Panel, draw
@@ -56,7 +56,7 @@ def accurate(point: Point[Score]) -> bool:
 
 def best(points: Iterable[Point[Score]]) -> Point[Score] | None:
     """The fastest that is accurate."""
-    return min((point for point in points if accurate(point)), key=lambda point: point.median, default=None)
+    return fastest(points, lambda score: score.accurate)
 
 
 def settings(found: Found) -> Table:
@@ -86,10 +86,24 @@ def notes(points: Sequence[Point[Any]]) -> Table:
     return Table(("peer", "setting", "note"), rows, "Failures, and what engines say.", prose=True)
 
 
+def given(kinds: Sequence[Kind]) -> Table:
+    """What each is given."""
+    rows = [[kind.name, kind.posed] for kind in kinds]
+    return Table(("peer", "what it is given"), rows, "Material and method.", prose=True)
+
+
+def against(points: Sequence[Point[Any]], point: Point[Any], times: float | None) -> list[str]:
+    """Cells of how many times as long as ours another engine takes, and whether that meets the bar, of more than 1."""
+    verdict = ""
+    if not is_ours(point) and any(is_ours(one) and one.score is not None for one in points):
+        verdict = "bar met" if times is not None and times > 1.0 else "missed"
+    return [number(times) if times is not None else "", verdict]
+
+
 def verdicts(found: Found) -> list[str]:
     """The fastest of ours and of theirs, and who reaches the accuracy at no setting."""
-    own = best(point for point in found.points if point.kind.startswith("nuno-"))
-    other = best(point for point in found.points if not point.kind.startswith("nuno-"))
+    own = best(filter(is_ours, found.points))
+    other = best(point for point in found.points if not is_ours(point))
     texts = [
         f"{whose}: {point.kind} ({point.setting}) is accurate in {number(point.median)} s."
         for whose, point in (("Ours", own), ("Of the others", other)) if point is not None
@@ -125,8 +139,7 @@ def versions(packages: Iterable[str]) -> str:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    given = [[kind.name, kind.posed] for kind in found.kinds]
-    posed = Table(("peer", "what it is given"), given, "Material and method.", prose=True)
+    posed = given(found.kinds)
     figure, said = Figure(draw([error_over_time(found)], height=5.0), CAPTION), " ".join(verdicts(found))
     points = [vars(p) | {"accurate": accurate(p), "median": p.median if p.seconds else None} for p in found.points]
     judged = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE}

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -28,7 +28,7 @@ class Point(Generic[S]):
     """One engine at one setting, with a score of the kind S.
 
     start     from a fresh process to the first step: imports, the model, compiling [s]
-    seconds   wall times of the simulated second, one per repeat [s]
+    seconds   wall times of what is simulated, one per repeat [s]
     failure   why there is no score
     remark    what the engine says of the run
     """
@@ -46,14 +46,38 @@ class Point(Generic[S]):
         return float(np.median(self.seconds)) if self.seconds else float("nan")
 
 
-def measure(kind: Kind, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float) -> Point[S]:
+def fastest(points: Iterable[Point[S]], fits: Callable[[S], bool]) -> Point[S] | None:
+    """Of those that have a score, and one that fits."""
+    kept = (point for point in points if point.score is not None and fits(point.score))
+    return min(kept, key=lambda point: point.median, default=None)
+
+
+def is_ours(point: Point[Any]) -> bool:
+    return point.kind.startswith("nuno-")
+
+
+def times_ours(points: Iterable[Point[S]], point: Point[S], no_worse: Callable[[S], bool]) -> float | None:
+    """How many times as long another engine takes as our fastest whose score is no worse than its.
+
+    None for ours, for what has no score, and where none of ours is as good; that one is faster is not said then.
+    """
+    if point.score is None or is_ours(point):
+        return None
+    own = fastest(filter(is_ours, points), no_worse)
+    return point.median / own.median if own is not None else None
+
+
+def measure(
+    kind: Kind, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float,
+    simulated: float = SECONDS,
+) -> Point[S]:  # fmt: skip
     """Run its setting of this name in a process of its own, ended after `limit` [s].
 
-    `posed` is what the engine is made with, and `judge` scores what it advances to.
+    `posed` is what the engine is made with, and `judge` scores what it advances to in `simulated` [s].
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    asked = (kind.module, kind.made, kind.settings[name], posed, repeats, limit)
+    asked = (kind.module, kind.made, kind.settings[name], posed, repeats, limit, simulated)
     child = context.Process(target=work, args=(theirs, *asked), daemon=True)
     child.start()
     theirs.close()
@@ -82,7 +106,10 @@ def measure(kind: Kind, name: str, posed: object, judge: Callable[[Float], S], r
     return Point(**vars(point) | {"score": judge(x)})
 
 
-def work(tell: Connection, module: str, made: str, setting: Setting, posed: object, repeats: int, limit: float) -> None:
+def work(
+    tell: Connection, module: str, made: str, setting: Setting, posed: object, repeats: int, limit: float,
+    simulated: float = SECONDS,
+) -> None:  # fmt: skip
     """The process: make the engine, one short run that compiles, then the repeats; what is found is sent as it comes.
 
     Engines write lines of their own, which go nowhere.
@@ -99,7 +126,7 @@ def work(tell: Connection, module: str, made: str, setting: Setting, posed: obje
         for _ in range(repeats):
             peer.reset()
             at = time.perf_counter()
-            x = peer.advance(SECONDS)
+            x = peer.advance(simulated)
             spent += (seconds := time.perf_counter() - at)
             tell.send({"seconds": seconds, "remark": peer.remark, "x": x})
             if spent > ENOUGH * limit:

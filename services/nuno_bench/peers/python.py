@@ -17,7 +17,11 @@ from nuno_schemas.fabric import Float
 
 def stiff_sheet(*overrides: str) -> Sheet:
     """The shipped scene's sheet as plain arrays."""
-    simulation = Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, 1)
+    return plain_sheet(Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, 1))
+
+
+def plain_sheet(simulation: Simulation) -> Sheet:
+    """The cloth of a simulation at rest."""
     fabric, system = simulation.fabric, simulation.system
     springs = fabric.springs
     assert springs is not None
@@ -52,7 +56,8 @@ class Nuno:
     def frames(self, seconds: float) -> Iterator[Float]:
         """Positions (n, 3) [m] after each frame of this time, of which the next takes the place."""
         simulation = self.simulation
-        while simulation.t < seconds - 1e-9:
+        end = simulation.t + seconds
+        while simulation.t < end - 1e-9:
             report = simulation.step().report
             if report.status != "ok":
                 raise RuntimeError(f"{report.status}: {report.message}")

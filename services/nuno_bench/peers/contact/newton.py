@@ -23,41 +23,21 @@ from nuno_bench.peers.contact.problem import (
     THICKNESS,
     Pile,
 )
+from nuno_bench.peers.newton_cloth import Newton
 from nuno_schemas.fabric import Float
 
-PUSH, DAMP = 1e3, 0.1
-"""Stiffness [N/m] and damping [N s/m] of contacts, as in the example cloth_twist."""
-GAP, PAIRS_OF_VERTEX, PAIRS_OF_EDGE = 1.5e-3, 64, 128
-"""How far beyond the thickness pairs are looked for [m], and how many are kept, as there; its thickness is ours."""
 DIAGONAL = 0.5
 """Of the stiffness of folds along rows, so that triangles whose diagonals alternate bend alike in all directions."""
 
 
-class _Newton:
-    def __init__(self, pile: Pile, substeps: int, iterations: int) -> None:
-        import newton
-        import warp
-
-        warp.config.quiet = True
-        warp.set_device("cpu")
-        self.newton, self.warp, self.remark = newton, warp, ""
-        self.substeps, self.iterations = substeps, iterations
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=warp.vec3(*pile.gravity))
-        still = warp.vec3(0.0, 0.0, 0.0)
-        mesh = {
-            "pos": still, "rot": warp.quat_identity(), "vel": still, "scale": 1.0, "density": DENSITY,
-            "vertices": pile.x.tolist(), "indices": pile.faces.ravel().tolist(), "particle_radius": THICKNESS,
-        }  # fmt: skip
+class _Newton(Newton):
+    def _pose(self, builder: Any, pile: Pile) -> None:
+        mesh = self.mesh(pile.x, pile.faces, DENSITY, THICKNESS)
         self._build(builder, pile, mesh)
         builder.particle_mass[:] = pile.mass.tolist()
         builder.edge_bending_properties[:] = [(k, 0.0) for k in self._folds(*folds(builder)).tolist()]
-        # Of two coefficients of friction it takes the root of the product.
-        rough = newton.ModelBuilder.ShapeConfig(mu=RUB**2 / FRICTION, ke=PUSH, kd=DAMP)
-        place = warp.transform(warp.vec3(*CENTRE), warp.quat_identity())
-        builder.add_shape_sphere(-1, xform=place, radius=RADIUS, cfg=rough)
-        self.model = builder.finalize()
-        self.model.soft_contact_ke, self.model.soft_contact_kd, self.model.soft_contact_mu = PUSH, DAMP, FRICTION
-        self.reset()
+        place = self.warp.transform(self.warp.vec3(*CENTRE), self.warp.quat_identity())
+        builder.add_shape_sphere(-1, xform=place, radius=RADIUS, cfg=self.rough(RUB, FRICTION))
 
     @abstractmethod
     def _build(self, builder: Any, pile: Pile, mesh: dict[str, Any]) -> None:
@@ -67,28 +47,14 @@ class _Newton:
     def _folds(self, length: Float, area: Float, share: Float) -> Float:
         """What the solver has for the stiffness of folds: see `folds`."""
 
-    @abstractmethod
-    def _solver(self) -> Any: ...
-
-    def reset(self) -> None:
-        self.now, self.next, self.control = self.model.state(), self.model.state(), self.model.control()
-        self.pipeline = self.newton.CollisionPipeline(self.model)
-        self.contacts, self.solver = self.pipeline.contacts(), self._solver()
+    @property
+    def friction(self) -> float:
+        return FRICTION
 
     def _step_frame(self) -> None:
         self.solver.rebuild_bvh(self.now)
         for _ in range(self.substeps):
-            self.now.clear_forces()
-            self.pipeline.collide(self.now, self.contacts)
-            self.solver.step(self.now, self.next, self.control, self.contacts, 1.0 / RATE / self.substeps)
-            self.now, self.next = self.next, self.now
-
-    def advance(self, seconds: float) -> Float:
-        frames = []
-        for _ in range(max(1, round(seconds * RATE))):
-            self._step_frame()
-            frames.append(self.now.particle_q.numpy().astype(np.float64))
-        return np.array(frames)
+            self.step(1.0 / RATE / self.substeps)
 
 
 class VBD(_Newton):
@@ -105,11 +71,7 @@ class VBD(_Newton):
         return share * BEND * length / area  # times the length is the stiffness
 
     def _solver(self) -> Any:
-        return self.newton.solvers.SolverVBD(
-            self.model, iterations=self.iterations, particle_enable_self_contact=True,
-            particle_self_contact_margin=THICKNESS, particle_self_contact_gap=GAP,
-            particle_vertex_contact_buffer_size=PAIRS_OF_VERTEX, particle_edge_contact_buffer_size=PAIRS_OF_EDGE,
-        )  # fmt: skip
+        return self.vbd(THICKNESS)
 
     def reset(self) -> None:
         super().reset()
@@ -139,11 +101,7 @@ class Style3D(_Newton):
         return share * BEND / 3.0  # times 3 length^2 / area is the stiffness
 
     def _solver(self) -> Any:
-        config = self.newton.solvers.SolverStyle3D.Config(iterations=self.iterations)
-        solver = self.newton.solvers.SolverStyle3D(self.model, config=config)
-        if not self.own_reach:
-            solver.collision.radius = THICKNESS / 2.0
-        return solver
+        return self.style3d(None if self.own_reach else THICKNESS)
 
 
 def folds(builder: Any) -> tuple[Float, Float, Float]:

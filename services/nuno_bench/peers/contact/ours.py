@@ -1,10 +1,10 @@
-"""Our own solvers with cloth contact, on the pile."""
+"""Our own solvers with cloth contact, on the pile; other scenes with it derive from this."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nuno_bench.peers.contact.problem import OVERRIDES, SCENE, Pile
+from nuno_bench.peers.contact.problem import OVERRIDES, SCENE
 from nuno_bench.peers.python import Nuno
 from nuno_schemas.fabric import Float
 
@@ -12,10 +12,10 @@ from nuno_schemas.fabric import Float
 class Solver(Nuno):
     """`solver` as a scene has it; steps without services."""
 
-    scene = SCENE
+    scene, overrides = SCENE, OVERRIDES
 
-    def __init__(self, pile: Pile, solver: str) -> None:
-        super().__init__(pile, solver, overrides=OVERRIDES)
+    def __init__(self, posed: object, solver: str) -> None:
+        super().__init__(posed, solver, overrides=self.overrides)
 
     def advance(self, seconds: float) -> Float:
         frames = np.array([x.copy() for x in self.frames(seconds)])

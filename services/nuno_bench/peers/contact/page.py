@@ -8,8 +8,8 @@ from statistics import median
 
 from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SIDES, STRETCH, THICKNESS, Seen
 from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
-from nuno_bench.peers.page import notes
-from nuno_bench.peers.process import Point
+from nuno_bench.peers.page import against, given, notes
+from nuno_bench.peers.process import Point, fastest, times_ours
 from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Part, Report, Sections, Table
 from nuno_bench.report.result import number, spread_of
@@ -48,25 +48,16 @@ class Found:
     left_out: Sequence[str]
     answers: Sequence[Answer]
 
-    def own(self) -> list[Point[Seen]]:
-        return [point for point in self.points if point.score is not None and point.kind.startswith("nuno-")]
-
 
 def best(points: Iterable[Point[Seen]], most: int) -> Point[Seen] | None:
     """The fastest of those that have a score, with no more frames crossed."""
-    kept = (point for point in points if point.score is not None and len(point.score.crossed) <= most)
-    return min(kept, key=lambda point: point.median, default=None)
+    return fastest(points, lambda seen: len(seen.crossed) <= most)
 
 
 def ratio(found: Found, point: Point[Seen]) -> float | None:
-    """How many times as long another engine takes as our fastest with no more frames crossed.
-
-    None for ours, for what has no score, and where none of ours has as few; that one is faster is not said then.
-    """
-    if point.score is None or point.kind.startswith("nuno-"):
-        return None
-    own = best(found.own(), len(point.score.crossed))
-    return point.median / own.median if own is not None else None
+    """How many times as long another engine takes as our fastest with no more frames crossed: see times_ours."""
+    most = len(point.score.crossed) if point.score is not None else 0
+    return times_ours(found.points, point, lambda seen: len(seen.crossed) <= most)
 
 
 def settings(found: Found) -> Table:
@@ -79,11 +70,8 @@ def _row(found: Found, point: Point[Seen]) -> list[str]:
     if seen is None:
         return [point.kind, point.setting, "", "", "", "", "", start, "", "failed"]
     figures = (len(seen.crossed), 100 * seen.stretch, 1e3 * seen.height, point.median)
-    times, verdict = ratio(found, point), ""
-    if not point.kind.startswith("nuno-") and found.own():
-        verdict = "bar met" if times is not None and times > 1.0 else "missed"
-    shown = number(times) if times is not None else ""
-    return [point.kind, point.setting, *map(number, figures), spread_of(point.seconds), start, shown, verdict]
+    return [point.kind, point.setting, *map(number, figures), spread_of(point.seconds), start,
+            *against(found.points, point, ratio(found, point))]  # fmt: skip
 
 
 def tables(found: Found) -> list[Table]:
@@ -121,9 +109,8 @@ def queries(found: Found) -> Table:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    given = [[kind.name, kind.posed] for kind in found.kinds]
-    posed = Table(("peer", "what it is given"), given, "Material and method.", prose=True)
-    table, asked, said_of, said = settings(found), queries(found), notes(found.points), " ".join(verdicts(found))
+    posed, table, asked, said_of = given(found.kinds), settings(found), queries(found), notes(found.points)
+    said = " ".join(verdicts(found))
     data = {
         "points": [vars(p) | {"median": p.median if p.seconds else None} for p in found.points],
         "answers": found.answers, "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},

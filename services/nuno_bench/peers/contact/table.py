@@ -9,18 +9,22 @@ SPRINGS = "Springs and hinges of the cloth, damped by 0.05 of critical; solver a
 SAME = "The same triangles, masses, thickness and friction; single precision; no damping but the solver's own. "
 
 
-def _nuno(solver: str, given: str, *steps: str) -> Kind:
-    """`steps` are what `dt` may be: auto, or a number of steps a frame."""
+def ours(module: str, solver: str, given: str, *steps: str, posed: str) -> Kind:
+    """Our `solver`, what it is given beside `dt`, and what that may be: auto, or a number of steps a frame."""
     settings: dict[str, Setting] = {}
     for step in steps:
         name, dt = (
             (f"{given}dt auto", "auto") if step == "auto" else (f"{given}{step} a frame", repr(1 / RATE / int(step)))
         )
         settings[name] = {"solver": f"plugin: {solver}, {given}dt: {dt}"}
-    return Kind(f"nuno-{solver}", "", "nuno_bench.peers.contact.ours", "Solver", settings, SPRINGS)
+    return Kind(f"nuno-{solver}", "", module, "Solver", settings, posed)
 
 
-def _at(steps: int, iterations: int, said: str = "", **more: bool) -> dict[str, Setting]:
+def _nuno(solver: str, given: str, *steps: str) -> Kind:
+    return ours("nuno_bench.peers.contact.ours", solver, given, *steps, posed=SPRINGS)
+
+
+def at(steps: int, iterations: int, said: str = "", **more: bool) -> dict[str, Setting]:
     name = ", ".join(filter(None, [f"{steps} steps a frame, {iterations} iterations", said]))
     return {name: {"substeps": steps, "iterations": iterations, **more}}
 
@@ -32,11 +36,11 @@ def _newton(made: str, settings: dict[str, Setting], posed: str) -> Kind:
 KINDS = (
     _nuno("symplectic_euler", "", "auto"),
     _nuno("implicit_euler", "residual: 1e-1, ", "1"),
-    _newton("VBD", _at(10, 4, "as cloth_twist") | _at(10, 10, "as cloth_hanging") | _at(20, 10, "as poker_cards"),
+    _newton("VBD", at(10, 4, "as cloth_twist") | at(10, 10, "as cloth_hanging") | at(20, 10, "as poker_cards"),
             "Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact within the "
             "thickness, its stiffness and buffers as in the example cloth_twist. A frame is a graph of kernels."),
-    _newton("Style3D", _at(10, 4, "as cloth_style3d") | _at(10, 4, "its own 6 mm thickness", own_reach=True)
-            | _at(20, 10),
+    _newton("Style3D", at(10, 4, "as cloth_style3d") | at(10, 4, "its own 6 mm thickness", own_reach=True)
+            | at(20, 10),
             "Baraff and Witkin's triangles of the cloth's tension and shear, not narrowing; quadratic bending of their "
             "folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm unless a part of the "
             "solver is changed, as it is here but for a row."),

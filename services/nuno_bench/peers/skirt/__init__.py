@@ -1,0 +1,1 @@
+"""The skirt on a dancer, in other engines and in ours."""

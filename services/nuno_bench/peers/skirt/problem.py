@@ -1,0 +1,184 @@
+"""The skirt of scene skirt-hula on its dancer, as plain arrays that any engine can hold, and how a run of it is judged."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nuno.collision.crossings import find_crossings
+from nuno.collision.distance import penetration
+from nuno.collision.pairs import mesh_of
+from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
+from nuno_bench.peers.contact.problem import RATE
+from nuno_bench.peers.problem import Sheet
+from nuno_bench.peers.python import plain_sheet
+from nuno_bench.problem.oracle import Oracle
+from nuno_contact.motions.rotations import slerp
+from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Float, Int
+
+SCENE = "skirt-hula"
+OVERRIDES = ("forces=[]", f"frame_rate={RATE}", "record={}")
+"""What makes the shipped scene into one that every engine can hold: no air that pushes, but the damping of all motion
+that it has beside."""
+DEEP = 3e-3
+"""How deep in the body cloth counts as being in it [m]: more than penalty contact lets it sink in, 0.7 mm, and than
+what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, when both its ends lie on it, 2.1 mm."""
+ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
+"""Places along an edge that are looked at."""
+
+
+@dataclass(frozen=True)
+class Skirt(Sheet):
+    """A pleated skirt that swings, and the body it hangs on. Vertices are row by row from the waist, which is held.
+
+    flat        (n, 3) [m] its form at rest, pleated; `x` is where it is at the start, `v` (n, 3) how it moves then [m/s]
+    faces       (f, 3) triangles; columns: vertices of a row
+    quads       (h, 4) vertices of hinges: edge start and end, both opposite; bend (h,) their stiffness [N m], flat at rest
+    fabric      tension along warp and weft and shear [N/m]: warp runs down, weft around
+    thickness   distance from which on cloth pushes cloth [m]; friction, rub: of cloth on cloth and on the body
+    geometry    of the body, of capsules alone; poses: where they are at the start and at the end of every frame
+    hips        number of the frame that the waist moves with
+    begin       time of the start in the scene [s]; size: diagonal of the box about the cloth at rest [m]
+    """
+
+    flat: Float
+    v: Float
+    faces: Int
+    columns: int
+    quads: Int
+    bend: Float
+    fabric: tuple[float, float, float]
+    thickness: float
+    friction: float
+    rub: float
+    geometry: Geometry
+    poses: tuple[Poses, ...]
+    hips: int
+    begin: float
+    size: float
+
+    @property
+    def frames(self) -> int:
+        return len(self.poses) - 1
+
+    def go_on(self, simulation: Simulation) -> None:
+        """Put a simulation of the scene at the start to where and how the skirt is."""
+        simulation.state.x[:], simulation.state.v[:] = self.x, self.v
+        simulation.frame = round(self.begin * RATE)
+        simulation.state.t = simulation.t
+        simulation.poses = simulation.find_poses(simulation.frame)
+
+    def places(self, frame: int, share: float) -> tuple[Float, Float]:
+        """Rotations (f, 4) and places (f, 3) [m] of the body's frames at a share of the way through a frame."""
+        one, two = self.poses[frame], self.poses[frame + 1]
+        turned = slerp(one.rotation, two.rotation, share)
+        return turned, (1.0 - share) * one.translation + share * two.translation
+
+    def waist(self, turned: Float, moved: Float) -> Float:
+        """(b, 3) [m] of the held vertices where the body's frames are so turned and moved."""
+        start = self.poses[0]
+        first, now = rotation_matrices(np.stack([start.rotation[self.hips], turned[self.hips]]))
+        local = (self.x[self.pinned] - start.translation[self.hips]) @ first
+        return np.asarray(local @ now.T + moved[self.hips])
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the frames of a run show.
+
+    frames    (frames, n, 3) [m]
+    off       after every frame, the mean distance of vertices from the converged run's, over the cloth's size
+    hem       mean height of the hem's vertices, and radius: mean distance from their middle, both over all frames [m]
+    stretch   the largest elongation of any spring in any frame
+    crossed   numbers, from 1 on, of the frames in which an edge goes through a triangle, by our own check
+    ipctk     how many those are by ipctk, None where that is not installed
+    edges, vertices  after every frame, how many are deeper in the body than DEEP, but for what is held
+    depth     the deepest of any free vertex in any frame [m]
+    """
+
+    frames: Float
+    off: tuple[float, ...]
+    hem: float
+    radius: float
+    stretch: float
+    crossed: tuple[int, ...]
+    ipctk: int | None
+    edges: tuple[int, ...]
+    vertices: tuple[int, ...]
+    depth: float
+
+
+def hula_skirt(seconds: float, lead: float | None = None, overrides: tuple[str, ...] = (), threads: int = 1) -> Skirt:
+    """The skirt when our own solver has let it swing for `lead` [s], as long as the dance grows unless given.
+
+    Raises RunFailed where it does not come there, and BadInput where less than a frame is left to see.
+    """
+    if (frames := round(seconds * RATE)) < 1:
+        problem, limit = "the time to simulate is less than a frame", f"at least {1 / RATE:.3g} s"
+        raise BadInput(problem, field="--duration", value=f"{seconds:g} s", limit=limit)
+    simulation = Simulation.with_bodies(scene_file.read(scene_file.find(SCENE), (*OVERRIDES, *overrides)), threads)
+    scene, fabric = simulation.loaded.scene, simulation.fabric
+    first = round((float(simulation.loaded.motions[0].config.ramp) if lead is None else lead) * RATE)  # type: ignore[union-attr]
+    while simulation.frame < first:
+        report = simulation.step().report
+        if report.status != "ok":
+            raise RunFailed(f"the lead-in of {SCENE}: {report.status}: {report.message}")
+    sheet, hinges, geometry = plain_sheet(simulation), fabric.hinges, simulation.geometry
+    poses = tuple(simulation.find_poses(first + i) for i in range(frames + 1))
+    config, model = simulation.loaded.cloth_contact.config, scene.objects[0].model.config  # type: ignore[union-attr]
+    assert hinges is not None and geometry is not None
+    (bound,) = fabric.bindings
+    return Skirt(
+        **vars(sheet) | {"x": simulation.state.x.copy()}, flat=sheet.x, v=simulation.state.v.copy(),
+        faces=fabric.faces, columns=len(bound.vertices), quads=hinges.quads(), bend=hinges.per_hinge(hinges.k),
+        fabric=_moduli(model["fabric"]), thickness=config.thickness, friction=config.friction,
+        rub=float(geometry.friction[0]), geometry=geometry, poses=poses,  # type: ignore[arg-type]
+        hips=geometry.frames.index(f"{bound.body}/{bound.frame}"), begin=first / RATE,
+        size=float(np.linalg.norm(np.ptp(sheet.x, axis=0))),
+    )  # fmt: skip
+
+
+def _moduli(choice: Any) -> tuple[float, float, float]:
+    from nuno_cloth.fabrics.material import Material, resolve
+
+    material = resolve(choice)
+    assert isinstance(material, Material)
+    return material.warp, material.weft, material.shear
+
+
+def look(skirt: Skirt, frames: Float, exact: Float) -> Seen:
+    """At positions (frames, n, 3) [m] that any engine has published, beside those of the converged run."""
+    mesh, ends = mesh_of(skirt.faces), skirt.pairs
+    off = np.linalg.norm(frames - exact, axis=2).mean(axis=1) / skirt.size
+    hem = frames[:, -skirt.columns :]
+    longest = max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / skirt.rest).max()) for x in frames)
+    crossed = tuple(number for number, x in enumerate(frames, 1) if len(find_crossings(x, mesh).edges))
+    deep = [_in_body(skirt, x, mesh.edges, poses) for x, poses in zip(frames, skirt.poses[1:], strict=True)]
+    return Seen(
+        frames, tuple(off.tolist()), float(hem[..., 1].mean()),
+        float(np.linalg.norm((hem - hem.mean(axis=1, keepdims=True))[..., [0, 2]], axis=2).mean()), longest - 1.0,
+        crossed, _by_ipctk(skirt, frames), tuple(edges for edges, _, _ in deep), tuple(n for _, n, _ in deep),
+        max(depth for _, _, depth in deep),
+    )  # fmt: skip
+
+
+def _by_ipctk(skirt: Skirt, frames: Float) -> int | None:
+    if importlib.util.find_spec("ipctk") is None:
+        return None
+    oracle = Oracle(skirt.x, skirt.faces)
+    return sum(oracle.crossed(x) for x in frames)
+
+
+def _in_body(skirt: Skirt, x: Float, edges: Int, poses: Poses) -> tuple[int, int, float]:
+    """How many edges and vertices are in the body, and how deep the deepest vertex is [m], of what is not held."""
+    own = penetration(x[skirt.free], skirt.geometry, poses)
+    some = edges[skirt.free[edges].any(axis=1)]
+    points = (1.0 - ALONG) * x[some[:, 0]] + ALONG * x[some[:, 1]]
+    depth = penetration(points.reshape(-1, 3), skirt.geometry, poses).reshape(len(ALONG), -1)
+    return int((depth.max(axis=0) > DEEP).sum()), int((own > DEEP).sum()), float(own.max(initial=0.0))
