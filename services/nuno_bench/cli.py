@@ -12,7 +12,7 @@ COMMANDS = {
     "compare": ("nuno_bench.precision.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability.command", "maps of what solvers make of a scene over stiffness, mesh and step"),
     "contact": ("nuno_bench.contact.command", "random scenes of cloth that meets cloth: none may pass through"),
-    "peers": ("nuno_bench.peers.command", "the same cloth in other engines and in ours: a stiff sheet, a pile"),
+    "peers": ("nuno_bench.peers.command", "the same cloth in other engines and in ours: a sheet, a pile, a skirt"),
     "integrators": (
         "nuno_bench.integrators.command",
         "the skirt paper's experiment: four methods, split and unsplit bones",

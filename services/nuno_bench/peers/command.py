@@ -25,7 +25,7 @@ from nuno_bench.peers.python import Nuno, stiff_sheet
 from nuno_bench.peers.skirt import page as skirt_page
 from nuno_bench.peers.skirt import table as skirt_table
 from nuno_bench.peers.skirt.ours import converge
-from nuno_bench.peers.skirt.problem import hula_skirt
+from nuno_bench.peers.skirt.problem import DURATION, hula_skirt
 from nuno_bench.peers.skirt.problem import look as look_at_skirt
 from nuno_bench.peers.table import KINDS, Kind
 from nuno_bench.report import page, plots
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
     parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
     options.add_repeats(parser, 3, "runs at each setting")
-    options.add_seconds(parser, "--duration", SECONDS, "simulated time, of the skirt alone")
+    options.add_seconds(parser, "--duration", DURATION, "simulated time, of the skirt alone")
     limit = "wall time of a setting, start and all; no repeats after a third of it"
     options.add_seconds(parser, "--limit", 200.0, limit)
     options.add_shared(parser, "--out", "--html", "--docs")
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run every setting, print the tables, write page and JSON. A peer that breaks is a finding."""
     scene = SCENES[args.scene]
-    if args.scene != "skirt" and args.duration != SECONDS:
+    if args.scene != "skirt" and args.duration != DURATION:
         problem, remedy = f"what is said of the {args.scene} is of {SECONDS:g} s", "nuno bench peers skirt takes others"
         raise BadInput(problem, field="--duration", value=f"{args.duration:g} s", remedy=remedy)
     scene.require()
@@ -91,13 +91,14 @@ def main(args: argparse.Namespace) -> int:
 
 
 def points_of(
-    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], asked: argparse.Namespace
-) -> Iterator[Point[S]]:
+    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], asked: argparse.Namespace,
+    seconds: float = SECONDS,
+) -> Iterator[Point[S]]:  # fmt: skip
     """Of every kind that is installed, at all of its settings."""
     for kind in kinds:
         for name in () if kind.missing else kind.settings:
             print(f"{kind.name}, {name} ...", file=sys.stderr)
-            yield measure(kind, name, posed, score, asked.repeats, asked.limit, asked.duration)
+            yield measure(kind, name, posed, score, asked.repeats, asked.limit, seconds)
 
 
 def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> sheet_page.Found:
@@ -125,9 +126,8 @@ def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namesp
     """Against the converged run of ours, beside one that checks it."""
     print("the lead-in and the converged runs ...", file=sys.stderr)
     skirt = hula_skirt(asked.duration, threads=machine.cores())
-    points = converge(skirt, asked.duration)
-    exact = points[0].score.frames
-    points += points_of(kinds, skirt, partial(look_at_skirt, skirt, exact=exact), asked)
+    exact, points = converge(skirt, asked.duration)
+    points += points_of(kinds, skirt, partial(look_at_skirt, skirt, exact=exact), asked, asked.duration)
     return skirt_page.Found(kinds, points, left_out, skirt)
 
 
@@ -140,6 +140,6 @@ SCENES = {
                    sheet_page),
     "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", contact_table.KINDS,
                      require_oracle, measure_contact, contact_page),
-    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers-skirt", skirt_table.KINDS,
+    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", skirt_table.KINDS,
                    plots.require_matplotlib, measure_skirt, skirt_page),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from nuno_bench.peers.contact.problem import RATE
 from nuno_bench.peers.newton import colour
 from nuno_bench.peers.newton_cloth import Newton
 from nuno_bench.peers.skirt.problem import Skirt
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 
 class _Newton(Newton):
@@ -92,7 +92,7 @@ class _Newton(Newton):
 
 
 class XPBD(_Newton):
-    """Springs and hinges as compliant constraints, corrected all at once; cloth meets cloth as balls at its vertices."""
+    """Springs and hinges as compliant constraints, corrected all at once; cloth meets cloth as balls at vertices."""
 
     rebuilds = False
 
@@ -105,10 +105,9 @@ class VBD(_Newton):
 
     def _cloth(self, builder: Any, skirt: Skirt) -> None:
         super()._cloth(builder, skirt)
-        quads, faces = skirt.quads.astype(np.int64), skirt.faces.astype(np.int64)
-        joined = [skirt.pairs, *(quads[:, [i, j]] for i in range(4) for j in range(i)), mesh_of(skirt.faces).edges]
+        joined: list[Any] = [skirt.pairs, mesh_of(skirt.faces).edges]
+        joined += [skirt.quads[:, [i, j]] for i in range(4) for j in range(i)]
         builder.set_coloring(colour(len(skirt.mass), np.unique(np.sort(np.concatenate(joined), axis=1), axis=0)))
-        assert faces.size
 
     def _folds(self, skirt: Skirt) -> Float:
         start, end = skirt.flat[skirt.quads[:, 0]], skirt.flat[skirt.quads[:, 1]]
@@ -161,13 +160,11 @@ def _of_edges(skirt: Skirt, builder: Any, panels: Float) -> Float:
     for quad, k in zip(skirt.quads[:, :2].tolist(), skirt.bend.tolist(), strict=True):
         stiffness[tuple(sorted(quad))] = stiffness.get(tuple(sorted(quad)), 0.0) + k
     one, two = panels[:, 1] - panels[:, 0], panels[:, 2] - panels[:, 0]
-    area = dict.fromkeys(range(len(skirt.mass)), 0.0)
     of_edge: dict[tuple[int, ...], float] = {}
     for face, size in zip(skirt.faces.tolist(), (0.5 * np.abs(_cross(one, two))).tolist(), strict=True):
         for i in range(3):
             side = tuple(sorted((face[i], face[i - 1])))
             of_edge[side] = of_edge.get(side, 0.0) + size
-    assert area
     found = []
     for *opposite, i, j in np.asarray(builder.edge_indices).tolist():
         k = stiffness.get(tuple(sorted((i, j))), stiffness.get(tuple(sorted(opposite)), 0.0))
@@ -187,6 +184,3 @@ def _from_z(direction: Float) -> Float:
         return np.array([1.0, 0.0, 0.0, 0.0])
     found = np.array([-y, x, 0.0, 1.0 + z])
     return np.asarray(found / np.linalg.norm(found))
-
-
-__all__ = ["VBD", "XPBD", "Int", "Style3D"]

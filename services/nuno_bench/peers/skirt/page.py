@@ -22,15 +22,15 @@ HEADINGS = (
     "edges in body", "vertices in body", "depth [mm]", "time [s]", "min - max", "start [s]", "times ours", "verdict",
 )  # fmt: skip
 JUDGED = (
-    "Off: the mean distance of vertices from the converged run's at the end, over the cloth's size; check is another "
-    "method as finely stepped, and below how far it is off an error says little. Hem height and hem radius: the hem's "
+    "Off: the mean distance of vertices from the converged run's at the end, over the cloth's size; check is the same "
+    "by steps twice as long, and below how far it is off an error says little. Hem height and hem radius: the hem's "
     "mean height, and its mean distance from its middle, over all frames. Stretch: the most of any of the skirt's "
-    "springs in any frame, against its length at rest. Crossed: frames in which an edge goes through a triangle, by our "
-    f"own check and by ipctk. In the body: edges and free vertices more than {1e3 * DEEP:g} mm deep, at the end and in "
-    "the worst frame. Depth: the deepest vertex of any frame. Time: the median over the repeats, over what is "
-    "simulated. Start, from a fresh process to the end of the first frame with all that is compiled, is in no time. "
-    "Times ours: over that of our fastest that is no farther off; the bar is met where it is above 1. A setting is not "
-    "repeated once it has used a third of its limit."
+    "springs in any frame, against its length at rest. Crossed: frames in which an edge goes through a triangle, by "
+    "our own check and by ipctk, empty where that is not installed. In the body: edges and free vertices more than "
+    f"{1e3 * DEEP:g} mm deep, at the end and in the worst frame. Depth: the deepest vertex of any frame. Time: the "
+    "median over the repeats, over what is simulated. Start, from a fresh process to the end of the first frame with "
+    "all that is compiled, is in no time. Times ours: over that of our fastest that is no farther off; the bar is met "
+    "where it is above 1. A setting is not repeated once it has used a third of its limit."
 )
 CAPTION = "How far engines are off over time, each at the setting that ends nearest; ours are solid."
 SHOWN = "The end of each engine, at its setting that is least off, and of the converged run, from one place."

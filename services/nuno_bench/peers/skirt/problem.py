@@ -1,4 +1,4 @@
-"""The skirt of scene skirt-hula on its dancer, as plain arrays that any engine can hold, and how a run of it is judged."""
+"""The skirt of scene skirt-hula on its dancer, as plain arrays for any engine, and how a run of it is judged."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from nuno_bench.peers.contact.problem import RATE
 from nuno_bench.peers.problem import Sheet
 from nuno_bench.peers.python import plain_sheet
 from nuno_bench.problem.oracle import Oracle
+from nuno_cloth.fabrics.material import resolve
 from nuno_contact.motions.rotations import slerp
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
@@ -29,6 +30,8 @@ that it has beside."""
 DEEP = 3e-3
 """How deep in the body cloth counts as being in it [m]: more than penalty contact lets it sink in, 0.7 mm, and than
 what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, when both its ends lie on it, 2.1 mm."""
+DURATION = 0.25
+"""What is simulated unless told [s]: 15 frames, of which the first begin alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 """Places along an edge that are looked at."""
 
@@ -37,9 +40,9 @@ ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 class Skirt(Sheet):
     """A pleated skirt that swings, and the body it hangs on. Vertices are row by row from the waist, which is held.
 
-    flat        (n, 3) [m] its form at rest, pleated; `x` is where it is at the start, `v` (n, 3) how it moves then [m/s]
+    flat        (n, 3) [m] its form at rest, pleated; at the start it is at `x` and moves by `v` (n, 3) [m/s]
     faces       (f, 3) triangles; columns: vertices of a row
-    quads       (h, 4) vertices of hinges: edge start and end, both opposite; bend (h,) their stiffness [N m], flat at rest
+    quads       (h, 4) vertices of hinges, flat at rest: edge start and end, both opposite; bend (h,) stiffness [N m]
     fabric      tension along warp and weft and shear [N/m]: warp runs down, weft around
     thickness   distance from which on cloth pushes cloth [m]; friction, rub: of cloth on cloth and on the body
     geometry    of the body, of capsules alone; poses: where they are at the start and at the end of every frame
@@ -131,25 +134,18 @@ def hula_skirt(seconds: float, lead: float | None = None, overrides: tuple[str, 
             raise RunFailed(f"the lead-in of {SCENE}: {report.status}: {report.message}")
     sheet, hinges, geometry = plain_sheet(simulation), fabric.hinges, simulation.geometry
     poses = tuple(simulation.find_poses(first + i) for i in range(frames + 1))
-    config, model = simulation.loaded.cloth_contact.config, scene.objects[0].model.config  # type: ignore[union-attr]
+    config: Any = simulation.loaded.cloth_contact and simulation.loaded.cloth_contact.config
+    material: Any = resolve(scene.objects[0].model.config["fabric"])
     assert hinges is not None and geometry is not None
     (bound,) = fabric.bindings
     return Skirt(
         **vars(sheet) | {"x": simulation.state.x.copy()}, flat=sheet.x, v=simulation.state.v.copy(),
         faces=fabric.faces, columns=len(bound.vertices), quads=hinges.quads(), bend=hinges.per_hinge(hinges.k),
-        fabric=_moduli(model["fabric"]), thickness=config.thickness, friction=config.friction,
+        fabric=(material.warp, material.weft, material.shear), thickness=config.thickness, friction=config.friction,
         rub=float(geometry.friction[0]), geometry=geometry, poses=poses,  # type: ignore[arg-type]
         hips=geometry.frames.index(f"{bound.body}/{bound.frame}"), begin=first / RATE,
         size=float(np.linalg.norm(np.ptp(sheet.x, axis=0))),
     )  # fmt: skip
-
-
-def _moduli(choice: Any) -> tuple[float, float, float]:
-    from nuno_cloth.fabrics.material import Material, resolve
-
-    material = resolve(choice)
-    assert isinstance(material, Material)
-    return material.warp, material.weft, material.shear
 
 
 def look(skirt: Skirt, frames: Float, exact: Float) -> Seen:
