@@ -10,6 +10,7 @@ import numpy as np
 
 from nuno_bench.peers.contact.problem import Pile
 from nuno_bench.peers.problem import Sheet
+from nuno_bench.peers.skirt.problem import Skirt
 from nuno_schemas.fabric import Float
 
 
@@ -77,3 +78,16 @@ class Sinks:
         frames = np.stack([self.pile.x, self.pile.x])
         frames[1, -1, 1] -= self.depth
         return frames
+
+
+class Drifts:
+    """Frames of a skirt that lies `by` [m] higher than where it starts."""
+
+    def __init__(self, skirt: Skirt, by: float) -> None:
+        self.skirt, self.by, self.remark = skirt, by, ""
+
+    def reset(self) -> None:
+        pass
+
+    def advance(self, seconds: float) -> Float:
+        return np.tile(self.skirt.x + np.array([0.0, self.by, 0.0]), (self.skirt.frames, 1, 1))
