@@ -19,6 +19,7 @@ from nuno_bench.peers.skirt.page import Found, settings
 from nuno_bench.peers.skirt.problem import Skirt, hula_skirt, look
 from nuno_bench.peers.table import Kind
 from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
 
 HERE = str(Path(__file__).parent)
@@ -68,6 +69,13 @@ def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt) -
     assert seen.crossed == (3,)
     if seen.ipctk is not None:
         assert seen.ipctk == 1
+
+
+def test_cloth_that_is_torn_apart_has_diverged(skirt: Skirt) -> None:
+    frames = still(skirt)
+    frames[1:, -1, 1] -= 100.0
+    with pytest.raises(RunFailed, match=r"diverged.* in frame 2"):
+        look(skirt, frames, still(skirt))
 
 
 def test_triangles_lie_flat_as_long_as_their_springs(skirt: Skirt) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from nuno_bench.peers.problem import SECONDS, Peer
 from nuno_bench.peers.table import Kind, Setting
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
 
 S = TypeVar("S")
@@ -73,7 +74,8 @@ def measure(
 ) -> Point[S]:  # fmt: skip
     """Run its setting of this name in a process of its own, ended after `limit` [s].
 
-    `posed` is what the engine is made with, and `judge` scores what it advances to in `simulated` [s].
+    `posed` is what the engine is made with, and `judge` scores what it advances to in `simulated` [s], or raises
+    RunFailed where that is no cloth any more.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -103,7 +105,10 @@ def measure(
     point = Point[S](kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
     if not np.isfinite(x := done[0]["x"]).all():
         return Point(**vars(point) | {"failure": "positions are no longer finite"})
-    return Point(**vars(point) | {"score": judge(x)})
+    try:
+        return Point(**vars(point) | {"score": judge(x)})
+    except RunFailed as error:
+        return Point(**vars(point) | {"failure": str(error)})
 
 
 def work(

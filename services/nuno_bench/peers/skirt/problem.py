@@ -30,6 +30,8 @@ that it has beside."""
 DEEP = 3e-3
 """How deep in the body cloth counts as being in it [m]: more than penalty contact lets it sink in, 0.7 mm, and than
 what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, when both its ends lie on it, 2.1 mm."""
+DIVERGED = 10.0
+"""How many times as long as at rest a spring is in what is no cloth any more."""
 DURATION = 0.25
 """What is simulated unless told [s]: 15 frames, of which the first begin alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
@@ -149,17 +151,27 @@ def hula_skirt(seconds: float, lead: float | None = None, overrides: tuple[str, 
 
 
 def look(skirt: Skirt, frames: Float, exact: Float) -> Seen:
-    """At positions (frames, n, 3) [m] that any engine has published, beside those of the converged run."""
+    """At positions (frames, n, 3) [m] that any engine has published, beside those of the converged run.
+
+    Raises RunFailed where they have diverged. Looked at all the same, cloth that is metres long crosses itself at so
+    many places that to find them takes minutes.
+    """
     mesh, ends = mesh_of(skirt.faces), skirt.pairs
+    lengths = np.linalg.norm(frames[:, ends[:, 1]] - frames[:, ends[:, 0]], axis=2)
+    longest = (lengths / skirt.rest).max(axis=1)
+    if (apart := longest > DIVERGED).any():
+        raise RunFailed(
+            f"diverged: a spring is over {DIVERGED:g} times as long as at rest in frame {apart.argmax() + 1}"
+        )
     off = np.linalg.norm(frames - exact, axis=2).mean(axis=1) / skirt.size
     hem = frames[:, -skirt.columns :]
-    longest = max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / skirt.rest).max()) for x in frames)
     crossed = tuple(number for number, x in enumerate(frames, 1) if len(find_crossings(x, mesh).edges))
     deep = [_in_body(skirt, x, mesh.edges, poses) for x, poses in zip(frames, skirt.poses[1:], strict=True)]
     return Seen(
         frames, tuple(off.tolist()), float(hem[..., 1].mean()),
-        float(np.linalg.norm((hem - hem.mean(axis=1, keepdims=True))[..., [0, 2]], axis=2).mean()), longest - 1.0,
-        crossed, _by_ipctk(skirt, frames), tuple(edges for edges, _, _ in deep), tuple(n for _, n, _ in deep),
+        float(np.linalg.norm((hem - hem.mean(axis=1, keepdims=True))[..., [0, 2]], axis=2).mean()),
+        float(longest.max()) - 1.0, crossed, _by_ipctk(skirt, frames),
+        tuple(edges for edges, _, _ in deep), tuple(n for _, n, _ in deep),
         max(depth for _, _, depth in deep),
     )  # fmt: skip
 

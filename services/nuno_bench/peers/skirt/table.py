@@ -27,7 +27,7 @@ def _newton(made: str, settings: dict[str, Setting], posed: str) -> Kind:
 KINDS = (
     _nuno("respa", "", "auto"),
     _nuno("symplectic_euler", "", "auto"),
-    _nuno("implicit_euler", "residual: 1e-1, ", "1", "4"),
+    _nuno("implicit_euler", "residual: 1e-1, ", "1"),
     _newton("XPBD", at(10, 4) | at(100, 1),
             f"{EXACT}It adds up the corrections of all springs of a vertex without relaxation, which diverges unless "
             "the step is so small that compliance holds it back. Cloth meets cloth as balls at its vertices, of the "
