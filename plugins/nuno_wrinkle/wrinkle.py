@@ -97,6 +97,8 @@ class Wrinkle:
 
 
 def _require_triangles(fabric: Fabric) -> None:
+    if fabric.corners is not None:
+        raise BadInput("lines are not drawn on cloth whose texture is cut along seams", field="object")
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
         raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)

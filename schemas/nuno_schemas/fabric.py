@@ -164,6 +164,20 @@ class Binding:
 
 
 @dataclass(frozen=True)
+class Corners:
+    """Texture coordinates of triangles' corners, where a vertex has several: along the seams of a sewn garment.
+
+    points (p, 2) float32  as `Fabric.uv` has them
+    vertex (p,)   int32    the vertex that each is one of
+    faces  (f, 3) int32    into the points: triangles and corners in the order of `Fabric.faces`, which is vertex[faces]
+    """
+
+    points: Annotated[NDArray[np.float32], "p", 2]
+    vertex: Annotated[Int, "p", Bounds(0, below="n")]
+    faces: Annotated[Int, "f", 3, Bounds(0, below="p")]
+
+
+@dataclass(frozen=True)
 class Fabric:
     """A piece of cloth, or several: what does not change while a run goes on.
 
@@ -175,6 +189,7 @@ class Fabric:
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
                              OBJ files. Image rows run down, so what samples an image, such as
                              drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
+    corners                  texture coordinates that differ along seams, instead of uv, or None
     springs, hinges, membrane, bending, friction  or None where there are none
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
@@ -205,6 +220,7 @@ class Fabric:
     bending: Bending | None = None
     friction: BendingFriction | None = None
     numbers: Annotated[Int, "n", Bounds(0, below="n")] | None = None
+    corners: Corners | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -40,6 +40,10 @@ def check_fabric(fabric: Fabric) -> None:
                 raise Wrong(f"springs.k_lock is {k_lock[low[0]]} at spring {low[0]}, less than its k {k[low[0]]}")
     if fabric.hinges is not None:
         check_runs("hinges", fabric.hinges, n)
+    if fabric.corners is not None:
+        differ = (fabric.corners.vertex[fabric.corners.faces] != fabric.faces).any(axis=1)
+        if differ.any():
+            raise Wrong(f"corners.faces are of other vertices than faces at row {np.flatnonzero(differ)[0]}")
     if fabric.yarns is not None:
         check_yarns(fabric.yarns, springs.number if springs is not None else 0)
     for i, binding in enumerate(fabric.bindings):

@@ -10,18 +10,20 @@ from pydantic import BaseModel, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
+from nuno_cloth.models.placement import find_texture
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.sew import Sewn, sew
+from nuno_cloth.sewing.texture import lay_out
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
@@ -43,6 +45,9 @@ class PatternConfig(Config):
         default=0.02, description="length of triangles' sides [m]"
     )
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
+    texture: str | None = Field(
+        default=None, description="an image beside the scene, of which all panels are cut, side by side, warp upwards"
+    )
 
 
 class Pattern:
@@ -66,9 +71,9 @@ class Pattern:
         return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: PatternConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for a pattern that cannot be sewn, and for a fabric of constants per spring."""
+        """Raises BadInput for a pattern that cannot be sewn, a fabric of constants per spring, a missing texture."""
         sewn = _sewn(config, files)
-        return self._fabric(config, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
+        return self._fabric(config, files, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
     def build_over(self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
         """The garment on a body's mesh x (v, 3) [m], faces (f, 3).
@@ -83,9 +88,9 @@ class Pattern:
         edges = find_edges(sewn.sewn_faces)
         position = _drawn(sewn, edges, body, config.over.clearance)
         _require_outside(position, edges, sewn, body, config.over.body)
-        return self._fabric(config, sewn, position)
+        return self._fabric(config, files, sewn, position)
 
-    def _fabric(self, config: PatternConfig, sewn: Sewn, x: Float) -> Fabric:
+    def _fabric(self, config: PatternConfig, files: Files, sewn: Sewn, x: Float) -> Fabric:
         material = resolve(config.fabric)
         if isinstance(material, HandSet):
             raise BadInput("constants per spring make no membrane", field="fabric",
@@ -93,7 +98,9 @@ class Pattern:
         held = np.zeros(len(x), np.bool_)
         elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
         return Fabric(
-            name=self.name, position=x, velocity=np.zeros_like(x), pinned=held, **elements._asdict()
+            name=self.name, position=x, velocity=np.zeros_like(x), pinned=held,
+            corners=Corners(lay_out(sewn).astype(np.float32), sewn.merged.astype(np.int32), sewn.faces),
+            texture=find_texture(config.texture, files), **elements._asdict(),
         )  # fmt: skip
 
     def check_pattern(self, files: Files, name: str, gather: float) -> Checked:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs
+from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Springs
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.yarns import Yarns
 
@@ -41,8 +41,25 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         cells=np.concatenate(cells).astype(np.int32) if cells else None,
         membrane=_join_membranes(membranes) if membranes else None,
         friction=BendingFriction.join(friction) if friction else None,
+        corners=_join_corners(moved) if any(f.corners is not None for f in fabrics) else None,
         bending=Bending(*map(np.concatenate, zip(*bending, strict=True))) if bending else None,
     )
+
+
+def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
+    """Those of all; a fabric without any has one of each vertex, at its texture coordinates."""
+    parts = [f.corners or _plain_corners(f) for f, _ in moved]
+    before = np.cumsum([0, *(len(part.vertex) for part in parts)])
+    return Corners(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.vertex + at for part, (_, at) in zip(parts, moved, strict=True)]).astype(np.int32),
+        np.concatenate([part.faces + at for part, at in zip(parts, before, strict=False)]).astype(np.int32),
+    )
+
+
+def _plain_corners(fabric: Fabric) -> Corners:
+    points = np.zeros((fabric.number, 2), np.float32) if fabric.uv is None else fabric.uv
+    return Corners(points, np.arange(fabric.number, dtype=np.int32), fabric.faces)
 
 
 def _join_membranes(parts: list[Membrane]) -> Membrane:

@@ -90,6 +90,8 @@ def renumber(fabric: Fabric, numbers: Int | None) -> Fabric:
     }
     if fabric.uv is not None:
         parts["uv"] = fabric.uv[numbers]
+    if fabric.corners is not None:
+        parts["corners"] = replace(fabric.corners, vertex=place[fabric.corners.vertex])
     if fabric.cells is not None:
         parts["cells"] = place[fabric.cells]
     if fabric.springs is not None:

@@ -24,7 +24,7 @@ from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Corners, Float, Int
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
 
 Pressures = Callable[[Float], Float]
@@ -37,7 +37,8 @@ class ShownPiece:
 
     faces (f, 3), edges (e, 2) int32; rest (e,) [m]; uv (n, 2) with v up, or None;
     image (h, w, 3) uint8 sRGB or None, and texture, the name it is to be read by; colour "#rrggbb" or None; yarns (e,)
-    which kind of yarn each edge is, -1 for none, or None where the cloth has no yarns; pinned (n,) what is held.
+    which kind of yarn each edge is, -1 for none, or None where the cloth has no yarns; pinned (n,) what is held;
+    corners: texture coordinates instead of uv, where vertices have several, or None.
     """
 
     name: str
@@ -53,6 +54,19 @@ class ShownPiece:
     texture: str | None = None
     pinned: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     tensions: Tensions | None = None
+    corners: Corners | None = None
+
+    @property
+    def seamed(self) -> bool:
+        """Whether vertices have several texture coordinates."""
+        return self.corners is not None and len(self.corners.vertex) > self.stop - self.start
+
+    @property
+    def laid_out(self) -> Corners | None:
+        """Its texture coordinates, and the vertices and triangles that a mesh with an image is made of; or None."""
+        if self.corners is not None or self.uv is None:
+            return self.corners
+        return Corners(self.uv, np.arange(self.stop - self.start, dtype=np.int32), self.faces)
 
     def link_stretch(self, x: Float) -> Float:
         """(e,) |d| / rest - 1 of every spring, for x (n, 3) [m] of this piece."""
@@ -91,7 +105,7 @@ def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece
         pieces = cut_pieces(*recording.fabric(t))
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
-    return [p if p.uv is None else replace(p, image=read_texture(recording, p.texture)) for p in pieces]
+    return [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in pieces]
 
 
 def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
@@ -107,20 +121,41 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
             raise ValueError(f"{name} has {len(arrays[name])} rows, not {length}")
     rest, pinned = np.asarray(arrays["edge_rest"], np.float64), arrays.get("pinned", np.zeros(number)).astype(bool)
     yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
+    corners = _corners(arrays, faces, number)
     pieces = []
     for item in text["objects"]:
         start, stop = int(item["start"]), int(item["stop"])
         if not 0 <= start <= stop <= number:
             raise ValueError(f"an object of vertices {start} to {stop} of {number}")
-        mine = _inside(edges, start, stop)
+        mine, own = _inside(edges, start, stop), _inside(faces, start, stop)
         pieces.append(
             ShownPiece(
-                str(item["name"]), start, stop, faces[_inside(faces, start, stop)] - start, edges[mine] - start,
+                str(item["name"]), start, stop, faces[own] - start, edges[mine] - start,
                 rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, item.get("colour"),
                 _kinds(yarns, mine), item.get("texture"), pinned[start:stop], Tensions.read(arrays, mine),
+                None if corners is None else _cut_corners(corners, own, start, stop),
             )
         )  # fmt: skip
     return pieces
+
+
+def _corners(arrays: Arrays, faces: Int, number: int) -> Corners | None:
+    """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the faces."""
+    if "corner_uv" not in arrays:
+        return None
+    points, vertex = np.asarray(arrays["corner_uv"], np.float32), arrays["corner_vertex"]
+    vertex = _indices("corner_vertex", vertex.reshape(-1, 1), 1, number)[:, 0]
+    own = _indices("corner_faces", arrays["corner_faces"], 3, len(vertex))
+    if points.shape != (len(vertex), 2) or own.shape != faces.shape or (vertex[own] != faces).any():
+        raise ValueError("texture coordinates of corners that are not those of the faces")
+    return Corners(points, vertex, own)
+
+
+def _cut_corners(corners: Corners, own: NDArray[np.bool_], start: int, stop: int) -> Corners:
+    """Those of one object, by its triangles and vertices."""
+    mine = (corners.vertex >= start) & (corners.vertex < stop)
+    place = np.cumsum(mine, dtype=np.int32) - 1
+    return Corners(corners.points[mine], corners.vertex[mine] - start, place[corners.faces[own]].astype(np.int32))
 
 
 def _indices(name: str, values: NDArray[Any], width: int, number: int) -> Int:

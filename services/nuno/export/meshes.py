@@ -17,7 +17,7 @@ from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Corners, Float, Int
 
 MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
 """Of glTF's materials."""
@@ -91,22 +91,28 @@ def _write(
 def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
     """One group per piece. As many digits as give every float64 back; OBJ counts from 1 over all pieces."""
     stream.write(f"# nuno frame {frame.number} at {frame.t!r} s\n".encode())
+    written = 1
     for piece in pieces:
         x = frame.x[piece.start : piece.stop]
         lines = [f"o {piece.name}", *("v {!r} {!r} {!r}".format(*row) for row in x.tolist())]
         corners = piece.faces + piece.start + 1
-        if piece.uv is not None:
-            lines += ["vt {:.9g} {:.9g}".format(*row) for row in piece.uv.tolist()]
-            lines += ["f {0}/{0} {1}/{1} {2}/{2}".format(*row) for row in corners.tolist()]
+        if (laid := piece.laid_out) is not None:
+            lines += ["vt {:.9g} {:.9g}".format(*row) for row in laid.points.tolist()]
+            both = np.stack([corners, laid.faces + written], axis=2).reshape(-1, 6)
+            lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in both.tolist()]
+            written += len(laid.points)
         else:
             lines += ["f {} {} {}".format(*row) for row in corners.tolist()]
         stream.write(("\n".join(lines) + "\n").encode())
 
 
 def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
-    """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t."""
+    """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t.
+
+    Those are of vertices: only cloth that has one each comes with them, so that seams stay closed.
+    """
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
-    uvs = [piece.uv for piece in pieces if piece.uv is not None]
+    uvs = [piece.uv for piece in pieces if piece.uv is not None and not piece.seamed]
     textured = len(uvs) == len(pieces) > 0 and sum(map(len, uvs)) == len(frame.x)
     kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), *([("s", "<f4"), ("t", "<f4")] if textured else [])]
     columns = [*frame.x.T, *(np.concatenate(uvs).T if textured else [])]
@@ -132,7 +138,8 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
     for piece in pieces:
         if len(piece.faces):
             x = frame.x[piece.start : piece.stop] - origin
-            mesh = _trimesh(x, piece.faces, _visual(piece, x))
+            split = piece.laid_out if piece.image is not None else None
+            mesh = _trimesh(x, piece.faces, _visual(piece, x), split)
             scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name, transform=place)
     bodies = read_bodies(recording)
     points = body_vertices(recording, bodies, frame.t)
@@ -144,12 +151,17 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
     return bytes(scene.export(file_type="glb", include_normals=True))
 
 
-def _trimesh(x: Float, faces: Int, visual: Any) -> Any:
-    """A mesh with its vertices' normals: trimesh would find them with scipy, which takes a second to import."""
+def _trimesh(x: Float, faces: Int, visual: Any, split: Corners | None = None) -> Any:
+    """A mesh with its vertices' normals: trimesh would find them with scipy, which takes a second to import.
+
+    Where vertices are split along seams, each part has the normal of the whole: seams are shaded smoothly.
+    """
     import trimesh
 
     normals = vertex_normals(x, faces)
     normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF wants unit length, also of a vertex of no triangle
+    if split is not None:
+        x, normals, faces = x[split.vertex], normals[split.vertex], split.faces
     return trimesh.Trimesh(x, faces, vertex_normals=normals, process=False, visual=visual)
 
 
@@ -159,9 +171,9 @@ def _visual(piece: ShownPiece, x: Float) -> Any:
     from trimesh.visual import ColorVisuals, TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    if piece.image is not None and piece.uv is not None:
+    if piece.image is not None and (laid := piece.laid_out) is not None:
         image = Image.fromarray(piece.image)
-        return TextureVisuals(uv=piece.uv, material=PBRMaterial(baseColorTexture=image, doubleSided=True, **MATT))
+        return TextureVisuals(uv=laid.points, material=PBRMaterial(baseColorTexture=image, doubleSided=True, **MATT))
     if piece.colour is not None or not len(piece.edges):
         return _plain(piece.colour or PLAIN, two_sided=True)
     # glTF's vertex colours are linear light.

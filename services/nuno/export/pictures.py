@@ -225,10 +225,10 @@ def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Me
         vertices, faces, owner = tubes(x, piece.edges)
         painted = np.repeat(_paint(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
         return Mesh(vertices, faces, painted, two_sided=False)
-    if piece.image is not None and piece.uv is not None:
-        # v points up on cloth and down in images.
-        uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
-        return Mesh(x, piece.faces, uv=uv, image=piece.image)
+    if piece.image is not None and (laid := piece.laid_out) is not None:
+        # v points up on cloth and down in images. Vertices at one place share their normals where they are drawn.
+        uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
+        return Mesh(x[laid.vertex], laid.faces, uv=uv, image=piece.image)
     return Mesh(x, piece.faces, _paint(piece, x) if colours is None else colours)
 
 

@@ -16,7 +16,7 @@ from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
+from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Int, Springs
 from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
@@ -28,6 +28,7 @@ SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind")
 MEMBRANE = ("faces", "along", "across", "area", "moduli", "damping")
 BENDING = ("pairs", "weight")
 FRICTION = ("vertices", "shares", "area", "limit", "slip")
+CORNERS = ("points", "vertex", "faces")
 HINGES = ("first", "count", "stride", "k", "rest")
 
 
@@ -95,6 +96,7 @@ def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[An
 PARTS: dict[str, tuple[type, tuple[str, ...]]] = {
     "springs": (Springs, SPRINGS), "hinges": (Hinges, HINGES), "membrane": (Membrane, MEMBRANE),
     "bending": (Bending, BENDING), "friction": (BendingFriction, FRICTION),
+    "corners": (Corners, CORNERS),
 }  # fmt: skip
 
 

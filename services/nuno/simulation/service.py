@@ -144,6 +144,8 @@ class ClothDriver(Driver):
         }
         if fabric.uv is not None:
             arrays["uv"] = fabric.uv
+        if (corners := fabric.corners) is not None:
+            arrays |= {"corner_uv": corners.points, "corner_vertex": corners.vertex, "corner_faces": corners.faces}
         yarns = edge_yarns(fabric)
         if yarns is not None:
             arrays |= {"edge_yarn": yarns} | tension_arrays(fabric)

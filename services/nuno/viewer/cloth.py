@@ -65,7 +65,8 @@ class Cloth:
         self.recording, self.path, self.piece = recording, path, piece
         self.dyed = dyed and piece.uv is not None
         named = piece.texture if not self.dyed else None
-        image = images(named) if named and piece.uv is not None else None
+        image = images(named) if named and piece.laid_out is not None else None
+        self.split = piece.laid_out if image is not None or self.dyed else None
         self.untextured = bool(named) and image is None
         self.coloured = image is None and not self.dyed and not piece.colour and len(piece.edges) > 0
         self.yarns = None
@@ -87,10 +88,13 @@ class Cloth:
             springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else once)
             self._log("springs", springs, static=True)
             return
-        self._log("", rr.Mesh3D.from_fields(triangle_indices=piece.faces.astype(np.uint32)), static=True)
-        if piece.uv is not None and (image is not None or self.dyed):
+        faces = piece.faces if self.split is None else self.split.faces
+        self._log("", rr.Mesh3D.from_fields(triangle_indices=faces.astype(np.uint32)), static=True)
+        if self.split is not None:
             # v points up on cloth and down in images.
-            uv = np.asarray(piece.uv, np.float32) * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
+            uv = np.asarray(self.split.points, np.float32) * np.array([1, -1], np.float32) + np.array(
+                [0, 1], np.float32
+            )
             self._log("", rr.Mesh3D.from_fields(vertex_texcoords=uv), static=True)
         if image is not None:
             self._log("", texture_of(image), static=True)
@@ -115,9 +119,12 @@ class Cloth:
         own = positions[piece.start : piece.stop]
         x, near = np.ascontiguousarray(own, np.float32), own - origin_of(own)
         if len(piece.faces):
+            normals = vertex_normals(near, piece.faces).astype(np.float32)
+            if self.split is not None:  # with the normals of the whole: seams are shaded smoothly
+                x, normals = x[self.split.vertex], normals[self.split.vertex]
             mesh = rr.Mesh3D.from_fields(
                 vertex_positions=x,
-                vertex_normals=vertex_normals(near, piece.faces).astype(np.float32),
+                vertex_normals=normals,
                 vertex_colors=paint(piece.stretch(near)) if self.coloured else None,
             )
             self._log("", mesh)
