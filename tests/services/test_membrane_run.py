@@ -113,7 +113,8 @@ def test_benches_stiffen_it_and_measure_its_strain(tmp_path: Path) -> None:
     pairs, rest = lengths_at_rest(fabric)
     length = np.linalg.norm(np.diff(fabric.position[pairs], axis=1)[:, 0], axis=1)
     assert rest == pytest.approx(length, rel=1e-12) and len(rest) == 85
-    assert shortest(fabric) == rest.min()
+    # A side has a length in each of its triangles, to the last bits.
+    assert shortest(fabric) == pytest.approx(rest.min(), rel=1e-12)
 
 
 def test_a_knit_beside_it_is_shown_by_its_yarns_and_their_tension(tmp_path: Path) -> None:
