@@ -38,6 +38,7 @@ def still(skirt: Skirt) -> Float:
     return np.tile(skirt.x, (skirt.frames, 1, 1))
 
 
+@pytest.mark.full
 def test_frames_are_judged_by_how_far_off_and_how_stretched_they_are(skirt: Skirt) -> None:
     """A shift by 5 mm is 5 mm over the box's diagonal; scaled by 1.01 every spring is as many times as long."""
     exact = still(skirt)
@@ -51,6 +52,7 @@ def test_frames_are_judged_by_how_far_off_and_how_stretched_they_are(skirt: Skir
     assert seen.crossed == ()
 
 
+@pytest.mark.full
 def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the second frame a vertex of the hem is on the axis of a shin, whose radius is its depth.
 
@@ -73,6 +75,7 @@ def test_frames_are_judged_by_what_passes_through_cloth_and_body(skirt: Skirt, m
         assert seen.ipctk == 1
 
 
+@pytest.mark.full
 def test_cloth_that_is_torn_apart_has_diverged(skirt: Skirt) -> None:
     frames = still(skirt)
     frames[1:, -1, 1] -= 100.0
@@ -80,6 +83,7 @@ def test_cloth_that_is_torn_apart_has_diverged(skirt: Skirt) -> None:
         look(skirt, frames, still(skirt))
 
 
+@pytest.mark.full
 def test_triangles_lie_flat_as_long_as_their_springs(skirt: Skirt) -> None:
     rest = dict(zip(map(frozenset, skirt.pairs.tolist()), skirt.rest.tolist(), strict=True))
     for face, flat in zip(skirt.faces.tolist(), lay_flat(skirt), strict=True):
@@ -129,6 +133,7 @@ def test_newton_has_the_masses_the_hinges_and_the_waist_of_the_skirt(
         np.testing.assert_allclose(x[skirt.pinned], skirt.waist(*skirt.places(i, 1.0)), rtol=0, atol=1e-6)
 
 
+@pytest.mark.full
 def test_another_engine_is_held_against_our_fastest_that_is_no_farther_off(skirt: Skirt) -> None:
     near, far = (look(skirt, still(skirt) + off, still(skirt)) for off in (0.0, 0.01))
     points = [

@@ -58,6 +58,7 @@ def sides(points: Float, faces: np.ndarray) -> Float:
     return np.asarray(np.linalg.norm(points[np.roll(faces, -1, axis=1)] - points[faces], axis=2))
 
 
+@pytest.mark.full
 def test_a_glb_has_each_triangle_in_the_image_as_it_is_cut(recording: Path, scene: Path, tmp_path: Path) -> None:
     """Sides in the image are those of the panel at one scale; parts of a split vertex share place and normal."""
     written = trimesh.load(export_mesh(recording, tmp_path / "out.glb"), process=False, force="scene")
@@ -72,6 +73,7 @@ def test_a_glb_has_each_triangle_in_the_image_as_it_is_cut(recording: Path, scen
     assert len(sheet.vertices) == 16 and np.ptp(sheet.visual.uv, axis=0) == pytest.approx([1.0, 1.0])
 
 
+@pytest.mark.full
 def test_an_obj_keeps_seams_closed_and_each_panels_coordinates(recording: Path, fabric: Fabric, tmp_path: Path) -> None:
     lines = [line.split() for line in export_mesh(recording, tmp_path / "out.obj").read_text().splitlines()]
     uv = np.array([line[1:] for line in lines if line[0] == "vt"], np.float32)
@@ -81,6 +83,7 @@ def test_an_obj_keeps_seams_closed_and_each_panels_coordinates(recording: Path, 
     assert np.array_equal(uv[corners[..., 1]], fabric.corners.points[fabric.corners.faces])
 
 
+@pytest.mark.full
 def test_a_recording_gives_corners_back(recording: Path, fabric: Fabric) -> None:
     with open_recording(recording) as opened:
         sheet, top = read_pieces(opened)
