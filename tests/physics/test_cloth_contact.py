@@ -14,6 +14,7 @@ from sheets import DOWN, Pile, sheet
 from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
 from nuno_contact.offset.places import LEFT_OUT, LISTS_MADE, STEPS, TOUCHING
+from nuno_contact.offset.plan import AHEAD, is_quiet
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
@@ -49,6 +50,17 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     assert pile.meeting.number[LISTS_MADE] > lists
     assert most > 20
     assert held() == before
+
+
+def test_a_list_is_made_for_longer_only_while_hardly_a_vertex_strays() -> None:
+    """Strays grow as the square of the time: of 100 vertices 4 may need more room than there is at least, not 5."""
+    unrest, window, least = np.zeros(100), 2.0, 4e-3
+    edge = least / (AHEAD * window * window)
+    for restless, quiet in ((4, True), (5, False)):
+        unrest[:restless] = 1.01 * edge
+        unrest[restless:] = 0.99 * edge
+        assert is_quiet(unrest, window, least) == quiet
+    assert is_quiet(unrest, 0.99 * window, least) and not is_quiet(unrest, 1.02 * window, least)
 
 
 @pytest.mark.quick(solver=["symplectic_euler", "respa"])

@@ -154,3 +154,15 @@ def test_edges_far_longer_than_the_clearance_go_round_a_column_and_not_through_i
     (tmp_path / "tube.json").write_text(json.dumps(tube()))
     body = column((0.08, 0.06), (0.9, 1.4))
     assert through(put_on(tmp_path, "tube.json", body, 0.1), body) == (0, 0)
+
+
+def test_a_missing_print_is_refused_before_anything_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tube.json").write_text(json.dumps(tube()))
+    monkeypatch.setattr("nuno_cloth.models.pattern.draw_together", None)
+    config = PatternConfig(file="tube.json", texture="print.png", over={"body": "wearer"})  # type: ignore[arg-type]
+    for build in (
+        lambda: Pattern().build(config, SceneFiles(tmp_path), 0),
+        lambda: Pattern().build_over(config, SceneFiles(tmp_path), 0, *column((0.08, 0.06), (0.9, 1.4))),
+    ):
+        with pytest.raises(BadInput, match=r"print\.png"):
+            build()

@@ -23,7 +23,8 @@ from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
 from nuno.wrong import Wrong
-from nuno_cloth.models.pattern import PatternConfig, _sewn
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.sew import sew
 from nuno_schemas.fabric import Fabric, Float
 
 PATTERN = Path(__file__).parents[2] / "scenes" / "sewn" / "patterns" / "top.yaml"
@@ -63,7 +64,7 @@ def test_a_glb_has_each_triangle_in_the_image_as_it_is_cut(recording: Path, scen
     """Sides in the image are those of the panel at one scale; parts of a split vertex share place and normal."""
     written = trimesh.load(export_mesh(recording, tmp_path / "out.glb"), process=False, force="scene")
     top, sheet = written.geometry["top"], written.geometry["sheet"]
-    sewn = _sewn(PatternConfig(file="top.yaml", edge=EDGE), SceneFiles(scene.parent))
+    sewn = sew(read_pattern(SceneFiles(scene.parent), "top.yaml"), EDGE)
     cut, shown = sides(sewn.flat, sewn.faces), sides(top.visual.uv, top.faces)
     assert shown / cut == pytest.approx(np.full(cut.shape, shown.sum() / cut.sum()), rel=1e-4)
     assert len(top.vertices) == len(sewn.merged) > sewn.number

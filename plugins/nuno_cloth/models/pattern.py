@@ -73,7 +73,8 @@ class Pattern:
     def build(self, config: PatternConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pattern that cannot be sewn, a fabric of constants per spring, a missing texture."""
         sewn = _sewn(config, files)
-        return self._fabric(config, files, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
+        texture = find_texture(config.texture, files)
+        return self._fabric(config, texture, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
     def build_over(self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
         """The garment on a body's mesh x (v, 3) [m], faces (f, 3).
@@ -84,13 +85,14 @@ class Pattern:
         if config.over is None:
             raise BadInput("the garment has no body to be put on", field="over")
         check_size(x, config.over.body, "a garment")
+        texture = find_texture(config.texture, files)
         sewn, body = _sewn(config, files), build_tree(x, faces)
         edges = find_edges(sewn.sewn_faces)
         position = _drawn(sewn, edges, body, config.over.clearance)
         _require_outside(position, edges, sewn, body, config.over.body)
-        return self._fabric(config, files, sewn, position)
+        return self._fabric(config, texture, sewn, position)
 
-    def _fabric(self, config: PatternConfig, files: Files, sewn: Sewn, x: Float) -> Fabric:
+    def _fabric(self, config: PatternConfig, texture: str | None, sewn: Sewn, x: Float) -> Fabric:
         material = resolve(config.fabric)
         if isinstance(material, HandSet):
             raise BadInput("constants per spring make no membrane", field="fabric",
@@ -100,7 +102,7 @@ class Pattern:
         return Fabric(
             name=self.name, position=x, velocity=np.zeros_like(x), pinned=held,
             corners=Corners(lay_out(sewn).astype(np.float32), sewn.merged.astype(np.int32), sewn.faces),
-            texture=find_texture(config.texture, files), **elements._asdict(),
+            texture=texture, **elements._asdict(),
         )  # fmt: skip
 
     def check_pattern(self, files: Files, name: str, gather: float) -> Checked:

@@ -16,7 +16,7 @@ from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.torso import GIRTHS, HEIGHTS, torso_mesh
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.quantities import Angle, Direction, Point, Size
-from nuno_kernels.meshes.check import check_crossings
+from nuno_kernels.meshes.check import crossing_notes
 from nuno_kernels.meshes.closest_point import Closest, closest_points
 from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.tree import build_tree
@@ -112,12 +112,7 @@ class MeshCollider:
         """
         c = cast(MeshConfig, config)
         x, faces = find_mesh(c, files, read_closed)
-        try:
-            check_crossings(x, faces)
-            notes: tuple[str, ...] = ()
-        except BadInput as error:
-            notes = (f"{error.problem}: {error.field} {error.value}",)
-        return replace(mesh_shape(c, mover, x, faces, MESH), notes=notes)
+        return replace(mesh_shape(c, mover, x, faces, MESH), notes=crossing_notes(x, faces))
 
 
 def find_mesh(

@@ -17,7 +17,7 @@ from nuno_contact.skin.figure import find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
 from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import find_weights
-from nuno_kernels.meshes.check import check_crossings
+from nuno_kernels.meshes.check import crossing_notes
 from nuno_kernels.meshes.file import read_closed
 from nuno_schemas.bodies import SKIN
 from nuno_schemas.errors import BadInput
@@ -92,12 +92,3 @@ def skin_shape(mover: Mover, x: Float, faces: Int, skin: Skin) -> BodyShape:
         owner=np.zeros(len(faces), np.int32),
         skins=(skin,),
     )
-
-
-def crossing_notes(x: Float, faces: Int) -> tuple[str, ...]:
-    """A word on a mesh that passes through itself as it stands."""
-    try:
-        check_crossings(x, faces)
-    except BadInput as error:
-        return (f"{error.problem}: {error.field} {error.value}",)
-    return ()

@@ -144,3 +144,12 @@ def find_crossings(x: Float, faces: Int, boxes: Float, child: NDArray[np.int64],
         waiting = np.empty(DEPTH, np.int64)
         for i in range(block * BLOCK, min((block + 1) * BLOCK, faces.shape[0])):
             other[i] = find_crossing(i, x, faces, boxes, child, face, waiting)
+
+
+def crossing_notes(x: Float, faces: Int) -> tuple[str, ...]:
+    """A word on a mesh that passes through itself, for those who take it all the same."""
+    try:
+        check_crossings(x, faces)
+    except BadInput as error:
+        return (f"{error.problem}: {error.field} {error.value}",)
+    return ()

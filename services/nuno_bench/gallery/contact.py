@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nuno.export.cloth import read_frame
 from nuno.export.pictures import export_picture
 from nuno.recording.reader import Recording
-from nuno.scene import scene_file
-from nuno_bench.gallery.kind import Kind, Shown, read_picture, recorded
+from nuno_bench.gallery.kind import Kind, Shown, read_picture, shipped, show_scene
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
@@ -36,20 +36,9 @@ are a sixtieth of a second, too; it became about twice as fast in 2026. Of Newto
 """
 
 
-def scenes() -> dict[str, Path]:
-    """Files of the shipped scenes by name."""
-    return {path.stem: path for path in scene_file.shipped("contact").values()}
-
-
-def run_scene(path: Path) -> Shown:
-    """Run one to its end, or to where it fails, and draw what its recording holds. Raises BadInput."""
-    scene = scene_file.read(path).scene
-    pictures: list[tuple[str, Picture]] = []
-    measured: dict[str, float] = {}
-    with recorded(path) as (recording, folder, failed):
-        if recording is not None and recording.marks():
-            pictures, measured = draw(recording, folder), measure(recording.report())
-    return Shown(scene.name, scene.description, pictures, measured, failed)
+def look(recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """See show_scene."""
+    return draw(recording, folder), measure(recording.report())
 
 
 def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
@@ -91,8 +80,10 @@ def table(shown: Sequence[Shown]) -> Table:
 KIND = Kind(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
-    scenes=scenes,
-    run_scene=run_scene,
+    scenes=partial(shipped, "contact"),
+    run_scene=partial(
+        show_scene, look=lambda recording, folder: (draw(recording, folder), measure(recording.report()))
+    ),
     differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "
     "vertex.",

@@ -16,6 +16,7 @@ import numpy as np
 
 from nuno import api
 from nuno.recording.reader import Recording, open_recording
+from nuno.scene import scene_file
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
@@ -77,6 +78,9 @@ class Kind:
     table: Callable[[Sequence[Shown]], Table] = list_measured
 
 
+Look = Callable[[Recording, Path], tuple[list[tuple[str, Picture]], dict[str, float]]]
+
+
 @contextmanager
 def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
     """Run a scene's file: its recording, None where there is none, a folder to work in, and why it failed."""
@@ -91,6 +95,26 @@ def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
             return
         with open_recording(target) as recording:
             yield recording, Path(folder), failed
+
+
+def show_scene(
+    path: Path, look: Callable[[Recording, Path], tuple[list[tuple[str, Picture]], dict[str, float]]]
+) -> Shown:
+    """Run a scene's file to its end, or to where it fails, and look at what its recording holds, with a folder to work
+    in: pictures by label, and what was measured. Raises BadInput.
+    """
+    scene = scene_file.read(path).scene
+    pictures: list[tuple[str, Picture]] = []
+    measured: dict[str, float] = {}
+    with recorded(path) as (recording, folder, failed):
+        if recording is not None and recording.marks():
+            pictures, measured = look(recording, folder)
+    return Shown(scene.name, scene.description, pictures, measured, failed)
+
+
+def shipped(folder: str) -> dict[str, Path]:
+    """Files of a folder's shipped scenes by name."""
+    return {path.stem: path for path in scene_file.shipped(folder).values()}
 
 
 def read_picture(path: Path) -> Picture:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from nuno.export.dyed_pictures import Changes
 from nuno.export.pictures import export_picture
 from nuno.fit.read import read_fits
 from nuno.recording.reader import Recording
-from nuno.scene import scene_file
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
-from nuno_bench.gallery.kind import Kind, Shown, read_picture, recorded
+from nuno_bench.gallery.kind import Kind, Shown, read_picture, shipped, show_scene
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
@@ -25,20 +25,9 @@ PRESSURE = "pressure where it presses [Pa]"
 MEASURES = (VERTICES, CROSSED, BUST, WAIST, WARP, WEFT, PRESSURE, SECONDS)
 
 
-def scenes() -> dict[str, Path]:
-    """Files of the shipped scenes by name."""
-    return {path.stem: path for path in scene_file.shipped("sewn").values()}
-
-
-def run_scene(path: Path) -> Shown:
-    """Run one to its end, or to where it fails, and draw what its recording ends with. Raises BadInput."""
-    scene = scene_file.read(path).scene
-    pictures: list[tuple[str, Picture]] = []
-    measured: dict[str, float] = {}
-    with recorded(path) as (recording, folder, failed):
-        if recording is not None and recording.marks():
-            pictures, measured = draw(recording, folder), measure(recording)
-    return Shown(scene.name, scene.description, pictures, measured, failed)
+def look(recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """See show_scene."""
+    return draw(recording, folder), measure(recording)
 
 
 def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
@@ -73,8 +62,8 @@ def table(shown: Sequence[Shown]) -> Table:
 KIND = Kind(
     title="Sewn from patterns",
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
-    scenes=scenes,
-    run_scene=run_scene,
+    scenes=partial(shipped, "sewn"),
+    run_scene=partial(show_scene, look=look),
     differences=(),
     measures="Each scene as it is shipped, at its end: docs/sewing.md says how fit is measured.",
     table=table,
