@@ -48,7 +48,7 @@ def show(folder: Path, *words: str) -> tuple[int, str]:
 
 
 def test_a_scene_is_measured_as_its_run_says(one_scene: Path, tmp_path: Path) -> None:
-    shown, run = contact_gallery.run_scene(one_scene), nuno.run(one_scene, record=tmp_path / "run.mcap")
+    shown, run = contact_gallery.KIND.run_scene(one_scene), nuno.run(one_scene, record=tmp_path / "run.mcap")
     assert not shown.failed and [label.partition(",")[0] for label, _ in shown.pictures] == list(contact_gallery.SHARES)
     assert shown.measured[VERTICES] == 72 and shown.measured[CROSSED] == 0 < shown.measured[SECONDS]
     steps = run.report["steps_per_frame"] * 9 * 72
@@ -98,7 +98,7 @@ def test_a_page_without_the_section_is_refused_before_anything_runs(tmp_path: Pa
 
 
 def test_what_is_published_is_of_shipped_scenes_in_which_cloth_meets() -> None:
-    assert set(contact_gallery.PUBLISHED) <= set(contact_gallery.scenes())
-    for path in contact_gallery.scenes().values():
+    assert set(contact_gallery.PUBLISHED) <= set(contact_gallery.KIND.scenes())
+    for path in contact_gallery.KIND.scenes().values():
         scene = scene_file.read(path).scene
         assert scene.name == path.stem and scene.description.endswith(".") and scene.cloth_contact != "none"

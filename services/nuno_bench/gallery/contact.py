@@ -81,9 +81,7 @@ KIND = Kind(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
     scenes=partial(shipped, "contact"),
-    run_scene=partial(
-        show_scene, look=lambda recording, folder: (draw(recording, folder), measure(recording.report()))
-    ),
+    run_scene=partial(show_scene, look=look),
     differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "
     "vertex.",

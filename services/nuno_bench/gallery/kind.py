@@ -79,6 +79,7 @@ class Kind:
 
 
 Look = Callable[[Recording, Path], tuple[list[tuple[str, Picture]], dict[str, float]]]
+"""What is seen in a recording, with a folder to work in: pictures by label, and what was measured."""
 
 
 @contextmanager
@@ -97,9 +98,7 @@ def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
             yield recording, Path(folder), failed
 
 
-def show_scene(
-    path: Path, look: Callable[[Recording, Path], tuple[list[tuple[str, Picture]], dict[str, float]]]
-) -> Shown:
+def show_scene(path: Path, look: Look) -> Shown:
     """Run a scene's file to its end, or to where it fails, and look at what its recording holds, with a folder to work
     in: pictures by label, and what was measured. Raises BadInput.
     """
