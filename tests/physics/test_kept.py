@@ -36,14 +36,13 @@ def used(kernel: Any) -> int:
     return sum(kernel.stats.cache_hits.values())
 
 
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: data[::-1]])
 def test_a_damaged_file_is_compiled_anew(
-    suffix: str, damage: Callable[[bytes], bytes], compiled: Callable[[], Any], tmp_path: Path
+    damage: Callable[[bytes], bytes], compiled: Callable[[], Any], tmp_path: Path
 ) -> None:
     """After a power cut a file may be short or empty, though it was put in its place whole."""
     assert [used(compiled()), used(compiled())] == [0, 1]
-    (path,) = tmp_path.rglob(f"*.{suffix}")
+    (path,) = tmp_path.rglob("*.nbc")
     path.write_bytes(damage(path.read_bytes()))
     assert [used(compiled()), used(compiled())] == [0, 1]
 
@@ -55,6 +54,23 @@ def test_a_changed_byte_of_machine_code_is_not_run(compiled: Callable[[], Any], 
     content[-CHECKSUM - 100] ^= 1
     path.write_bytes(content)
     assert used(compiled()) == 0
+
+
+def test_processes_that_compile_at_once_keep_their_own_code(
+    compiled: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another compiles the kernel for integers when this one, for floats, is about to put its file in place."""
+    replace = os.replace
+
+    def replace_after_another(*paths: Any) -> None:
+        monkeypatch.setattr(os, "replace", replace)
+        assert compiled()(3) == 6
+        replace(*paths)
+
+    monkeypatch.setattr(os, "replace", replace_after_another)
+    assert used(compiled()) == 0
+    last = compiled()
+    assert [last(2.5), last(3)] == [5.0, 6] and sum(last.stats.cache_hits.values()) == 2
 
 
 def test_a_folder_that_cannot_be_made_costs_the_keeping_alone(
@@ -176,6 +192,6 @@ def test_a_kept_kernel_finds_what_it_calls_by_address_in_a_new_process(tmp_path:
         ).stdout
 
     assert [run(), run()] == ["7.0 0\n", "7.0 1\n"]
-    for path in (tmp_path / "cache").rglob("far.*.nb?"):
+    for path in (tmp_path / "cache").rglob("far.*.nbc"):
         path.unlink()
     assert run() == "7.0 1\n"

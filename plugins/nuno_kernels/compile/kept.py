@@ -3,15 +3,15 @@ that is not to be had.
 
 By itself numba runs old code where a callee or a constant of another module has changed, fails a run for good where one
 of its files was cut short (a power cut, a full disk), fails it where one cannot be written, and where the folder cannot
-be made turns to others.
+be made turns to others; and of two processes that compile at once one may be left with the other's code.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import logging
+import os
+import pickle
 import tempfile
 from collections.abc import Iterator
 from functools import cache
@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import dispatcher as numba_dispatcher
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.serialize import dumps
 
 from nuno_kernels.compile.apart import called_by_address, load_called
 from nuno_kernels.compile.reached import digest_of, is_known
@@ -29,22 +30,40 @@ CHECKSUM = 16
 """Bytes of it, at the end of each file."""
 
 
-class _Files(IndexDataCacheFile):  # type: ignore[misc]
-    """One kernel's index and machine code, each with a checksum behind it; one that is damaged is as good as none."""
+class _Files:
+    """Machine code of one kernel, a file for each kind of arguments, with a checksum behind it; one that is damaged is as
+    good as none.
 
-    @contextlib.contextmanager
-    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
-        content = io.BytesIO()
-        yield content
-        with super()._open_for_write(filepath) as stream:
-            stream.write(content.getvalue() + _checksum(content.getvalue()))
+    A file is named by all that its code depends on. numba numbers them and keeps an index of the numbers, which two
+    processes that compile at once write over each other: one's arguments are then given to the other's code.
+    """
 
-    def _load_index(self) -> dict[Any, str]:
-        found: dict[Any, str] = super()._load_index() if _is_whole(self._index_path) else {}
-        return found
+    def __init__(self, start: Path) -> None:
+        self.start = start
 
-    def _load_data(self, name: str) -> Any:
-        return super()._load_data(name) if _is_whole(self._data_path(name)) else None
+    def _path(self, key: object) -> Path:
+        return self.start.with_name(f"{self.start.name}.{_checksum(repr(key).encode()).hex()}.nbc")
+
+    def load(self, key: object) -> Any:
+        """None where there is none."""
+        try:
+            content = self._path(key).read_bytes()
+        except OSError:
+            return None
+        data, checksum = content[:-CHECKSUM], content[-CHECKSUM:]
+        return pickle.loads(data) if checksum == _checksum(data) else None
+
+    def save(self, key: object, data: object) -> None:
+        """Raises OSError. Whole or not at all, whoever else reads or writes."""
+        content, path = dumps(data), self._path(key)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as stream:
+            try:
+                stream.write(content + _checksum(content))
+                stream.close()
+                os.replace(stream.name, path)
+            except OSError:
+                os.unlink(stream.name)
+                raise
 
 
 class _Results(CompileResultCacheImpl):  # type: ignore[misc]
@@ -67,8 +86,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _Files(Path(self._cache_path, self._impl.filename_base))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """See numba, which compiles what is not found, and saves it: of what was reached before."""
@@ -76,7 +94,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        """Text: to read an index of types would import, for any of its kernels, what brought them all."""
+        """Text, which is the same in each process."""
         names = tuple(f"{kind.__module__}.{kind.__qualname__}" for kind in _classes(sig))
         return (str(sig), names, self.version, *super()._index_key(sig, codegen)[1:], self._reached)
 
@@ -85,9 +103,6 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         try:
             super().save_overload(sig, data)
         except OSError as error:
-            # The index is written before the code that it names, and would name another's.
-            with contextlib.suppress(OSError):
-                Path(self._cache_file._index_path).unlink()
             _say(self._cache_path, str(error.strerror))
 
 
@@ -137,14 +152,6 @@ def _can_be_written(folder: Path) -> bool:
 @cache
 def _say(folder: str, why: str) -> None:
     LOGGER.warning("compiled kernels cannot be kept in %s (%s): each run compiles them again", folder, why)
-
-
-def _is_whole(path: str) -> bool:
-    try:
-        content = Path(path).read_bytes()
-    except OSError:
-        return False
-    return content[-CHECKSUM:] == _checksum(content[:-CHECKSUM])
 
 
 def _checksum(data: bytes) -> bytes:
