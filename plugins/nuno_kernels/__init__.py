@@ -24,6 +24,7 @@ from numba.extending import register_jitable
 from nuno_kernels.compile.apart import call_by_address, call_from_kernels
 from nuno_kernels.compile.borrowed import Borrowing
 from nuno_kernels.compile.kept import keep, reached_by
+from nuno_kernels.compile.quiet import compile_quietly
 from nuno_kernels.compile.reached import SOLVERS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -49,6 +50,7 @@ def _cache_folder() -> Path:
 
 CACHE = _cache_folder()
 numba.config.CACHE_DIR = str(CACHE)
+compile_quietly()
 
 
 def kernel(function: F) -> F:

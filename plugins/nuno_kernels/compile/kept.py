@@ -31,8 +31,8 @@ CHECKSUM = 16
 
 
 class _Files:
-    """Machine code of one kernel, a file for each kind of arguments, with a checksum behind it; one that is damaged is as
-    good as none.
+    """Machine code of one kernel, a file for each kind of arguments, with a checksum behind it; one that is damaged is
+    as good as none.
 
     A file is named by all that its code depends on. numba numbers them and keeps an index of the numbers, which two
     processes that compile at once write over each other: one's arguments are then given to the other's code.
