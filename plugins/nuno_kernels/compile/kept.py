@@ -8,10 +8,10 @@ be made turns to others; and of two processes that compile at once one may be le
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import io
 import logging
-import os
-import pickle
 import tempfile
 from collections.abc import Iterator
 from functools import cache
@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import dispatcher as numba_dispatcher
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.serialize import dumps
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from nuno_kernels.compile.apart import called_by_address, load_called
 from nuno_kernels.compile.reached import digest_of, is_known
@@ -30,7 +29,7 @@ CHECKSUM = 16
 """Bytes of it, at the end of each file."""
 
 
-class _Files:
+class _Files(IndexDataCacheFile):  # type: ignore[misc]
     """Machine code of one kernel, a file for each kind of arguments, with a checksum behind it; one that is damaged is
     as good as none.
 
@@ -38,32 +37,24 @@ class _Files:
     processes that compile at once write over each other: one's arguments are then given to the other's code.
     """
 
-    def __init__(self, start: Path) -> None:
-        self.start = start
-
-    def _path(self, key: object) -> Path:
-        return self.start.with_name(f"{self.start.name}.{_checksum(repr(key).encode()).hex()}.nbc")
-
     def load(self, key: object) -> Any:
         """None where there is none."""
-        try:
-            content = self._path(key).read_bytes()
-        except OSError:
-            return None
-        data, checksum = content[:-CHECKSUM], content[-CHECKSUM:]
-        return pickle.loads(data) if checksum == _checksum(data) else None
+        name = self._name(key)
+        return self._load_data(name) if _is_whole(self._data_path(name)) else None
 
     def save(self, key: object, data: object) -> None:
-        """Raises OSError. Whole or not at all, whoever else reads or writes."""
-        content, path = dumps(data), self._path(key)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as stream:
-            try:
-                stream.write(content + _checksum(content))
-                stream.close()
-                os.replace(stream.name, path)
-            except OSError:
-                os.unlink(stream.name)
-                raise
+        """Whole or not at all, whoever else reads or writes. Raises OSError."""
+        self._save_data(self._name(key), data)
+
+    def _name(self, key: object) -> str:
+        return f"{Path(self._index_name).stem}.{_checksum(repr(key).encode()).hex()}.nbc"
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as stream:
+            stream.write(content.getvalue() + _checksum(content.getvalue()))
 
 
 class _Results(CompileResultCacheImpl):  # type: ignore[misc]
@@ -86,7 +77,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        self._cache_file = _Files(Path(self._cache_path, self._impl.filename_base))
+        self._cache_file = _Files(self._cache_path, self._impl.filename_base, source_stamp=None)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """See numba, which compiles what is not found, and saves it: of what was reached before."""
@@ -152,6 +143,14 @@ def _can_be_written(folder: Path) -> bool:
 @cache
 def _say(folder: str, why: str) -> None:
     LOGGER.warning("compiled kernels cannot be kept in %s (%s): each run compiles them again", folder, why)
+
+
+def _is_whole(path: str) -> bool:
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return content[-CHECKSUM:] == _checksum(content[:-CHECKSUM])
 
 
 def _checksum(data: bytes) -> bytes:
