@@ -82,6 +82,32 @@ def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int
 
 
 @kernel
+def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float) -> None:
+    """v = u + s v of a block's vertices, s the share of their way from `last` to `meant` that they have gone, up to 1.
+
+    One that is held where it is swings no farther, either: it would set out anew from there after each kick.
+    """
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    for i in range(np.uint64(low), np.uint64(high)):
+        gone, whole = 0.0, 0.0
+        for row in range(3):
+            gone += (x[row, i] - last[row, i]) ** 2
+            whole += (meant[row, i] - last[row, i]) ** 2
+        share = 1.0 if gone >= whole else math.sqrt(gone / whole)
+        for row in range(3):
+            v[row, i] = u[row, i] + share * v[row, i]
+
+
+rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last")
+
+
+@kernel
+def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, threads: int | None) -> None:
+    """The same of all vertices, each (3, n)."""
+    rejoin_blocks(v, u, x, meant, last, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
+
+
+@kernel
 def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> None:
     """Give carried vertices the place and velocity that they have from fraction s of the frame on."""
     place(bodies, on, x, v, s)
@@ -94,7 +120,8 @@ def advance_respa(
     """`steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all else.
 
     That kicks for half of the steps before and half of those after. What holds cloth off bodies and off cloth is told,
-    and changes, the mean velocity u since the last kick: it is by that that vertices came to where they are.
+    and changes, the mean velocity u since the last kick: it is by that that vertices came to where they are. Of what a
+    velocity is beyond u there remains as much as of the way.
 
     Tension is felt halfway through each step: symplectic Euler's steps, from positions that are half a step ahead.
     """
@@ -115,8 +142,9 @@ def advance_respa(
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
         step, before = step + after, after
         average(u, here_v, here_x, last, 1.0 / (after * dt), p.threads)
+        copy_rows(here_x, to_x)
         commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
-        add(here_v, here_v, 1.0, u, p.threads)
+        rejoin(here_v, u, here_x, to_x, last, p.threads)
     if steps % 2 == 1:
         copy_rows(here_x, x)
         copy_rows(here_v, v)
