@@ -101,13 +101,21 @@ def wear(args: argparse.Namespace) -> int:
     if scene.exists() and not _is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    text = (WALKED if args.motion else WORN).format(**{name: json.dumps(value) for name, value in given.items()})
-    scene.write_text(text, encoding="utf-8")
+    scene.write_text(describe_worn(**given), encoding="utf-8")
     roots = dict.fromkeys(str(file.resolve().parent) for file in files.values())
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     return nuno(command)
+
+
+def describe_worn(*, motion: str | None = None, **given: str) -> str:
+    """A scene's text: of a `pattern` on a `body`, both files beside it, in which the body may go by the file `motion`.
+
+    given  also the scene's `name`, the `edge` of triangles, and the `fabric`
+    """
+    quoted = {name: json.dumps(value) for name, value in (given | {"motion": motion}).items()}
+    return (WALKED if motion else WORN).format(**quoted)
 
 
 def _is_own(text: str) -> bool:

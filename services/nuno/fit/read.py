@@ -41,7 +41,7 @@ def read_fits(
         raise BadInput("the recording holds no frames", str(recording.path))
     (moment,) = states(recording, [known[-1] if frame is None else frame], forces=True)
     with restored_scene(recording) as loaded:
-        mesh, own, search = _wearer(loaded, body, moment.t, str(recording.path))
+        mesh, own, search = wearer(loaded, body, moment.t, str(recording.path))
     floor = float(mesh[0][:, 1].min())
     at = (own or find_heights(*mesh)) | {name: floor + height for name, height in (heights or {}).items()}
     at = dict(sorted(at.items(), key=lambda one: -one[1]))
@@ -79,10 +79,13 @@ def _normals(mesh: Mesh, found: Any) -> Float:
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
 
 
-def _wearer(
+def wearer(
     loaded: Loaded, name: str | None, t: float, path: str
 ) -> tuple[Mesh, dict[str, float], Callable[[Float], Any]]:
-    """A body's mesh as it is at t [s], heights that it knows by name [m], and what finds its closest points."""
+    """A body's mesh as it is at t [s], heights that it knows by name [m], and what finds its closest points.
+
+    name is None for the only body; path is what is read. Raises BadInput where none, or no such one, is of triangles.
+    """
     names = [one.name for one in loaded.scene.bodies]
     if not names:
         raise BadInput("the recording has no body to fit", path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +14,7 @@ from nuno.ahead import Pace, run_seconds
 from nuno.scene import scene_file
 from nuno.words import roughly
 from nuno_bench import machine, options
-from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
+from nuno_bench.gallery import contact, dye, knit, sewn, worn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed
 from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
@@ -32,12 +33,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
     options.add_shared(parser, "--docs")
+    worn.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
-    kind, others, section = KINDS[args.kind], machine.Others(), f"gallery {args.kind}"
+    worn.check(args)
+    kind, section = KINDS[args.kind], f"gallery {args.kind}"
     page.check_section(args.docs, section)
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        if args.patterns:
+            own = worn.write_scenes(args, Path(folder))
+            kind = replace(kind, scenes=lambda: own, lead=f"Patterns that were put on {args.body.name}, one by one.")
+        return show(kind, args, section)
+
+
+def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
+    """See main."""
+    others = machine.Others()
     paths = choose(kind, args.scenes)
     print(f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True)
     pace = Pace({path.stem: run_seconds(scene_file.read(path)) for path in paths})
