@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from sewing_patterns import column, tube
+from sewing_patterns import back, column, front, tube
 
 from nuno.cli import main, parser_of
 from nuno.scene import scene_file
@@ -79,8 +79,10 @@ def test_what_passes_through_what_is_seen_but_for_a_body_through_itself() -> Non
 
 
 @pytest.mark.full
-def test_the_page_shows_and_measures_each(here: Path) -> None:
-    words = ["gallery", "sewn", "--patterns", "tube.json", "other.json", *BODY, "--edge", "4 cm", "--out", "page"]
-    assert main(words) == 0
+def test_the_page_shows_and_measures_each_that_can_be_worn(here: Path) -> None:
+    """One that is too narrow for the body is told of; the others are shown."""
+    Path("narrow.json").write_text(json.dumps(tube(front=front(10.0), back=back(10.0))))
+    patterns = ["narrow.json", "tube.json", "other.json"]
+    assert main(["gallery", "sewn", "--patterns", *patterns, *BODY, "--edge", "4 cm", "--out", "page"]) == 1
     text = (here / "page" / "sewn.html").read_text()
-    assert text.count("data:image/png;base64,") == 6 and "failed" not in text
+    assert text.count("data:image/png;base64,") == 6 and text.count("cannot be put round wearer") == 1

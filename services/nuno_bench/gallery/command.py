@@ -53,9 +53,17 @@ def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
     others = machine.Others()
     paths = choose(kind, args.scenes)
     print(f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True)
-    pace = Pace({path.stem: run_seconds(scene_file.read(path)) for path in paths})
+    shown, seconds = list[Shown](), dict[str, float]()
+    for path in paths:
+        try:
+            seconds[path.stem] = run_seconds(scene_file.read(path))
+        except BadInput as error:
+            print(f"{path.stem}: {error}", file=sys.stderr, flush=True)
+            shown.append(Shown(path.stem, "", failed=str(error)))
+            if len(shown) == len(paths):
+                raise
+    paths, pace = [path for path in paths if path.stem in seconds], Pace(seconds)
     print(f"steps take {roughly(pace.left)}, compiling and pictures apart", file=sys.stderr, flush=True)
-    shown = []
     for i, path in enumerate(paths):
         left = f", {roughly(pace.left)} left" if i else ""
         print(f"{path.stem}, {i + 1} of {len(paths)}{left} ...", file=sys.stderr, flush=True)
