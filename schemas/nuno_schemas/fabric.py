@@ -164,17 +164,37 @@ class Binding:
 
 
 @dataclass(frozen=True)
+class Panels:
+    """The flat panels that garments are sewn from, as they lie in texture coordinates, warp along v.
+
+    names (q,)              of the panels
+    of    (f,)   int32      panel of each triangle, -1 where it is of none
+    unit  (q,)   float64    [m] per unit of texture coordinates, by panel: rest shapes at their true size
+    pairs (k, 2) int32      points of `Corners` that are sewn into one, along the two edges of each seam
+    seam  (k,)   int32      of each pair: the number of its seam
+    """
+
+    names: Annotated[tuple[str, ...], "q"]
+    of: Annotated[Int, "f", Bounds(-1, below="q")]
+    unit: Annotated[Float, "q", Bounds(above=0.0)]
+    pairs: Annotated[Int, "k", 2, Bounds(0, below="p")]
+    seam: Annotated[Int, "k", Bounds(0)]
+
+
+@dataclass(frozen=True)
 class Corners:
     """Texture coordinates of triangles' corners, where a vertex has several: along the seams of a sewn garment.
 
     points (p, 2) float32  as `Fabric.uv` has them
     vertex (p,)   int32    the vertex that each is one of
     faces  (f, 3) int32    into the points: triangles and corners in the order of `Fabric.faces`, which is vertex[faces]
+    panels                 that the triangles are cut in, or None
     """
 
     points: Annotated[NDArray[np.float32], "p", 2]
     vertex: Annotated[Int, "p", Bounds(0, below="n")]
     faces: Annotated[Int, "f", 3, Bounds(0, below="p")]
+    panels: Panels | None = None
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Corners, Fabric, Float, Int
+from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
@@ -101,7 +101,7 @@ class Pattern:
         elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
         return Fabric(
             name=self.name, position=x, velocity=np.zeros_like(x), pinned=held,
-            corners=Corners(lay_out(sewn).astype(np.float32), sewn.merged.astype(np.int32), sewn.faces),
+            corners=_corners(sewn),
             texture=texture, **elements._asdict(),
         )  # fmt: skip
 
@@ -114,6 +114,14 @@ class Pattern:
 
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
     return sew(read_pattern(files, config.file), config.edge)
+
+
+def _corners(sewn: Sewn) -> Corners:
+    points, unit = lay_out(sewn)
+    pairs = np.concatenate([np.empty((0, 2), np.int32), *(one.pairs for one in sewn.seams)])
+    seam = np.repeat(np.arange(len(sewn.seams), dtype=np.int32), [len(one.pairs) for one in sewn.seams])
+    panels = Panels(sewn.names, sewn.panel, np.full(len(sewn.names), unit), pairs, seam)
+    return Corners(points.astype(np.float32), sewn.merged.astype(np.int32), sewn.faces, panels)
 
 
 def _level(flat: Float) -> Float:

@@ -31,12 +31,13 @@ FILES = {
     "ply": "the cloth in a frame; a folder: every frame",
     "glb": "the cloth and bodies in a frame; a folder: every frame",
     "rrd": "a file for the rerun viewer",
+    "pattern": "the flat pattern of sewn garments at true size, .svg",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
 }
 """What can be written, by its flag."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
-COLOURS = ["auto", "cloth", "stretch", "pressure"]
+COLOURS = ["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,11 +61,14 @@ def _add_yarns(yarns: argparse._ArgumentGroup) -> None:
 
 
 def _add_parts(which: argparse._ArgumentGroup) -> None:
-    painted = "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure "
+    painted = (
+        "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure; "
+        "--pattern: outlines, or triangles by their largest strain (stretch), or that along warp or weft "
+    )
     own = "(default: its own where the scene gives one)"
     which.add_argument("--colour", choices=COLOURS, default="auto", help=painted + own)
     add_flags(which, {
-        "--frame": ("N", "frame for --npz, --forces, --png, meshes and yarns (default: the last)", int),
+        "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes and yarns (default: the last)", int),
         "--start": ("SECONDS", "animations: from here", float),
         "--end": ("SECONDS", "animations: to here", float),
         "--fps": ("N", "animations: pictures a second (default: 25)", float),
@@ -112,6 +116,10 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         written.append(tables.export_csv(recording, args.csv))
     if args.yarns:
         written.append(_export_yarns(recording, args))
+    if args.pattern:
+        from nuno.export.pattern import export_pattern
+
+        written.append(export_pattern(recording, args.pattern, args.frame, args.colour))
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
@@ -178,11 +186,15 @@ def _check(recording: Recording, args: argparse.Namespace) -> None:
         raise BadInput(
             "for pictures and animations", field="--set", value=args.overrides[0], remedy="add --png out.png"
         )
+    only = {True: ("pressure",), False: ("warp", "weft")}[bool(args.pattern)]
+    if args.colour in only or (args.colour in ("warp", "weft") and (args.png or args.gif or args.mp4)):
+        problem = "pressure is for pictures" if args.pattern and args.colour == "pressure" else "for --pattern alone"
+        raise BadInput(problem, field="--colour", value=args.colour, remedy="leave it out, or write the two by turns")
     if args.style and (recording.dyed_alone or not args.png):
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=args.style, remedy="leave it out")
     if recording.dyed_alone:
-        shapes = [name for name in ("forces", "yarns", *(m[1:] for m in MESHES)) if getattr(args, name)]
+        shapes = [name for name in ("forces", "yarns", "pattern", *(m[1:] for m in MESHES)) if getattr(args, name)]
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Springs
+from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Panels, Springs
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.yarns import Yarns
 
@@ -54,6 +54,25 @@ def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.vertex + at for part, (_, at) in zip(parts, moved, strict=True)]).astype(np.int32),
         np.concatenate([part.faces + at for part, at in zip(parts, before, strict=False)]).astype(np.int32),
+        _join_panels(parts, before.tolist()) if any(part.panels for part in parts) else None,
+    )
+
+
+def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
+    """Those of all; triangles of a fabric that has none are of none."""
+    none = np.empty(0, np.int32)
+    plain = [Panels((), np.full(len(c.faces), -1, np.int32), np.empty(0), none.reshape(0, 2), none) for c in parts]
+    all_ = [part.panels or empty for part, empty in zip(parts, plain, strict=True)]
+    names = np.cumsum([0, *(len(panels.names) for panels in all_)]).tolist()
+    seams = np.cumsum([0, *(int(panels.seam.max(initial=-1)) + 1 for panels in all_)]).tolist()
+    return Panels(
+        tuple(name for panels in all_ for name in panels.names),
+        np.concatenate([np.where(p.of < 0, -1, p.of + at) for p, at in zip(all_, names, strict=False)]).astype(
+            np.int32
+        ),
+        np.concatenate([panels.unit for panels in all_]),
+        np.concatenate([p.pairs + at for p, at in zip(all_, before, strict=False)]).astype(np.int32),
+        np.concatenate([p.seam + at for p, at in zip(all_, seams, strict=False)]).astype(np.int32),
     )
 
 

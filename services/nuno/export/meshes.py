@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -89,7 +90,10 @@ def _write(
 
 
 def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
-    """One group per piece. As many digits as give every float64 back; OBJ counts from 1 over all pieces."""
+    """One object per piece, and one group per panel. As many digits as give every float64 back.
+
+    OBJ counts from 1 over all pieces.
+    """
     stream.write(f"# nuno frame {frame.number} at {frame.t!r} s\n".encode())
     written = 1
     for piece in pieces:
@@ -99,11 +103,24 @@ def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None
         if (laid := piece.laid_out) is not None:
             lines += ["vt {:.9g} {:.9g}".format(*row) for row in laid.points.tolist()]
             both = np.stack([corners, laid.faces + written], axis=2).reshape(-1, 6)
-            lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in both.tolist()]
+            rows = ["f {}/{} {}/{} {}/{}".format(*row) for row in both.tolist()]
+            for name, first, stop in _panel_runs(piece):
+                lines += [f"g {'_'.join(name.split())}"] if name else []
+                lines += rows[first:stop]
             written += len(laid.points)
         else:
             lines += ["f {} {} {}".format(*row) for row in corners.tolist()]
         stream.write(("\n".join(lines) + "\n").encode())
+
+
+def _panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
+    """Triangles in a row that are of one panel: its name, the first, and the one after the last; "" is of none."""
+    panels = None if piece.corners is None else piece.corners.panels
+    if panels is None:
+        return [("", 0, len(piece.faces))]
+    ends = [0, *(np.flatnonzero(np.diff(panels.of)) + 1).tolist(), len(panels.of)]
+    names = (*panels.names, "")
+    return [(names[panels.of[first]], first, stop) for first, stop in pairwise(ends)]
 
 
 def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
@@ -140,6 +157,8 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
             x = frame.x[piece.start : piece.stop] - origin
             split = piece.laid_out if piece.image is not None else None
             mesh = _trimesh(x, piece.faces, _visual(piece, x), split)
+            if piece.corners is not None and piece.corners.panels is not None:
+                mesh.metadata["panels"] = [list(run) for run in _panel_runs(piece)]  # among glTF's extras
             scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name, transform=place)
     bodies = read_bodies(recording)
     points = body_vertices(recording, bodies, frame.t)

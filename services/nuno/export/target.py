@@ -22,6 +22,7 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".npz": (0, b"PK\x03\x04"),
     ".csv": (0, b"frame,"),
     ".obj": (0, b"# nuno"),
+    ".svg": (0, b'<svg id="nuno-pattern"'),
     ".ply": (0, b"ply\n"),
     ".glb": (0, b"glTF"),
     ".png": (0, b"\x89PNG"),

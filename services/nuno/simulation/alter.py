@@ -116,6 +116,8 @@ def fabric_from(arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str
         for part, (kind, names) in PARTS.items():
             if getattr(built, part) is not None:
                 parts[part] = kind(*(arrays[f"{part}.{name}"] for name in names))
+        if built.corners is not None:  # panels stay as they are cut: no operation changes triangles that have corners
+            parts["corners"] = replace(parts["corners"], panels=built.corners.panels)
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), binding.body, binding.frame)
             for i, binding in enumerate(built.bindings)

@@ -146,6 +146,10 @@ class ClothDriver(Driver):
             arrays["uv"] = fabric.uv
         if (corners := fabric.corners) is not None:
             arrays |= {"corner_uv": corners.points, "corner_vertex": corners.vertex, "corner_faces": corners.faces}
+        panels = None if corners is None else corners.panels
+        if panels is not None:
+            arrays |= {"panel_of": panels.of, "panel_unit": panels.unit}
+            arrays |= {"panel_pairs": panels.pairs, "panel_seam": panels.seam}
         yarns = edge_yarns(fabric)
         if yarns is not None:
             arrays |= {"edge_yarn": yarns} | tension_arrays(fabric)
@@ -153,6 +157,7 @@ class ClothDriver(Driver):
             "vertices": fabric.number,
             "scene": self.scene.name,
             "objects": [vars(piece) for piece in self.simulation.pieces],
+            "panels": [] if panels is None else list(panels.names),
         }
         return arrays, text
 

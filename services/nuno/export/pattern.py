@@ -1,0 +1,207 @@
+"""The flat pattern of sewn garments as a drawing at true size: SVG, 1 unit = 1 mm."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from nuno.export.cloth import Pieces, ShownPiece, check_size, read_frame
+from nuno.export.paint import STRETCH, paint_stretch
+from nuno.export.target import check_target, opened, writing
+from nuno.recording.reader import Recording
+from nuno_schemas.colour import CONTROL, to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Corners, Float, Int, Panels
+
+MM = 1e3
+GAP, MARGIN, HEAD, FOOT = 30.0, 20.0, 14.0, 40.0
+"""Between panels, round the drawing, for a garment's name above it, for scale and legend below it [mm]."""
+INK, SEAM = "#1d2430", "#b5523b"
+NOTCH, INSIDE = 5.0, 10.0
+"""How long a notch is, and how far inside of the edge its label stands [mm]."""
+WORDS = {"stretch": "largest strain", "warp": "strain along the warp", "weft": "strain along the weft"}
+"""What triangles can be painted by."""
+
+
+def export_pattern(source: Recording | Path | str, path: Path, frame: int | None = None, colour: str = "auto") -> Path:
+    """Draw the panels of all sewn garments, one garment beside the other, as .svg at true size.
+
+    colour "stretch", "warp" or "weft" paints triangles by the strain of a frame (default: the last); any other draws
+    outlines. Raises BadInput for another ending, a frame that is not there, and a recording without a sewn garment.
+    """
+    check_target(path, ".svg")
+    with opened(source) as recording:
+        shown = read_frame(recording, frame)
+        pieces = Pieces(recording).at(shown.t)
+        check_size(recording, pieces, shown)
+        garments = [(p, p.corners, p.corners.panels) for p in pieces if p.corners is not None and p.corners.panels]
+        if not garments:
+            problem, remedy = (
+                "no garment is sewn from a pattern",
+                "give an object the model pattern: see docs/sewing.md",
+            )
+            raise BadInput(problem, str(recording.path), field="--pattern", value=str(path), remedy=remedy)
+        drawn, start, height = list[str](), MARGIN, 0.0
+        for piece, corners, panels in garments:
+            flat, width = _lay(corners, panels)
+            height = max(height, float(flat[:, 1].max()))
+            painted = paint_triangles(piece, shown.x[piece.start : piece.stop], colour) if colour in WORDS else None
+            drawn.append(f'<g class="garment" transform="translate({start:.3f} 0)">')
+            drawn.append(_text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
+            drawn += _garment(corners, panels, flat * [1.0, -1.0], painted)
+            drawn.append("</g>")
+            start += width + 2.0 * GAP
+        foot = [*_scale(), *(_legend(WORDS[colour]) if colour in WORDS else [])]
+    width, top = max(start - 2.0 * GAP + MARGIN, 2.0 * MARGIN + 260.0), MARGIN + HEAD
+    size = f"{width:.3f}", f"{top + height + FOOT + MARGIN:.3f}"
+    lines = [
+        f'<svg id="nuno-pattern" xmlns="http://www.w3.org/2000/svg" width="{size[0]}mm" height="{size[1]}mm" '
+        f'viewBox="0 0 {size[0]} {size[1]}" font-family="sans-serif" stroke-linejoin="round">',
+        '<rect width="100%" height="100%" fill="#ffffff"/>',
+        f'<g transform="translate(0 {top + height:.3f})">', *drawn, "</g>",
+        f'<g transform="translate({MARGIN} {top + height + 20.0:.3f})">', *foot, "</g>", "</svg>",
+    ]  # fmt: skip
+    with writing(path, ".svg") as new:
+        new.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def strains(piece: ShownPiece, x: Float) -> dict[str, Float]:
+    """Of each triangle at x (n, 3) [m], by the names in WORDS: the largest strain, and those along warp and weft, as
+    `nuno fit` has them; NaN for triangles of no panel.
+    """
+    if piece.corners is None or piece.corners.panels is None:
+        raise ValueError("strain is measured from panels")
+    unit = np.append(piece.corners.panels.unit, np.nan)[piece.corners.panels.of]
+    flat = piece.corners.points.astype(np.float64)[piece.corners.faces] * unit[:, None, None]
+    (u0, v0), (u1, v1) = (flat[:, 1] - flat[:, 0]).T, (flat[:, 2] - flat[:, 0]).T
+    a, b, c = np.take(x, piece.faces.T, axis=0)
+    twice = (u0 * v1 - u1 * v0)[:, None]
+    weft = (v1[:, None] * (b - a) - v0[:, None] * (c - a)) / twice
+    warp = (u0[:, None] * (c - a) - u1[:, None] * (b - a)) / twice
+    ww, ff, wf = ((one * other).sum(axis=1) for one, other in ((warp, warp), (weft, weft), (warp, weft)))
+    most = np.sqrt(0.5 * (ww + ff) + np.hypot(0.5 * (ww - ff), wf))
+    return {"stretch": most - 1.0, "warp": np.sqrt(ww) - 1.0, "weft": np.sqrt(ff) - 1.0}
+
+
+def paint_triangles(piece: ShownPiece, x: Float, colour: str) -> list[str]:
+    """Of each triangle "#rrggbb", by the scale of pictures."""
+    linear = paint_stretch(strains(piece, x)[colour])
+    return ["#" + bytes(row).hex() for row in np.round(255.0 * to_srgb(linear)).astype(np.uint8)]
+
+
+def _lay(corners: Corners, panels: Panels) -> tuple[Float, float]:
+    """(p, 2) the corners [mm], warp upwards, panels side by side with gaps on one line; and how wide it is."""
+    flat, start = np.zeros((len(corners.points), 2)), 0.0
+    for k, unit in enumerate(panels.unit.tolist()):
+        own = np.unique(corners.faces[panels.of == k])
+        points = MM * unit * corners.points[own].astype(np.float64)
+        flat[own] = points - points.min(axis=0) + [start, 0.0]
+        start = float(flat[own, 0].max()) + GAP
+    return flat, start - GAP
+
+
+def _garment(corners: Corners, panels: Panels, flat: Float, painted: list[str] | None) -> list[str]:
+    """Elements of a garment whose corners are at flat (p, 2), y down."""
+    lines = []
+    for k, name in enumerate(panels.names):
+        which = np.flatnonzero(panels.of == k)
+        faces = corners.faces[which]
+        lines.append(f'<g class="panel" data-name="{escape(name)}">')
+        if painted is not None:
+            lines += [_triangle(flat[corners.faces[number]], painted[number]) for number in which.tolist()]
+        path = " ".join(f"M{_points(flat[loop])}Z" for loop in outlines(faces))
+        lines += [f'<path class="outline" d="{path}" fill="none" stroke="{INK}" stroke-width="0.6"/>']
+        lines += [*_grain(name, flat[faces]), "</g>"]
+    for number in np.unique(panels.seam).tolist():
+        pairs = panels.pairs[panels.seam == number]
+        for side in pairs.T:
+            lines += _seam(_letters(number), flat, side, corners.faces)
+    return lines
+
+
+def _triangle(corners: Float, colour: str) -> str:
+    return f'<polygon points="{_points(corners)}" fill="{colour}" stroke="{colour}" stroke-width="0.15"/>'
+
+
+def outlines(faces: Int) -> list[list[int]]:
+    """Points round a panel's triangles (f, 3), loop by loop."""
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
+    inner = {(b, a) for a, b in sides}
+    after = {a: b for a, b in sides if (a, b) not in inner}
+    loops = []
+    while after:
+        loop = [next(iter(after))]
+        while (point := after.pop(loop[-1])) != loop[0]:
+            loop.append(point)
+        loops.append(loop)
+    return loops
+
+
+def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
+    """An edge that is sewn, with a notch at its middle and the letters that its partner has, too."""
+    run = flat[side]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(run, axis=0), axis=1)))
+    middle = np.array([np.interp(0.5 * along[-1], along, axis) for axis in run.T])
+    at = min(int(np.searchsorted(along, 0.5 * along[-1], side="right")), len(run) - 1)
+    way = run[at] - run[at - 1]
+    inwards = np.array([-way[1], way[0]]) / np.linalg.norm(way)
+    beside = flat[faces[((faces == side[at]) | (faces == side[at - 1])).sum(axis=1) == 2][0]].mean(axis=0)
+    inwards *= np.sign((beside - middle) @ inwards)
+    tip, place = middle + NOTCH * inwards, middle + INSIDE * inwards
+    return [
+        f'<polyline class="seam" data-seam="{letters}" points="{_points(run)}" fill="none" stroke="{SEAM}"/>',
+        f'<path d="M{_points(np.stack([middle, tip]))}" stroke="{SEAM}"/>',
+        _text(letters, place[0], place[1] + 2.2, 6, SEAM, "middle"),
+    ]
+
+
+def _letters(number: int) -> str:
+    """A to Z, then AA, AB, and so on."""
+    return (_letters(number // 26 - 1) if number >= 26 else "") + chr(ord("A") + number % 26)
+
+
+def _grain(name: str, corners: Float) -> list[str]:
+    """The arrow of the warp, in the triangle nearest to the panel's middle, and the panel's name along it."""
+    centres = corners.mean(axis=1)
+    x, y = centres[np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1))]
+    width, height = np.ptp(corners.reshape(-1, 2), axis=0)
+    half, size = 0.2 * height, float(min(10.0, 0.3 * width, 0.6 * height / max(len(name), 1)))
+    tip = min(4.0, half)
+    arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}"
+    return [
+        f'<path class="grain" d="{arrow}l{0.5 * tip:.3f},{tip:.3f}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
+        f'<g transform="translate({x - 0.4 * size:.3f} {y:.3f}) rotate(-90)">',
+        _text(name, 0, 0, size, INK, "middle"),
+        "</g>",
+    ]
+
+
+def _scale() -> list[str]:
+    return [
+        f'<path class="scale" d="M0,-3V3M0,0H100M100,-3V3" fill="none" stroke="{INK}" stroke-width="0.6"/>',
+        _text("10 cm", 50, -2.5, 6, INK, "middle"), _text("1:1, in mm. Arrows run along the warp.", 0, 12, 5),
+    ]  # fmt: skip
+
+
+def _legend(words: str) -> list[str]:
+    """A bar of 100 mm, beside the scale, with the strains at decades."""
+    stops = "".join(f'<stop offset="{k / (len(CONTROL) - 1)}" stop-color="{c}"/>' for k, c in enumerate(CONTROL))
+    decades = np.arange(round(np.log10(STRETCH[0])), round(np.log10(STRETCH[1])) + 1).tolist()
+    marks = np.linspace(130.0, 230.0, len(decades)).tolist()
+    return [
+        f'<defs><linearGradient id="map">{stops}</linearGradient></defs>',
+        '<rect x="130" y="-3" width="100" height="6" fill="url(#map)"/>', _text(words, 130, -5.5, 5),
+        *(_text(f"{100.0 * 10.0**k:g} %", x, 9, 5, INK, "middle") for k, x in zip(decades, marks, strict=True)),
+    ]  # fmt: skip
+
+
+def _points(rows: Float) -> str:
+    return " ".join(f"{x:.3f},{y:.3f}" for x, y in rows.tolist())
+
+
+def _text(text: str, x: float, y: float, size: float, ink: str = INK, anchor: str = "start") -> str:
+    place = f'x="{x:.3f}" y="{y:.3f}" font-size="{size:.3g}" fill="{ink}" text-anchor="{anchor}"'
+    return f"<text {place}>{escape(text)}</text>"
