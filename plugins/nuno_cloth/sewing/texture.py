@@ -12,6 +12,7 @@ def lay_out(sewn: Sewn) -> tuple[Float, float]:
     """(m, 2) of the cut vertices, u to the right and v upwards, in [0, 1]; and how long a unit of them is [m].
 
     Triangles into them are `sewn.faces`.
+
     Each panel lies with its outside up, turned so that its warp runs along v; panels stand side by side in their
     order, all on v = 0, and all at one scale: that of the longer side of the rectangle round them. So a stripe along v
     follows the warp on every panel. A seam's vertices are one in the cloth and differ here, as panels are cut apart.

@@ -153,8 +153,9 @@ def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
     tip, place = middle + NOTCH * inwards, middle + INSIDE * inwards
     return [
         f'<polyline class="seam" data-seam="{letters}" points="{_points(run)}" fill="none" stroke="{SEAM}"/>',
+        f'<path d="M{_points(np.stack([middle, tip]))}" stroke="#ffffff" stroke-width="2.5"/>',
         f'<path d="M{_points(np.stack([middle, tip]))}" stroke="{SEAM}"/>',
-        _text(letters, place[0], place[1] + 2.2, 6, SEAM, "middle"),
+        _text(letters, place[0], place[1] + 3.0, 8, SEAM, "middle"),
     ]
 
 
@@ -168,10 +169,11 @@ def _grain(name: str, corners: Float) -> list[str]:
     centres = corners.mean(axis=1)
     x, y = centres[np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1))]
     width, height = np.ptp(corners.reshape(-1, 2), axis=0)
-    half, size = 0.2 * height, float(min(10.0, 0.3 * width, 0.6 * height / max(len(name), 1)))
+    half, size = 0.2 * height, float(min(14.0, 0.3 * width, 0.6 * height / max(len(name), 1)))
     tip = min(4.0, half)
     arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}"
     return [
+        f'<path d="M{x:.3f},{y + half:.3f}V{y - half:.3f}" stroke="#ffffff" stroke-width="2"/>',
         f'<path class="grain" d="{arrow}l{0.5 * tip:.3f},{tip:.3f}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
         f'<g transform="translate({x - 0.4 * size:.3f} {y:.3f}) rotate(-90)">',
         _text(name, 0, 0, size, INK, "middle"),
@@ -204,4 +206,7 @@ def _points(rows: Float) -> str:
 
 def _text(text: str, x: float, y: float, size: float, ink: str = INK, anchor: str = "start") -> str:
     place = f'x="{x:.3f}" y="{y:.3f}" font-size="{size:.3g}" fill="{ink}" text-anchor="{anchor}"'
-    return f"<text {place}>{escape(text)}</text>"
+    # A white rim first: labels are to be read on any colour, and not all programs know paint-order.
+    return f'<text {place} stroke="#ffffff" stroke-width="{0.2 * size:.3g}">{escape(text)}</text>' + (
+        f"<text {place}>{escape(text)}</text>"
+    )

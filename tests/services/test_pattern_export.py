@@ -1,0 +1,154 @@
+"""The flat pattern of sewn garments, drawn from a recording: true size, labels, strain; and panels' names in meshes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import write_scene
+
+import nuno
+from nuno.cli import main
+from nuno.cloth.build import build_fabric
+from nuno.cloth.join import join_fabrics
+from nuno.export.cloth import read_frame, read_pieces
+from nuno.export.meshes import export_mesh
+from nuno.export.paint import paint_stretch
+from nuno.export.pattern import export_pattern, strains
+from nuno.fit.measure import measure
+from nuno.handed import check_fabric
+from nuno.recording.reader import open_recording
+from nuno.scene.files import SceneFiles
+from nuno.scene.scene_file import read
+from nuno_cloth.models.pattern import Pattern as PatternModel
+from nuno_cloth.models.pattern import PatternConfig
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_schemas.colour import to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+PATTERN = Path(__file__).parents[2] / "scenes" / "sewn" / "patterns" / "top.yaml"
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sheet between two tops that no body wears."""
+    folder = tmp_path_factory.mktemp("flat")
+    shutil.copy(PATTERN, folder)
+    top = {"plugin": "pattern", "file": "top.yaml", "edge": 0.1}
+    sheet = {"plugin": "sheet", "resolution": [4, 4], "pin": ["top-row"]}
+    models = {"one": top, "sheet": sheet, "two": top}
+    objects = [{"name": name, "model": model} for name, model in models.items()]
+    nuno.run(write_scene(folder, objects=objects, duration=0.04), record=folder / "run.mcap")
+    return folder / "run.mcap"
+
+
+def numbers(text: str) -> Float:
+    """(n, 2) points of a path or polygon."""
+    return np.array([point.split(",") for point in text.strip("MZ").split()], float)
+
+
+def drawn(path: Path) -> list[ElementTree.Element]:
+    """The garments of a drawing."""
+    return ElementTree.parse(path).getroot().findall(f".//{SVG}g[@class='garment']")
+
+
+def test_outlines_are_as_long_and_large_as_the_pattern(recording: Path, tmp_path: Path) -> None:
+    path = export_pattern(recording, tmp_path / "flat.svg")
+    root, pattern = ElementTree.parse(path).getroot(), read_pattern(SceneFiles(recording.parent), "top.yaml")
+    box = [float(value) for value in root.attrib["viewBox"].split()]
+    assert [root.attrib["width"], root.attrib["height"]] == [f"{value:.3f}mm" for value in box[2:]]
+    garments = drawn(path)
+    assert len(garments) == 2
+    for garment in garments:
+        panels = garment.findall(f"{SVG}g[@class='panel']")
+        assert [panel.attrib["data-name"] for panel in panels] == list(pattern.panels)
+        for panel, cut in zip(panels, pattern.panels.values(), strict=True):
+            outline = panel.find(f"{SVG}path[@class='outline']")
+            assert outline is not None
+            x, y = (points := numbers(outline.attrib["d"])).T
+            sides = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+            assert sides.sum() == pytest.approx(1e3 * sum(edge.length for edge in cut.edges), rel=1e-3)
+            area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+            assert area == pytest.approx(1e6 * abs(cut.area), rel=1e-3)
+
+
+def test_a_seam_has_its_letters_on_two_edges_of_its_own_length(recording: Path, tmp_path: Path) -> None:
+    pattern = read_pattern(SceneFiles(recording.parent), "top.yaml")
+    for garment in drawn(export_pattern(recording, tmp_path / "flat.svg")):
+        edges: dict[str, list[Float]] = {}
+        for seam in garment.findall(f"{SVG}polyline[@class='seam']"):
+            edges.setdefault(seam.attrib["data-seam"], []).append(numbers(seam.attrib["points"]))
+        assert list(edges) == ["A", "B", "C", "D"]
+        for (one, other), sewn in zip(edges.values(), pattern.seams, strict=True):
+            assert len(one) == len(other)
+            found = [np.linalg.norm(np.diff(run, axis=0), axis=1).sum() for run in (one, other)]
+            assert found == pytest.approx([1e3 * pattern.edge(side).length for side in sewn.sides], rel=1e-3)
+
+
+@pytest.mark.parametrize("colour", ["warp", "weft"])
+def test_triangles_are_painted_by_the_strain_that_fit_reports(recording: Path, tmp_path: Path, colour: str) -> None:
+    garment = drawn(export_pattern(recording, tmp_path / "flat.svg", 1, colour))[0]
+    with open_recording(recording) as opened:
+        piece, x = read_pieces(opened)[0], read_frame(opened, 1).x
+    config = PatternConfig.model_validate({"file": "top.yaml", "edge": 0.1})
+    single = PatternModel().build(config, SceneFiles(recording.parent), 0).membrane
+    assert single is not None
+    own = x[piece.start : piece.stop].copy()
+    own *= 1.0 + 0.1 * own[:, 1:2]  # farther from rest than two frames bring it
+    found, area = strains(piece, own)[colour], single.area
+    spread = measure("one", own, single, (own, single.faces), {}).strains[colour]
+    assert found.max() == pytest.approx(spread.most, abs=1e-5) and spread.most > 0.01
+    order = np.argsort(found)
+    median = found[order][np.searchsorted(np.cumsum(area[order]) / area.sum(), 0.5)]
+    assert median == pytest.approx(spread.median, abs=1e-5)
+    fills = [polygon.attrib["fill"] for polygon in garment.iter(f"{SVG}polygon")]
+    shown = np.array([list(bytes.fromhex(fill[1:])) for fill in fills])
+    expected = 255.0 * to_srgb(paint_stretch(strains(piece, x[piece.start : piece.stop])[colour]))
+    assert np.abs(shown - expected).max() <= 0.5 + 1e-9
+
+
+def test_panels_follow_joined_cloth_and_come_back_from_a_recording(recording: Path) -> None:
+    fabric = build_fabric(read(recording.parent / "scene.yaml"))[0]
+    twice = join_fabrics([fabric, fabric], "twice")
+    check_fabric(twice)
+    assert twice.corners is not None and twice.corners.panels is not None
+    panels, corners = twice.corners.panels, twice.corners
+    assert panels.names == ("front", "back") * 4 and panels.seam.max() == 15
+    assert (np.diff(corners.vertex[panels.pairs]) == 0).all()
+    with open_recording(recording) as opened:
+        one, sheet, two = (piece.corners for piece in read_pieces(opened))
+    assert one is not None and two is not None and sheet is not None and sheet.panels is None
+    for own in (one, two):
+        assert own.panels is not None and own.panels.names == ("front", "back")
+        assert (np.diff(own.vertex[own.panels.pairs]) == 0).all() and own.panels.seam.max() == 3
+
+
+def test_meshes_name_panels(recording: Path, tmp_path: Path) -> None:
+    lines = export_mesh(recording, tmp_path / "out.obj").read_text().splitlines()
+    assert [line for line in lines if line[:2] in ("o ", "g ")] == [
+        "o one", "g front", "g back", "o sheet", "o two", "g front", "g back",
+    ]  # fmt: skip
+    data = export_mesh(recording, tmp_path / "out.glb").read_bytes()
+    meshes = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])["meshes"]
+    runs = next(mesh for mesh in meshes if mesh["name"] == "one")["extras"]["panels"]
+    assert [run[0] for run in runs] == ["front", "back"] and runs[0][1] == 0 and runs[0][2] == runs[1][1]
+
+
+def test_what_has_no_pattern_or_another_ending_is_refused(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(BadInput, match=r"must end in \.svg"):
+        export_pattern(recording, tmp_path / "flat.pdf")
+    sheet = [{"name": "sheet", "model": {"plugin": "sheet", "resolution": [4, 4], "pin": ["top-row"]}}]
+    nuno.run(write_scene(tmp_path, objects=sheet, duration=0.02), record=tmp_path / "sheet.mcap")
+    with pytest.raises(BadInput, match="no garment is sewn from a pattern"):
+        export_pattern(tmp_path / "sheet.mcap", tmp_path / "flat.svg")
+    assert not (tmp_path / "flat.svg").exists()
+    assert main(["export", str(recording), "--png", str(tmp_path / "out.png"), "--colour", "warp"]) == 2
+    assert "for --pattern alone" in capsys.readouterr().err
