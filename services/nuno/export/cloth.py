@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
@@ -17,6 +17,7 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces, surface
+from nuno.export.corners import cut_corners, read_corners, read_indices
 from nuno.export.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
@@ -24,7 +25,7 @@ from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Corners, Float, Int, Panels
+from nuno_schemas.fabric import Corners, Float, Int
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
 
 Pressures = Callable[[Float], Float]
@@ -114,14 +115,14 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
     Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for one that does not fit together.
     """
     number = int(text["vertices"])
-    faces, edges = (_indices(name, arrays[name], width, number) for name, width in (("faces", 3), ("edges", 2)))
+    faces, edges = (read_indices(name, arrays[name], width, number) for name, width in (("faces", 3), ("edges", 2)))
     lengths = {"edge_rest": len(edges), "edge_yarn": len(edges), "uv": number, "pinned": number}
     for name, length in lengths.items():
         if name in arrays and len(arrays[name]) != length:
             raise ValueError(f"{name} has {len(arrays[name])} rows, not {length}")
     rest, pinned = np.asarray(arrays["edge_rest"], np.float64), arrays.get("pinned", np.zeros(number)).astype(bool)
     yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
-    corners = _corners(arrays, faces, number, text.get("panels", ()))
+    corners = read_corners(arrays, faces, number, text.get("panels", ()))
     pieces = []
     for item in text["objects"]:
         start, stop = int(item["start"]), int(item["stop"])
@@ -133,65 +134,10 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
                 str(item["name"]), start, stop, faces[own] - start, edges[mine] - start,
                 rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, item.get("colour"),
                 _kinds(yarns, mine), item.get("texture"), pinned[start:stop], Tensions.read(arrays, mine),
-                None if corners is None else _cut_corners(corners, own, start, stop),
+                None if corners is None else cut_corners(corners, own, start, stop),
             )
         )  # fmt: skip
     return pieces
-
-
-def _corners(arrays: Arrays, faces: Int, number: int, names: Sequence[str]) -> Corners | None:
-    """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the faces."""
-    if "corner_uv" not in arrays:
-        return None
-    points, vertex = np.asarray(arrays["corner_uv"], np.float32), arrays["corner_vertex"]
-    vertex = _indices("corner_vertex", vertex.reshape(-1, 1), 1, number)[:, 0]
-    own = _indices("corner_faces", arrays["corner_faces"], 3, len(vertex))
-    if points.shape != (len(vertex), 2) or own.shape != faces.shape or (vertex[own] != faces).any():
-        raise ValueError("texture coordinates of corners that are not those of the faces")
-    return Corners(points, vertex, own, _panels(arrays, tuple(map(str, names)), len(faces), len(points)))
-
-
-def _panels(arrays: Arrays, names: tuple[str, ...], faces: int, points: int) -> Panels | None:
-    """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the corners."""
-    if "panel_of" not in arrays:
-        return None
-    of, seam, unit = arrays["panel_of"], arrays["panel_seam"], np.asarray(arrays["panel_unit"], np.float64)
-    pairs = _indices("panel_pairs", arrays["panel_pairs"], 2, points)
-    if of.shape != (faces,) or not (-1 <= of.min(initial=-1) <= of.max(initial=-1) < len(names)):
-        raise ValueError("triangles of panels that are not those of the names")
-    if unit.shape != (len(names),) or not (unit > 0.0).all() or seam.shape != (len(pairs),):
-        raise ValueError("panels without a size, or stitches without a seam")
-    return Panels(names, np.asarray(of, np.int32), unit, pairs, np.asarray(seam, np.int32))
-
-
-def _cut_corners(corners: Corners, own: NDArray[np.bool_], start: int, stop: int) -> Corners:
-    """Those of one object, by its triangles and vertices."""
-    mine = (corners.vertex >= start) & (corners.vertex < stop)
-    place = np.cumsum(mine, dtype=np.int32) - 1
-    panels = None if corners.panels is None else _cut_panels(corners.panels, own, mine, place)
-    faces = place[corners.faces[own]].astype(np.int32)
-    return Corners(corners.points[mine], corners.vertex[mine] - start, faces, panels)
-
-
-def _cut_panels(panels: Panels, own: NDArray[np.bool_], mine: NDArray[np.bool_], place: Int) -> Panels | None:
-    """Those of one object, by its triangles and corners, whose places among its own are given; None of one without."""
-    of, kept = panels.of[own], mine[panels.pairs].all(axis=1)
-    used = np.unique(of[of >= 0])
-    if not len(used):
-        return None
-    number = np.full(len(panels.names) + 1, -1, np.int32)  # the last is what -1 takes
-    number[used] = np.arange(len(used))
-    seam = np.unique(panels.seam[kept], return_inverse=True)[1].reshape(-1).astype(np.int32)
-    names = tuple(panels.names[k] for k in used)
-    return Panels(names, number[of], panels.unit[used], place[panels.pairs[kept]].astype(np.int32), seam)
-
-
-def _indices(name: str, values: NDArray[Any], width: int, number: int) -> Int:
-    """Rows of so many numbers of vertices. Raises ValueError for others."""
-    fits = values.ndim == 2 and values.shape[1] == width and values.dtype.kind in "iu"
-    if not fits or (values.size and not 0 <= values.min() <= values.max() < number):
-        raise ValueError(f"{name} of {values.dtype} and shape {values.shape} for {number} vertices")
-    return np.asarray(values, np.int32)
 
 
 def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[np.int8] | None:

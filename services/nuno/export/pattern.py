@@ -170,11 +170,11 @@ def _grain(name: str, corners: Float) -> list[str]:
     x, y = centres[np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1))]
     width, height = np.ptp(corners.reshape(-1, 2), axis=0)
     half, size = 0.2 * height, float(min(14.0, 0.3 * width, 0.6 * height / max(len(name), 1)))
-    tip = min(4.0, half)
-    arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}"
+    tip = min(8.0, half)
+    arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}l{0.5 * tip:.3f},{tip:.3f}"
     return [
-        f'<path d="M{x:.3f},{y + half:.3f}V{y - half:.3f}" stroke="#ffffff" stroke-width="2"/>',
-        f'<path class="grain" d="{arrow}l{0.5 * tip:.3f},{tip:.3f}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
+        f'<path d="{arrow}" fill="none" stroke="#ffffff" stroke-width="2"/>',
+        f'<path class="grain" d="{arrow}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
         f'<g transform="translate({x - 0.4 * size:.3f} {y:.3f}) rotate(-90)">',
         _text(name, 0, 0, size, INK, "middle"),
         "</g>",
