@@ -171,7 +171,8 @@ def _grain(name: str, corners: Float) -> list[str]:
     width, height = np.ptp(corners.reshape(-1, 2), axis=0)
     half, size = 0.2 * height, float(min(14.0, 0.3 * width, 0.6 * height / max(len(name), 1)))
     tip = min(8.0, half)
-    arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}l{0.5 * tip:.3f},{tip:.3f}"
+    head = f"m{-0.5 * tip:.3f},{tip:.3f}l{0.5 * tip:.3f},{-tip:.3f}l{0.5 * tip:.3f},{tip:.3f}"
+    arrow = f"M{x:.3f},{y + half:.3f}V{y - half:.3f}{head}"
     return [
         f'<path d="{arrow}" fill="none" stroke="#ffffff" stroke-width="2"/>',
         f'<path class="grain" d="{arrow}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
