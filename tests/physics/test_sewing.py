@@ -18,6 +18,7 @@ from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.joined import find_openings
 from nuno_cloth.sewing.pattern import Pattern
 from nuno_cloth.sewing.sew import Sewn, sew
+from nuno_cloth.sewing.short import close_short
 from nuno_schemas.fabric import Float
 
 SPACINGS = [0.007, 0.01, 0.015, 0.03]
@@ -143,6 +144,53 @@ def test_seams_are_stitched_evenly_from_end_to_end(garment: tuple[Pattern, Sewn]
         share = [np.hypot(*np.diff(sewn.flat[run], axis=0).T) for run in seam.pairs.T]
         np.testing.assert_allclose(share[0] / share[0].sum(), share[1] / share[1].sum(), rtol=0.15)
         assert seam.lengths == (cut.edge(seam.seam.one).length, cut.edge(seam.seam.other).length)
+
+
+@quick
+def test_short_sides_are_closed_and_the_garment_stays_one_surface(
+    garment: tuple[Pattern, Sewn], spacing: float
+) -> None:
+    """With its holes. Of each panel 0.1 % of the cloth is left out at most; what stays has the shape it was cut to."""
+    cut, sewn = garment
+    least = min(3e-3, 0.2 * spacing)
+    closed = close_short(sewn, least)
+    require_surface(cut, closed)
+    assert closed.number - len(find_edges(closed.sewn_faces).pairs) + len(closed.faces) == 2 - len(find_openings(cut))
+    np.testing.assert_array_equal(closed.flat, sewn.flat)
+    whole, left = (np.bincount(one.panel, areas(one), len(one.names)) for one in (sewn, closed))
+    assert (left <= whole).all() and (left >= 0.999 * whole).all()
+    assert sewn.number - closed.number <= (lengths(sewn) < least).sum()
+
+
+def lengths(sewn: Sewn) -> Float:
+    """(3 f,) of triangles' sides as they are cut [m]."""
+    return np.asarray(
+        np.linalg.norm(np.roll(sewn.flat[sewn.faces], -1, axis=1) - sewn.flat[sewn.faces], axis=2).ravel()
+    )
+
+
+@pytest.mark.parametrize("short", [0.4e-3, 1.9e-3])
+def test_an_edge_of_a_millimetre_makes_no_small_triangles(tmp_path: Path, short: float) -> None:
+    """Beside a seam, and the seam's length is what the rest of it was cut to; a longer one stays."""
+    dx = 100.0 * short
+    notched = panel((0, 0), (30, 0), (30, 20), (dx, 20), (0, 20), translation=[-15, 100, 15])
+    seams = stitch("front[1]", "back[2]"), stitch("front[4]", "back[0]")
+    cut = read(tmp_path, pattern({"front": notched, "back": back()}, *seams))
+    sewn = sew(cut, 0.02)
+    closed = close_short(sewn, 3e-3)
+    assert lengths(sewn).min() == pytest.approx(short) and lengths(closed).min() > 5e-3
+    assert closed.number == sewn.number - 1 and areas(sewn).sum() - areas(closed).sum() <= 0.5 * short * 0.03
+    assert close_short(sewn, 0.5 * short) is sewn
+    require_surface(cut, closed)
+
+
+def test_a_side_is_not_closed_where_that_would_pinch_the_cloth(tmp_path: Path) -> None:
+    """A strip that is one triangle wide is left as it is across, from rim to rim."""
+    strip = panel((0, 0), (1, 0), (1, 20), (0, 20), translation=[0, 100, 15])
+    sewn = sew(read(tmp_path, pattern({"strip": strip})), 0.02)
+    closed = close_short(sewn, 0.015)
+    require_surface(read(tmp_path, pattern({"strip": strip})), closed)
+    assert closed.number > 0.5 * sewn.number
 
 
 def test_the_shirt_has_a_neck_a_hem_and_two_cuffs(shared_data: Path) -> None:

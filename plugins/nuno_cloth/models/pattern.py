@@ -17,6 +17,7 @@ from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.sew import Sewn, sew
+from nuno_cloth.sewing.short import close_short
 from nuno_cloth.sewing.texture import lay_out
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
@@ -27,6 +28,9 @@ from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
+
+SHORTEST, SHARE = 3e-3, 0.2
+"""Sides are closed that are shorter than this [m], and than this share of what they should be."""
 
 
 class Over(Config):
@@ -113,7 +117,7 @@ class Pattern:
 
 
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
-    return sew(read_pattern(files, config.file), config.edge)
+    return close_short(sew(read_pattern(files, config.file), config.edge), min(SHORTEST, SHARE * config.edge))
 
 
 def _corners(sewn: Sewn) -> Corners:

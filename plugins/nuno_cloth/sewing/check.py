@@ -23,7 +23,7 @@ TELLS = 0.03
 LEVEL = 0.1
 """Sine of the angle by which a panel must be off the level for it to have a right and an upper side."""
 SHORT = 2e-3
-"""Edges shorter than this make small triangles [m]."""
+"""Edges shorter than this look as if they were not meant [m]."""
 SIZES = 0.02, 5.0
 """Garments as they lie in space are no smaller and no larger than this [m]."""
 Note = Callable[..., None]
@@ -118,7 +118,7 @@ def _note_edges(pattern: Pattern, note: Note) -> None:
         for k, edge in enumerate(panel.edges):
             points.append(panel.place(edge.ends()))
             if edge.length < SHORT:
-                text = f"{10 * 100 * edge.length:.2g} mm long: triangles there are as small, and steps short"
+                text = f"{1e3 * edge.length:.2g} mm long: do two cuts miss each other? It is closed where it can be"
                 note("short edge", name_of((name, k)), text, ("pattern", "panels", name, "edges", k))
     if points:
         size = float(np.ptp(np.concatenate(points), axis=0).max())
