@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sewing_patterns as patterns
 from scenes import write_scene
 
 import nuno
@@ -155,3 +156,25 @@ def test_what_has_no_pattern_or_another_ending_is_refused(
     assert not (tmp_path / "flat.svg").exists()
     assert main(["export", str(recording), "--png", str(tmp_path / "out.png"), "--colour", "warp"]) == 2
     assert "for --pattern alone" in capsys.readouterr().err
+
+
+def test_a_short_edge_that_is_closed_leaves_no_slit_in_the_drawing(tmp_path: Path) -> None:
+    """0.5 mm beside a seam, whose vertices become one: the panel is drawn as it is cut, and its seam in full."""
+    notched = patterns.panel((0, 0), (30, 0), (30, 20), (0.05, 20), (0, 20), translation=[-15, 100, 15])
+    seams = patterns.stitch("front[1]", "back[2]"), patterns.stitch("front[4]", "back[0]")
+    (tmp_path / "tube.json").write_text(
+        json.dumps(patterns.pattern({"front": notched, "back": patterns.back()}, *seams))
+    )
+    model = {"plugin": "pattern", "file": "tube.json", "edge": 0.05}
+    scene = write_scene(tmp_path, objects=[{"name": "tube", "model": model}], duration=0.02)
+    nuno.run(scene, record=tmp_path / "run.mcap")
+    (garment,) = drawn(export_pattern(tmp_path / "run.mcap", tmp_path / "flat.svg"))
+    outline = garment.find(f"{SVG}g[@data-name='front']/{SVG}path[@class='outline']")
+    assert outline is not None
+    points = numbers(outline.attrib["d"])
+    assert np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum() == pytest.approx(1000.0, rel=2e-3)
+    lengths = [
+        float(np.linalg.norm(np.diff(numbers(seam.attrib["points"]), axis=0), axis=1).sum())
+        for seam in garment.findall(f"{SVG}polyline[@class='seam']")
+    ]
+    assert lengths == pytest.approx([200.0] * 4, rel=2e-3)

@@ -112,12 +112,15 @@ def _garment(corners: Corners, panels: Panels, flat: Float, painted: list[str] |
         lines.append(f'<g class="panel" data-name="{escape(name)}">')
         if painted is not None:
             lines += [_triangle(flat[corners.faces[number]], painted[number]) for number in which.tolist()]
-        path = " ".join(f"M{_points(flat[loop])}Z" for loop in outlines(faces))
+        loops = [_without_slits(loop, corners.vertex, panels.pairs) for loop in outlines(faces)]
+        path = " ".join(f"M{_points(flat[loop])}Z" for loop in loops)
         lines += [f'<path class="outline" d="{path}" fill="none" stroke="{INK}" stroke-width="0.6"/>']
         lines += [*_grain(name, flat[faces]), "</g>"]
+    # Of a short side that was closed an end may be in no triangle.
+    there = np.isin(panels.pairs, corners.faces).all(axis=1)
     for number in np.unique(panels.seam).tolist():
-        pairs = panels.pairs[panels.seam == number]
-        for side in pairs.T:
+        pairs = panels.pairs[(panels.seam == number) & there]
+        for side in pairs.T if len(pairs) > 1 else ():
             lines += _seam(_letters(number), flat, side, corners.faces)
     return lines
 
@@ -130,14 +133,30 @@ def outlines(faces: Int) -> list[list[int]]:
     """Points round a panel's triangles (f, 3), loop by loop."""
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
     inner = {(b, a) for a, b in sides}
-    after = {a: b for a, b in sides if (a, b) not in inner}
+    after: dict[int, list[int]] = {}
+    for a, b in sides:
+        if (a, b) not in inner:
+            after.setdefault(a, []).append(b)
     loops = []
-    while after:
-        loop = [next(iter(after))]
-        while (point := after.pop(loop[-1])) != loop[0]:
+    while any(after.values()):
+        loop = [next(point for point, others in after.items() if others)]
+        while (point := after[loop[-1]].pop()) != loop[0]:
             loop.append(point)
         loops.append(loop)
     return loops
+
+
+def _without_slits(loop: list[int], vertex: Int, pairs: Int) -> list[int]:
+    """An outline without the points between two that are one vertex, but for no seam: there a short side was closed,
+    and the triangle on it left out.
+    """
+    sewn = {frozenset(pair) for pair in pairs.tolist()}
+
+    def is_slit(k: int) -> bool:
+        one, other = loop[k - 1], loop[(k + 1) % len(loop)]
+        return one != other and vertex[one] == vertex[other] and frozenset((one, other)) not in sewn
+
+    return [point for k, point in enumerate(loop) if not is_slit(k)]
 
 
 def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
@@ -148,8 +167,8 @@ def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
     at = min(int(np.searchsorted(along, 0.5 * along[-1], side="right")), len(run) - 1)
     way = run[at] - run[at - 1]
     inwards = np.array([-way[1], way[0]]) / np.linalg.norm(way)
-    beside = flat[faces[((faces == side[at]) | (faces == side[at - 1])).sum(axis=1) == 2][0]].mean(axis=0)
-    inwards *= np.sign((beside - middle) @ inwards)
+    touching = faces[(faces == side[at]).any(axis=1) | (faces == side[at - 1]).any(axis=1)]
+    inwards *= np.sign((flat[touching].mean(axis=(0, 1)) - middle) @ inwards)
     tip, place = middle + NOTCH * inwards, middle + INSIDE * inwards
     return [
         f'<polyline class="seam" data-seam="{letters}" points="{_points(run)}" fill="none" stroke="{SEAM}"/>',
