@@ -93,7 +93,8 @@ def run(
 
     `overrides` are "key=value" as after --set; `record` is the recording's file (default: a
     temporary one, which goes with the result). Warns (UserWarning) of what makes the scene or its start doubtful.
-    Raises BadInput for a bad scene and RunFailed for a run that failed or diverged, whose recording is kept.
+    Raises BadInput for a bad scene, RunFailed for a run that failed or diverged, and KeyboardInterrupt for one that a
+    signal ended; the recording of both is kept.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -139,7 +140,7 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
     try:
         options = Options(record=folder / f"{deployment.run}.mcap", threads=threads, temporary=True)
         return replace(_recorded(loaded, options, deployment), folder=_Folder(folder))
-    except RunFailed:
+    except (RunFailed, KeyboardInterrupt):
         raise
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -153,6 +154,9 @@ def _recorded(loaded: Loaded, options: Options, deployment: Deployment) -> Resul
     report = make_report(loaded, outcome)
     for text in report["warnings"]:
         warnings.warn(text, stacklevel=4)  # at the caller of `run`
+    if outcome.error in supervisor.SIGNALS:
+        # As whoever calls it would be stopped anywhere else: a loop over scenes is not to go on with the next.
+        raise KeyboardInterrupt(f"{outcome.error}; recording kept in {path}")
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")
     digest = outcome.summary["digest"]

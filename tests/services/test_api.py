@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,8 @@ from scenes import write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.restore import restored_scene
+from nuno.supervision.oversight import Progress
+from nuno.supervision.supervisor import Supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 
 
@@ -134,3 +137,24 @@ def test_a_run_that_fails_keeps_its_recording_and_one_that_is_refused_leaves_not
     assert str(kept) in str(caught.value)
     with nuno.open(kept) as recording:
         assert recording.counts["sim/state"] > 1
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
+    tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop over scenes is not to go on with the next one."""
+    write_chain(tmp_path)
+    follow = Supervisor.follow
+
+    def follow_until_interrupted(supervisor: Supervisor, progress: Progress | None) -> str:
+        signal.raise_signal(signal.SIGINT)
+        return follow(supervisor, progress)
+
+    monkeypatch.setattr(Supervisor, "follow", follow_until_interrupted)
+    with pytest.raises(KeyboardInterrupt, match="interrupted") as caught:
+        nuno.run(CHAIN, "duration=400", roots=[tmp_path])
+    (kept,) = temporary.rglob("*.mcap")
+    assert str(kept) in str(caught.value)
+    with nuno.open(kept) as recording:
+        assert recording.metadata["end"]["state"] == "failed"
