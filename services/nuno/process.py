@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import gc
 import os
 import signal
 import sys
@@ -41,15 +40,6 @@ def return_large_arrays() -> None:
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE)
-
-
-def collect_rarely() -> None:
-    """Look for cycles of garbage a seventieth as often as Python would.
-
-    Compiling a kernel makes millions of objects that stay, and to walk through them again and again
-    is a tenth of the first run of a scene.
-    """
-    gc.set_threshold(50_000, 20, 20)
 
 
 class Terminated(KeyboardInterrupt):

@@ -58,7 +58,6 @@ class _Parser(argparse.ArgumentParser):
 def command() -> NoReturn:
     """The console script: run a command, then leave with its exit code."""
     process.return_large_arrays()
-    process.collect_rarely()
     process.end_when_terminated()
     process.fail_on_exit()
     process.refuse_exit()
