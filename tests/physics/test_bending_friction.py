@@ -180,6 +180,7 @@ def swung(solver: str, steps: int, **settings: Any) -> tuple[State, Float]:
     return state, kept
 
 
+@pytest.mark.full
 def test_all_solvers_come_to_the_same_and_remember_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Friction found at every stage of tiny steps is what all others come to: implicit ones as they are shortened, and
     explicit ones that hold it meanwhile, to 1 % of the way.

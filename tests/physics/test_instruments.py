@@ -147,6 +147,7 @@ def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
     assert np.ptp([one.coefficient for one in found]) > 0.02
 
 
+@pytest.mark.full
 def test_drapes_are_the_same_one_after_another_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sheet, "EDGES", (0.03, 0.025))
     told, rows = list[str](), list[list[sheet.Row]]()
