@@ -137,13 +137,13 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
     if record is not None:
         return _recorded(loaded, Options(record=Path(record), threads=threads), deployment)
     folder = Path(tempfile.mkdtemp(prefix="nuno-"))
+    path = folder / f"{deployment.run}.mcap"
     try:
-        options = Options(record=folder / f"{deployment.run}.mcap", threads=threads, temporary=True)
+        options = Options(record=path, threads=threads, temporary=True)
         return replace(_recorded(loaded, options, deployment), folder=_Folder(folder))
-    except (RunFailed, KeyboardInterrupt):
-        raise
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        if not path.is_file():
+            shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
