@@ -34,14 +34,13 @@ from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.explicit.updates import add
+from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, place
-from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.step.packing import parts, silence
 from nuno_kernels.step.rows import copy_rows
-from nuno_kernels.terms import kernels_of, over_blocks
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
@@ -60,51 +59,6 @@ class RespaConfig(Config):
     every: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         default="auto", description="steps of tension for each kick of the other forces; auto: as many as are stable"
     )
-
-
-@kernel
-def average_block(block: int, u: Float, v: Float, x: Float, last: Float, rate: float) -> None:
-    """Mean velocities u = (x - last) rate of a block's vertices, and what v is beyond them, in its place."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    for row in range(3):
-        for i in range(np.uint64(low), np.uint64(high)):
-            u[row, i] = (x[row, i] - last[row, i]) * rate
-            v[row, i] -= u[row, i]
-
-
-average_blocks = over_blocks(average_block, "u, v, x, last, rate")
-
-
-@kernel
-def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int | None) -> None:
-    """u = (x - last) rate, and v -= u, all (3, n)."""
-    average_blocks(u, v, x, last, rate, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
-
-
-@kernel
-def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float) -> None:
-    """v = u + s v of a block's vertices, s the share of their way from `last` to `meant` that they have gone, up to 1.
-
-    One that is held where it is swings no farther, either: it would set out anew from there after each kick.
-    """
-    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    for i in range(np.uint64(low), np.uint64(high)):
-        gone, whole = 0.0, 0.0
-        for row in range(3):
-            gone += (x[row, i] - last[row, i]) ** 2
-            whole += (meant[row, i] - last[row, i]) ** 2
-        share = 1.0 if gone >= whole else math.sqrt(gone / whole)
-        for row in range(3):
-            v[row, i] = u[row, i] + share * v[row, i]
-
-
-rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last")
-
-
-@kernel
-def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, threads: int | None) -> None:
-    """The same of all vertices, each (3, n)."""
-    rejoin_blocks(v, u, x, meant, last, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel

@@ -1,9 +1,14 @@
-"""Updates y + h k of positions and velocities, two in one pass over the blocks.
+"""Updates y + h k of positions and velocities, two in one pass over the blocks; and velocities taken apart into their
+mean and the rest, and put together again.
 
 A parallel region costs its threads a meeting; two updates that follow each other share one.
 """
 
 from __future__ import annotations
+
+import math
+
+import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH, read, write
@@ -47,3 +52,48 @@ def add_twice(
 ) -> None:
     """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
     add_blocks_twice(first, y, h, k, second, z, g, m, (first.shape[1] + BLOCK - 1) // BLOCK, threads)
+
+
+@kernel
+def average_block(block: int, u: Float, v: Float, x: Float, last: Float, rate: float) -> None:
+    """Mean velocities u = (x - last) rate of a block's vertices, and what v is beyond them, in its place."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    for row in range(3):
+        for i in range(np.uint64(low), np.uint64(high)):
+            u[row, i] = (x[row, i] - last[row, i]) * rate
+            v[row, i] -= u[row, i]
+
+
+average_blocks = over_blocks(average_block, "u, v, x, last, rate")
+
+
+@kernel
+def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int | None) -> None:
+    """u = (x - last) rate, and v -= u, all (3, n)."""
+    average_blocks(u, v, x, last, rate, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
+
+
+@kernel
+def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float) -> None:
+    """v = u + s v of a block's vertices, s the share of their way from `last` to `meant` that they have gone, up to 1.
+
+    One that is held where it is swings no farther, either: it would set out anew from there after each kick.
+    """
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    for i in range(np.uint64(low), np.uint64(high)):
+        gone, whole = 0.0, 0.0
+        for row in range(3):
+            gone += (x[row, i] - last[row, i]) ** 2
+            whole += (meant[row, i] - last[row, i]) ** 2
+        share = 1.0 if gone >= whole else math.sqrt(gone / whole)
+        for row in range(3):
+            v[row, i] = u[row, i] + share * v[row, i]
+
+
+rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last")
+
+
+@kernel
+def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, threads: int | None) -> None:
+    """The same of all vertices, each (3, n)."""
+    rejoin_blocks(v, u, x, meant, last, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
