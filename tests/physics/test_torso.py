@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_contact.colliders.mesh import MeshConfig, make_torso
-from nuno_contact.figures.isosurface import find_isosurface
+from nuno_contact.colliders.mesh import MeshConfig
+from nuno_contact.colliders.surface import make_mannequin
+from nuno_contact.figures.leg import LANDMARKS, leg_mesh
+from nuno_contact.figures.person import person_mesh
 from nuno_contact.figures.torso import ALONG, GIRTHS, HEIGHTS, JOINT
 from nuno_kernels.meshes.check import check_closed, check_crossings, volume
+from nuno_kernels.meshes.isosurface import find_isosurface, net_of
 from nuno_kernels.meshes.loops import cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -17,7 +20,7 @@ ARMS = 0.25 * np.pi
 
 
 def torso(resolution: int, **fields: object) -> tuple[Float, Int]:
-    return make_torso(MeshConfig.model_validate({"shape": "torso", "resolution": resolution, **fields}))
+    return make_mannequin(MeshConfig.model_validate({"shape": "torso", "resolution": resolution, **fields}))
 
 
 def girths(x: Float, faces: Int, arms: float = ARMS) -> dict[str, float]:
@@ -65,14 +68,49 @@ def test_girths_that_leave_no_room_are_refused_by_name() -> None:
     with pytest.raises(BadInput, match="arms and trunk of the torso would meet") as wide:
         torso(24, girths={"bust": 1.25})
     assert wide.value.field == "girths.bust"
-    with pytest.raises(BadInput, match="no torso is made with this girth") as thin:
+    with pytest.raises(BadInput, match="no mannequin is made with this girth") as thin:
         torso(24, girths={"waist": 0.3})
     assert thin.value.field == "girths.waist"
-    with pytest.raises(BadInput, match="too near to its trunk for triangles of this size") as coarse:
-        torso(32, girths={"bust": 0.98, "arm": 0.31}, arms=np.radians(55.0))
+    with pytest.raises(BadInput, match="too near to each other for triangles of this size") as coarse:
+        person_mesh(32)
     assert coarse.value.field == "resolution"
-    with pytest.raises(ValueError, match="only the torso has arms to choose"):
+    with pytest.raises(ValueError, match="only mannequins, torso and person, have arms to choose"):
         MeshConfig.model_validate({"shape": "leg", "arms": 1.0})
+
+
+@pytest.mark.parametrize(("resolution", "arms"), [(64, 45.0), (72, 55.0)])
+def test_a_person_is_closed_and_has_the_girths_of_torso_and_leg(resolution: int, arms: float) -> None:
+    """But the neck's, which the chin covers, and on a floor at 0; both legs are as the one that comes by itself."""
+    x, faces = make_mannequin(
+        MeshConfig.model_validate({"shape": "person", "resolution": resolution, "arms": np.radians(arms)})
+    )
+    check_closed(x, faces)
+    check_crossings(x, faces)
+    assert euler(x, faces) == 2
+    found = girths(x, faces, np.radians(arms))
+    for name in set(GIRTHS) - {"neck"}:
+        assert found[name] == pytest.approx(GIRTHS[name], rel=1e-2), name
+    assert x[:, 1].min() == pytest.approx(0.0, abs=2e-3) and x[:, 1].max() == pytest.approx(1.649, abs=2e-3)
+    leg, leg_faces = leg_mesh(96)
+    for name in ("thigh", "knee", "calf"):
+        height = LANDMARKS[name]
+        (alone,) = cut_mesh(leg, leg_faces, leg[:, 1] - height)
+        pair = [loop for loop in cut_mesh(x, faces, x[:, 1] - height) if loop.girth > 0.2]
+        assert len(pair) == 2
+        for loop in pair:
+            assert loop.girth == pytest.approx(alone.girth, rel=2e-2), name
+
+
+def test_a_net_is_a_closed_surface_whatever_the_values() -> None:
+    """Also where two sheets pass through a cell, of values without any shape."""
+    rng = np.random.default_rng(3)
+    for share in (0.2, 0.5, 0.8):
+        value = np.ones((12, 11, 10))
+        value[1:-1, 1:-1, 1:-1] = rng.random((10, 9, 8)) - share
+        _, faces = net_of(value, np.zeros(3), 1.0)
+        _, count = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
+                             axis=0, return_counts=True)  # fmt: skip
+        assert len(faces) and (count == 2).all()
 
 
 def sphere(x: Float, y: Float, z: Float) -> Float:

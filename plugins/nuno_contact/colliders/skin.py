@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.colliders.mesh import MeshCollider, Search
-from nuno_contact.colliders.shapes import ORIGIN
-from nuno_contact.quantities import Angle, Point, Size, Span
+from nuno_contact.colliders.surface import Surface
+from nuno_contact.quantities import Angle, Span
 from nuno_contact.skin.bones import bones_of
 from nuno_contact.skin.figure import find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
@@ -22,18 +22,13 @@ from nuno_kernels.meshes.file import read_closed
 from nuno_schemas.bodies import SKIN
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+from nuno_schemas.plugin import BodyShape, Files, Mover
 from nuno_schemas.skin import Skin
 
 
-class SkinConfig(Config):
-    """A person in a file, upright and facing +z, feet and arms apart, as in a T-pose or an A-pose."""
+class SkinConfig(Surface):
+    """A person, of a file or `shape: person`, upright and facing +z, feet and arms apart: in a T-pose or an A-pose."""
 
-    file: str = Field(description="a closed mesh beside the scene: OBJ, PLY, STL or GLB")
-    scale: Size = Field(default=1.0, description="length of one of the file's units [m]")
-    up: Literal["y", "z"] = Field(default="y", description="which of the file's axes points up; z is turned to y")
-    centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie [m]; it begins there")
-    mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
     spread: Angle = Field(
         default=math.radians(20.0),
         description="how much more the arms are held off the trunk than in the motion, of a body slimmer perhaps [rad]",
@@ -65,8 +60,7 @@ class SkinCollider:
                 remedy="add a motion, bvh or hula, or give the body collider: {plugin: mesh, ...}, which stands still",
             )  # fmt: skip
         roles = find_roles(mover)
-        x, faces = read_closed(files.resolve(c.file), c.scale, c.mend)
-        x = x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if c.up == "z" else x
+        x, faces = c.make(files, read_closed)
         x = np.ascontiguousarray(x + np.asarray(c.centre))
         figure, parts = find_figure(x, faces), list(roles)
         part, weight = find_weights(x, faces, *bones_of(figure, parts))

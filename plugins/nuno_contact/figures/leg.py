@@ -14,6 +14,7 @@ women's mean height of 164.9 cm.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -101,10 +102,16 @@ def _sections(around: int) -> tuple[Float, Float, Float, Float, Float]:
     )
     place = np.linspace(0.0, along[-1], max(len(RINGS), round(along[-1] * around / SPACING)))
     columns = [monotone(along, column, place) for column in table[:, :6].T]
-    scale = np.interp(place, along, np.where(table[:, 6] > 0.0, table[:, 6] / _girths(table), 1.0))
+    scale = np.interp(place, along, scales_of(RINGS))
     front = np.stack([0.0 * place, columns[0], columns[1]], axis=1)
     back = np.stack([0.0 * place, columns[2], columns[3]], axis=1)
     return front, back, columns[4], columns[5], scale
+
+
+def scales_of(rings: Sequence[Ring]) -> Float:
+    """(r,) by how much rings are scaled to have the girths that were measured; 1 of others."""
+    table = np.array(rings)
+    return np.where(table[:, 6] > 0.0, table[:, 6] / _girths(table), 1.0)
 
 
 def _girths(table: Float) -> Float:

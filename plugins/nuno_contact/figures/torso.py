@@ -3,7 +3,7 @@
 Level rings of superellipses, between those of a table by monotone cubics, are the trunk and the neck; two
 ellipsoids are the breasts, and two cones with round ends the shoulders and upper arms. Their distance functions, the
 trunk's to first order, are blended (quadratic smooth minimum), and the zero level is drawn
-(nuno_contact.figures.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
+(nuno_kernels.meshes.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
 other would cut each other.
 
 Girths of waist and hip, and of the arm over the biceps, are the means to a millimetre of the 260 women in the data of
@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_contact.figures.isosurface import find_isosurface
 from nuno_contact.figures.leg import monotone
-from nuno_kernels.meshes.check import check_closed
+from nuno_kernels.meshes.check import check_closed, crossing_notes
+from nuno_kernels.meshes.isosurface import Field, find_isosurface
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -92,7 +92,18 @@ def torso_mesh(
     y is up, the floor y = 0 of the body that it is part of, and it faces +z; it is its own mirror image in x.
     Raises BadInput for girths that leave no room between arms and trunk, or too little for these triangles.
     """
-    wanted = {**GIRTHS, **(girths or {})}
+    scale = find_scales(girths or {}, arms)
+    reach = JOINT[0] + ARM * np.sin(arms) + 2.0 * SHOULDER
+    spacing = {**GIRTHS, **(girths or {})}["waist"] / around
+    low, high = np.array([-reach, BOTTOM - 0.05, -0.4]), np.array([reach, TOP + 0.05, 0.4])
+    return draw(lambda x, y, z: field_of(x, y, z, scale, arms), low, high, spacing)
+
+
+def find_scales(girths: Mapping[str, float], arms: float) -> dict[str, float]:
+    """By how much parts are scaled, by their girths' names. Raises BadInput for girths that leave no room between arms
+    and trunk.
+    """
+    wanted = {**GIRTHS, **girths}
     scale = dict.fromkeys(wanted, 1.0)
     scale["arm"] = wanted["arm"] / (2.0 * np.pi * SHOULDER)
     for _ in range(ROUNDS):
@@ -105,39 +116,48 @@ def torso_mesh(
             "arms and trunk of the torso would meet", field=f"girths.{worst}", value=f"{wanted[worst]:.3g} m",
             limit=f"less, with arms at {np.degrees(arms):.3g} deg", remedy="raise the arms, or choose smaller girths",
         )  # fmt: skip
-    reach = JOINT[0] + ARM * np.sin(arms) + 2.0 * SHOULDER
-    spacing = wanted["waist"] / around
-    half = (np.ceil(reach / spacing) + 0.5) * spacing
-    low, high = np.array([-half, BOTTOM - 0.05, -0.4]), np.array([half, TOP + 0.05, 0.4])
-    x, faces = find_isosurface(lambda x, y, z: field_of(x, y, z, scale, arms), low, high, spacing)
-    try:
-        check_closed(x, faces)
-    except BadInput:
-        # Nets are no surface where two sheets of it share a cell.
+    return scale
+
+
+def draw(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and triangles (f, 3) of a figure that is its own mirror image, within low and high (3,) [m],
+    with sides of about `spacing` [m]. Raises BadInput where two of its limbs are as near to each other.
+    """
+    half = (np.ceil(high[0] / spacing) + 0.5) * spacing
+    x, faces = find_isosurface(field, np.array([-half, *low[1:]]), np.array([half, *high[1:]]), spacing)
+    check_closed(x, faces)
+    # Limbs that have grown together make handles, or pass through each other.
+    if len(x) - len(faces) // 2 != 2 or crossing_notes(x, faces):
         raise BadInput(
-            "the torso's arms come too near to its trunk for triangles of this size", field="resolution", value=around,
+            "the mannequin's limbs come too near to each other for triangles of this size", field="resolution",
             remedy="a higher resolution, arms raised further, or smaller girths",
-        ) from None  # fmt: skip
+        )  # fmt: skip
     return x, faces
 
 
 def field_of(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float) -> Float:
     """About the signed distance [m] at places x, y, z [m] of a torso whose parts are scaled."""
+    return cap(cap(upper_body(x, y, z, scale, arms, ARM), BOTTOM - y), y - TOP)
+
+
+def upper_body(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float, length: float = np.inf) -> Float:
+    """The same that is not cut off at hips and neck, with arms of this `length` [m], at most a round end longer than
+    ARM.
+    """
     x = np.abs(x)
     trunk = _trunk(x, y, z, scale)
     size = scale["bust"]
     dx, dy, dz = (x - size * BREAST[0], y - BREAST[1], z - size * BREAST[2])
     ball = np.sqrt((dx / BREAST_RADII[0]) ** 2 + (dy / BREAST_RADII[1]) ** 2 + (dz / BREAST_RADII[2]) ** 2)
     breast = (ball - size) * min(BREAST_RADII)
-    body = _join(_join(trunk, breast, BLEND_BREAST), _arm(x, y, z, scale["arm"], arms), BLEND_ARM)
-    return _cap(_cap(body, BOTTOM - y), y - TOP)
+    return join(join(trunk, breast, BLEND_BREAST), _arm(x, y, z, scale["arm"], arms, length), BLEND_ARM)
 
 
 def _trunk(x: Float, y: Float, z: Float, scale: Mapping[str, float]) -> Float:
     """The rings' own distance, to first order: off by the slope with which they widen."""
     heights, columns = _columns()
     known = [level for level in LEVELS if level.girth]
-    sizes = _smooth(np.interp(heights, [level.height for level in known], [scale[level.girth] for level in known]))
+    sizes = smooth(np.interp(heights, [level.height for level in known], [scale[level.girth] for level in known]))
     front, back, width, power, slope, size = (np.interp(y, heights, column) for column in (*columns, sizes))
     middle, deep = 0.5 * (front + back), 0.5 * (front - back)
     ring = (np.abs(x / (size * width)) ** power + np.abs((z - middle) / (size * deep)) ** power) ** (1.0 / power)
@@ -149,11 +169,11 @@ def _columns() -> tuple[Float, Float]:
     """Heights (h,) a millimetre apart, and front, back, width, power and slope of the width (5, h) there."""
     table = np.array([level[:5] for level in LEVELS])
     heights = np.linspace(table[0, 0], table[-1, 0], round((table[-1, 0] - table[0, 0]) * 1e3) + 1)
-    columns = [_smooth(monotone(table[:, 0], column, heights)) for column in table[:, 1:].T]
+    columns = [smooth(monotone(table[:, 0], column, heights)) for column in table[:, 1:].T]
     return heights, np.array([*columns, np.gradient(columns[2], heights)])
 
 
-def _smooth(column: Float) -> Float:
+def smooth(column: Float) -> Float:
     """Values a millimetre apart, averaged over SMOOTH: light shows where the curvature of cubics jumps."""
     place = np.arange(-3 * SMOOTH, 3 * SMOOTH + 1)
     weight = np.exp(-0.5 * (place / SMOOTH) ** 2)
@@ -162,22 +182,23 @@ def _smooth(column: Float) -> Float:
     return np.asarray(sum(share * padded[k : k + len(column)] for k, share in enumerate(weight / weight.sum())))
 
 
-def _arm(x: Float, y: Float, z: Float, scale: float, arms: float) -> Float:
+def _arm(x: Float, y: Float, z: Float, scale: float, arms: float, length: float) -> Float:
     """A cone from the shoulder's ball down the arm, cut off at its end."""
     dx, dy, dz = x - JOINT[0], y - JOINT[1], z - JOINT[2]
     along = dx * np.sin(arms) - dy * np.cos(arms)
     t = np.clip(along / ALONG, 0.0, ARM / ALONG)
     away = np.sqrt((dx - t * ALONG * np.sin(arms)) ** 2 + (dy + t * ALONG * np.cos(arms)) ** 2 + dz**2)
-    return _cap(away - SHOULDER * (1.0 + (scale - 1.0) * t), along - ARM)
+    arm = away - SHOULDER * (1.0 + (scale - 1.0) * t)
+    return cap(arm, along - length) if np.isfinite(length) else np.asarray(arm)
 
 
-def _join(a: Float, b: Float, blend: float) -> Float:
+def join(a: Float, b: Float, blend: float) -> Float:
     """Either of two parts, rounded where they meet."""
     h = np.maximum(blend - np.abs(a - b), 0.0)
     return np.asarray(np.minimum(a, b) - h * h / (4.0 * blend))
 
 
-def _cap(a: Float, b: Float) -> Float:
+def cap(a: Float, b: Float) -> Float:
     """What lies in both parts, with the rim between them rounded."""
     h = np.maximum(EDGE - np.abs(a - b), 0.0)
     return np.asarray(np.maximum(a, b) + h * h / (4.0 * EDGE))

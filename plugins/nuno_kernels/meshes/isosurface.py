@@ -19,6 +19,8 @@ Field = Callable[[Float, Float, Float], Float]
 """A function (x, y, z) [m], arrays that broadcast, -> about the signed distance [m], negative inside."""
 ROUNDS = 7
 """Steps of Newton's method; before all but the last two, vertices are evened out."""
+SLIGHT = 1e-6
+"""Of the largest value, what nodes have that are put inside: the surface passes close by them."""
 STEP = 1e-5
 """Of the differences by which a field's gradient is found [m]."""
 
@@ -26,13 +28,13 @@ STEP = 1e-5
 def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, Int]:
     """Vertices (n, 3) [m] and triangles (f, 3), outwards, of field = 0 in the box from low to high (3,).
 
-    The box must hold the whole surface, and cells of `spacing` [m] must resolve it: one that crosses a cell twice is
-    not drawn there.
+    The box must hold the whole surface, and cells of `spacing` [m] must resolve it: two sheets of it that cross one
+    cell may be joined there.
     """
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     axes = [low[k] + spacing * np.arange(counts[k]) for k in range(3)]
     value = field(axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :])
-    x, quads = _net(value)
+    x, quads = _net(_without_pinches(value))
     x = low + spacing * x
     for turn in range(ROUNDS):
         gradient = find_gradient(field, x)
@@ -42,10 +44,55 @@ def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tu
     return np.ascontiguousarray(x), _cut(x, quads)
 
 
+def net_of(value: Float, low: Float, spacing: float) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and triangles (f, 3), outwards, of the surface on which values (i, j, k) at the nodes of a
+    grid are zero, no nearer to it than a cell. They are below zero inside, and not so on the grid's outside.
+    """
+    x, quads = _net(_without_pinches(value))
+    return low + spacing * x, _cut(x, quads)
+
+
 def find_gradient(field: Field, x: Float) -> Float:
     """(n, 3) gradient of a field at places x (n, 3) [m], by central differences."""
     steps = STEP * np.eye(3)
     return np.stack([(field(*(x + step).T) - field(*(x - step).T)) / (2.0 * STEP) for step in steps], axis=1)
+
+
+def _without_pinches(value: Float) -> Float:
+    """Values (i, j, k) of which some more are below zero, so that the net is a surface: no square of the grid, and no
+    cube, has just two opposite corners inside, or outside, where two sheets would share a cell.
+    """
+    inside = value < 0.0
+    while True:
+        before = int(inside.sum())
+        for one, other in ((0, 1), (1, 2), (2, 0)):
+            square = _corners(inside, one, other)
+            (a, b), (c, d) = square
+            pinched = (a == d) & (b == c) & (a != b)
+            for corner in (a, b, c, d):
+                corner |= pinched
+        cube = [corner for half in _corners(inside, 0, 1) for one in half for corner in _halves(one, 2)]
+        count = sum(corner.astype(np.int8) for corner in cube)
+        for first, last in ((0, 7), (1, 6), (2, 5), (3, 4)):
+            alone = (cube[first] == cube[last]) & (count == np.where(cube[first], 2, 6))
+            for corner in cube:
+                corner |= alone
+        if int(inside.sum()) == before:
+            return np.where(inside & (value >= 0.0), -np.abs(value).max() * SLIGHT, value)
+
+
+def _halves(values: Bool, axis: int) -> tuple[Bool, Bool]:
+    """Views of all but the last, and of all but the first, along an axis."""
+    n = values.shape[axis]
+    index = [slice(None)] * values.ndim
+    first, last = index.copy(), index
+    first[axis], last[axis] = slice(0, n - 1), slice(1, n)
+    return values[tuple(first)], values[tuple(last)]
+
+
+def _corners(values: Bool, one: int, other: int) -> list[tuple[Bool, Bool]]:
+    """Views of the four corners of each square along two axes."""
+    return [_halves(half, other) for half in _halves(values, one)]
 
 
 def _net(value: Float) -> tuple[Float, Int]:
