@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -92,8 +93,12 @@ class Knit:
         legs, arcs = np.full(net.courses, config.spacing[1]), np.full(net.courses + 1, config.spacing[0])
         return self._knit(config, net, place(config, net), net.spread(legs, arcs), _pin(config, net))
 
-    def build_over(self, config: KnitConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
-        """The knit over a body's mesh x (v, 3) [m], faces (f, 3). Raises BadInput where it does not fit there."""
+    def build_over(
+        self, config: KnitConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
+    ) -> Fabric:
+        """The knit over a body's mesh x (v, 3) [m], faces (f, 3), beneath whatever is `worn`. Raises BadInput where it
+        does not fit there.
+        """
         assert config.over is not None
         net = structure(config)
         spacing = config.spacing if "spacing" in config.model_fields_set else None

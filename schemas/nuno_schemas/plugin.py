@@ -87,8 +87,13 @@ class Drawn(Model, Protocol):
         """Name of the body; None for one that is built by itself."""
         ...
 
-    def build_over(self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32]) -> Fabric:
-        """Built over a closed mesh: vertices (v, 3) [m] in the world, triangles (f, 3)."""
+    def build_over(
+        self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32], worn: Sequence[Fabric] = ()
+    ) -> Fabric:
+        """Built over a closed mesh: vertices (v, 3) [m] in the world, triangles (f, 3).
+
+        worn  cloth of triangles that was drawn over the same body before, the innermost first, where it starts
+        """
         ...
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 
 from nuno.cli import main
@@ -139,7 +140,7 @@ def wear(folder: Path, monkeypatch: pytest.MonkeyPatch, *flags: str) -> int:
 REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "neither": ((), "a pattern is put on a body, or checked"),
     "both": (("--check", "--body", "column.obj"), "a pattern is put on a body, or checked"),
-    "two": (("tube.json", "--body", "column.obj"), "a body is put on one pattern at a time"),
+    "three fabrics": (("--body", "column.obj", *("--fabric", "denim") * 3), "fabrics and patterns do not go together"),
     "no body": (("--body", "colum.obj"), "body: no such file"),
     "no motion": (("--body", "column.obj", "--motion", "walk.bvh"), "motion: no such file"),
     "motion alone": (("--check", "--motion", "walk.bvh"), "a motion moves a body"),
@@ -171,6 +172,20 @@ def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
         assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", fabric, *flags) == 2
         assert meant in capsys.readouterr().err
         assert ("plugin: skin" in (tmp_path / "tube-worn.yaml").read_text()) == bool(flags)
+
+
+def test_layers_are_objects_in_their_order_each_of_its_fabric(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a scene of several is written again for other flags, as one of one is; the run itself is refused here."""
+    for edge in ("2 km", "3 km"):
+        flags = "tube.json", "--body", "column.obj", "--fabric", "denim", "--fabric", "polyester", "--edge", edge
+        assert wear(tmp_path, monkeypatch, *flags) == 2
+        assert "edge" in capsys.readouterr().err
+    scene = yaml.safe_load((tmp_path / "tube-tube-worn.yaml").read_text())
+    told = [(one["name"], one["model"]["file"], one["model"]["fabric"]) for one in scene["objects"]]
+    assert told == [("tube", "tube.json", "denim"), ("tube-2", "tube.json", "polyester")]
+    assert len({one["colour"] for one in scene["objects"]}) == 2
 
 
 @pytest.mark.full

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from nuno_cloth.fabrics.presets import MEASURES, PRESETS, Material
 from nuno_cloth.quantities import Density, Modulus, MomentPerWidth, Ratio, Rigidity, SpringDamping, Tensile
 from nuno_schemas.errors import nearest
+from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
 
 
@@ -139,6 +141,22 @@ FabricChoice = Annotated[
     | Annotated[HandSet, Tag("by hand")],
     Discriminator(_form),
 ]
+
+
+class Materials(NamedTuple):
+    """Several fabrics, and which of them each triangle is of: (f,) places in `each`."""
+
+    each: tuple[Material, ...]
+    of: Int
+
+    def by_triangle(self, measure: str) -> Float:
+        """(f,) a measure of Material."""
+        return np.array([float(getattr(one, measure)) for one in self.each])[self.of]
+
+    @staticmethod
+    def spread(material: Material | Materials, triangles: int) -> Materials:
+        """One fabric for so many triangles, unless it says itself which is where."""
+        return material if isinstance(material, Materials) else Materials((material,), np.zeros(triangles, np.int32))
 
 
 def resolve(choice: str | Measured | HandSet) -> Material | HandSet:

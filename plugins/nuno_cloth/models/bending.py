@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_cloth.fabrics.material import Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.patches import find_patches, find_sides
 from nuno_schemas.fabric import Bool, Float, Int
@@ -49,13 +50,13 @@ def plate(material: Material) -> Float:
 
 
 def build_bending(
-    material: Material, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
+    material: Material | Materials, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> Bending | None:
     """Of triangles with corners (f, 3, 3) [m], flat as they are laid open, and yarn directions (f, 3), between vertices
     faces (f, 3) of which some are held (n,); None where no vertex can bend.
     """
-    n = len(held)
-    rigidity = plate(material)
+    n, cloth = len(held), Materials.spread(material, len(faces))
+    rigidity = np.array([plate(one) for one in cloth.each])
     clamp = find_clamp(faces, held)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not rigidity.any() or n < 4 or not len(loose):
@@ -67,9 +68,12 @@ def build_bending(
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
         found = fit(part.flat - middle, base - middle, part.there, side)
-        matrix = np.einsum("fak,ab,fbl->fkl", found.second, rigidity, found.second, optimize=True)
-        both = np.sqrt(material.bend_warp * material.bend_weft)
-        matrix += FIT * both * np.einsum("frk,frl->fkl", found.left, found.left)
+        matrix = np.empty_like(found.left)
+        for k, one in enumerate(cloth.each):
+            own = cloth.of[of] == k
+            second, left = found.second[own], found.left[own]
+            matrix[own] = np.einsum("fak,ab,fbl->fkl", second, rigidity[k], second, optimize=True)
+            matrix[own] += FIT * np.sqrt(one.bend_warp * one.bend_weft) * np.einsum("frk,frl->fkl", left, left)
         parts.append(_pairs(part.vertices, -part.area[:, None, None] * matrix, n))
     keys, weights = (np.concatenate(values) for values in zip(*parts, strict=True))
     keys, weights = _sum_alike(keys, weights)

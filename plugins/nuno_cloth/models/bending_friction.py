@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_cloth.fabrics.material import FabricChoice, resolve
+from nuno_cloth.fabrics.material import FabricChoice, Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import AT_ONCE, Clamp, find_clamp, fit
 from nuno_cloth.models.patches import Patches, find_patches, find_sides
@@ -35,12 +35,13 @@ def bytes_of_friction(fabric: FabricChoice) -> int:
 
 
 def build_friction(
-    material: Material, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
+    material: Material | Materials, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> BendingFriction | None:
     """Of triangles with corners (f, 3, 3) [m], flat as they are laid open, and yarn directions (f, 3), between vertices
     faces (f, 3) of which some are held (n,); None of a fabric that has none.
     """
-    widths = np.array([material.hysteresis_warp, material.hysteresis_weft])
+    cloth = Materials.spread(material, len(faces))
+    widths = np.stack([cloth.by_triangle("hysteresis_warp"), cloth.by_triangle("hysteresis_weft")])
     if not widths.any() or len(held) < 4:
         return None
     clamp, area = find_clamp(faces, held), face_areas(corners)
@@ -50,7 +51,7 @@ def build_friction(
     of, place = np.unique(faces[loose], return_index=True)
     face, corner = loose[place // 3], place % 3
     area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(held))[of].astype(np.float64)
-    limit, slip = 0.5 * np.repeat(widths[:, None], len(of), axis=1), np.full(len(of), SLIP)
+    limit, slip = 0.5 * widths[:, face], np.full(len(of), SLIP)
     sides, parts = find_sides(corners, faces), []
     for at in range(0, len(of), AT_ONCE):
         part = slice(at, at + AT_ONCE)

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nuno_cloth.fabrics.material import HandSet
+from nuno_cloth.fabrics.material import HandSet, Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction
@@ -59,7 +59,7 @@ def build_elements(
     if tension != "springs" and isinstance(material, Material):
         return build_triangles(material, x[faces], faces, warp, held)
     pairs, area = edges.pairs, face_areas(x[faces])
-    mass = _masses(material, area, faces, len(x))
+    mass = _masses(material.density, area, faces, len(x))
     rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     flat = np.zeros(len(edges.inner))
     reduced = _reduced(mass, pairs)
@@ -86,13 +86,16 @@ def build_elements(
     return Elements(mass, faces, springs, _hinges(edges, flat + material.hinge, flat))
 
 
-def build_triangles(material: Material, corners: Float, faces: Int, warp: Float, held: Bool) -> Elements:
+def build_triangles(
+    material: Material | Materials, corners: Float, faces: Int, warp: Float, held: Bool
+) -> Elements:  # fmt: skip
     """A membrane, and bending by a matrix, of triangles with corners (f, 3, 3) at rest [m] between vertices faces
     (f, 3), with the warp (3,) or (f, 3) laid onto each. Along a seam two that are neighbours have corners of their own.
 
     What is `held` (n,) between triangles that are held all round does not bend.
     """
-    mass, axes = _masses(material, face_areas(corners), faces, len(held)), yarn_axes(corners, warp)
+    density = Materials.spread(material, len(faces)).by_triangle("density")
+    mass, axes = _masses(density, face_areas(corners), faces, len(held)), yarn_axes(corners, warp)
     friction = build_friction(material, corners, faces, *axes, held)
     membrane = build_membrane(material, corners, faces, mass, *axes)
     bending = build_bending(material, corners, faces, *axes, held)
@@ -111,9 +114,9 @@ def open_spans(x: Float, quads: Int) -> Float:
     return np.asarray(np.hypot(one - other, high + low))
 
 
-def _masses(material: Material | HandSet, area: Float, faces: Int, n: int) -> Float:
+def _masses(density: Float | float, area: Float, faces: Int, n: int) -> Float:
     """(n,) a third of each triangle's mass for each of its corners [kg]."""
-    return np.bincount(faces.reshape(-1), np.repeat(area * material.density / 3, 3), n).astype(np.float64)
+    return np.bincount(faces.reshape(-1), np.repeat(area * density / 3, 3), n).astype(np.float64)
 
 
 def _reduced(mass: Float, pairs: Int) -> Float:

@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from nuno_cloth.fabrics.material import Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.triangles import face_areas
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.triangles import Membrane
 
 
-def build_membrane(material: Material, corners: Float, faces: Int, mass: Float, warp: Float, weft: Float) -> Membrane:
+def build_membrane(
+    material: Material | Materials, corners: Float, faces: Int, mass: Float, warp: Float, weft: Float
+) -> Membrane:
     """Of triangles with corners (f, 3, 3) at rest [m], between vertices faces (f, 3) of mass (n,) [kg], with the yarn
     directions (f, 3) of each.
     """
@@ -32,12 +35,13 @@ def build_membrane(material: Material, corners: Float, faces: Int, mass: Float, 
     inverse = np.linalg.inv(flat)
     along, across = (np.ascontiguousarray(inverse[:, :, yarn]) for yarn in (0, 1))
     area = face_areas(corners)
-    coupling = min(material.shear, float(np.sqrt(material.warp * material.weft)))
-    moduli = np.array([material.warp, material.weft, coupling, material.shear])
+    cloth = Materials.spread(material, len(faces))
+    along_warp, along_weft, shear = (cloth.by_triangle(name) for name in ("warp", "weft", "shear"))
+    moduli = np.stack([along_warp, along_weft, np.minimum(shear, np.sqrt(along_warp * along_weft)), shear])
     mobile = np.stack([_mobility(along, mass[faces]), _mobility(across, mass[faces])])
     mobile = np.concatenate([mobile, mobile.sum(axis=0, keepdims=True)])
-    damping = 2.0 * material.damping_ratio * np.sqrt(moduli[[0, 1, 3], None] / (area * mobile))
-    return Membrane(faces, along, across, area, np.repeat(moduli[:, None], len(faces), axis=1), damping)
+    damping = 2.0 * cloth.by_triangle("damping_ratio") * np.sqrt(moduli[[0, 1, 3]] / (area * mobile))
+    return Membrane(faces, along, across, area, moduli, damping)
 
 
 def _mobility(yarn: Float, mass: Float) -> Float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, Materials, resolve
+from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import find_texture
@@ -16,6 +18,7 @@ from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
+from nuno_cloth.sewing.layers import enclose
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
 from nuno_cloth.sewing.texture import lay_out
@@ -23,7 +26,7 @@ from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.bodies import check_size
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files
@@ -37,7 +40,9 @@ class Over(Config):
     """The body that wears it."""
 
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
-    clearance: Length = Field(default=2e-2, description="how far from the surface it starts at least [m]")
+    clearance: Length = Field(
+        default=2e-2, description="how far from its surface, and from what it wears already, the cloth starts [m]"
+    )
 
 
 class PatternConfig(Config):
@@ -49,6 +54,9 @@ class PatternConfig(Config):
         default=0.02, description="length of triangles' sides [m]"
     )
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
+    fabrics: dict[str, FabricChoice] = Field(
+        default_factory=dict, description="the fabric of panels, by name, that are cut of another one"
+    )
     texture: str | None = Field(
         default=None, description="an image beside the scene, of which all panels are cut, side by side, warp upwards"
     )
@@ -72,7 +80,8 @@ class Pattern:
 
     def memory(self, config: PatternConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
+        rubs = max(bytes_of_friction(one) for one in (config.fabric, *config.fabrics.values()))
+        return vertices * (BYTES_PER_VERTEX + rubs)
 
     def build(self, config: PatternConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pattern that cannot be sewn, a fabric of constants per spring, a missing texture."""
@@ -80,8 +89,10 @@ class Pattern:
         texture = find_texture(config.texture, files)
         return self._fabric(config, texture, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
-    def build_over(self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
-        """The garment on a body's mesh x (v, 3) [m], faces (f, 3).
+    def build_over(
+        self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
+    ) -> Fabric:
+        """The garment on a body's mesh x (v, 3) [m], faces (f, 3), over what it has `worn` since before.
 
         Raises BadInput, as `build`, and for a body of no one's size, or one that the garment does not close round: with
         the panel and the place.
@@ -91,16 +102,16 @@ class Pattern:
         check_size(x, config.over.body, "a garment")
         texture = find_texture(config.texture, files)
         sewn, body = _sewn(config, files), build_tree(x, faces)
-        edges = find_edges(sewn.sewn_faces)
-        position = _drawn(sewn, edges, body, config.over.clearance)
+        edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
+        if worn:
+            position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
+        else:
+            position = _drawn(sewn, edges, body, clearance)
         _require_outside(position, edges, sewn, body, config.over.body)
         return self._fabric(config, texture, sewn, position)
 
     def _fabric(self, config: PatternConfig, texture: str | None, sewn: Sewn, x: Float) -> Fabric:
-        material = resolve(config.fabric)
-        if isinstance(material, HandSet):
-            raise BadInput("constants per spring make no membrane", field="fabric",
-                           remedy="give a preset or measured values")  # fmt: skip
+        material = _materials(config, sewn)
         held = np.zeros(len(x), np.bool_)
         elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
         return Fabric(
@@ -118,6 +129,26 @@ class Pattern:
 
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
     return close_short(sew(read_pattern(files, config.file), config.edge), min(SHORTEST, SHARE * config.edge))
+
+
+def _materials(config: PatternConfig, sewn: Sewn) -> Materials:
+    """Which fabric each triangle is of. Raises BadInput."""
+    each: list[Material] = []
+    for field, choice in {
+        "fabric": config.fabric,
+        **{f"fabrics.{k}": one for k, one in config.fabrics.items()},
+    }.items():
+        if isinstance(material := resolve(choice), HandSet):
+            remedy = "give a preset or measured values"
+            raise BadInput("constants per spring make no membrane", field=field, remedy=remedy)
+        each.append(material)
+    of = np.zeros(len(sewn.names), np.int32)
+    for k, panel in enumerate(config.fabrics, 1):
+        if panel not in sewn.names:
+            raise BadInput("the pattern has no such panel", field="fabrics", value=panel,
+                           remedy=nearest(panel, sewn.names))  # fmt: skip
+        of[sewn.names.index(panel)] = k
+    return Materials(tuple(each), of[sewn.panel])
 
 
 def _corners(sewn: Sewn) -> Corners:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -79,12 +80,17 @@ class Shirt:
     def build(self, config: ShirtConfig, files: Files, seed: int) -> Fabric:
         raise BadInput("a shirt is cut to a body", field="over", remedy="name a body whose collider is a mesh")
 
-    def build_over(self, config: ShirtConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
+    def build_over(
+        self, config: ShirtConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
+    ) -> Fabric:
         """The shirt on a body's mesh x (v, 3) [m], faces (f, 3).
 
-        Raises BadInput for a body of no one's size, for one without armpits and arms, and for a shirt that would
-        start inside of it.
+        Raises BadInput for a body of no one's size, for one without armpits and arms, for one that wears a garment
+        already, and for a shirt that would start inside of it.
         """
+        if worn:
+            raise BadInput("a shirt is put on a bare body, and this one wears cloth already", field="over.body",
+                           value=config.over.body, remedy="let the shirt come first among the objects")  # fmt: skip
         check_size(x, config.over.body, "a shirt")
         wearer = find_wearer(x, faces)
         sizes, fit = take_measures(wearer, config)

@@ -1,10 +1,9 @@
-"""`nuno sew`: a pattern put on a body, as a scene that is written and run; or what is to be said of it before."""
+"""`nuno sew`: patterns put on a body, as a scene that is written and run; or what is to be said of them before."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import re
 import shlex
 import sys
 from dataclasses import asdict
@@ -13,55 +12,24 @@ from pathlib import Path
 from nuno import registry
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
+from nuno.cli.worn import Garment, describe_worn, is_own, name_garments
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
-
-WORN = """\
-nuno: 1
-name: {name}
-description: A garment sewn from its pattern is drawn on a body, and comes to rest there.
-duration: 3 s
-until: rest
-frame_rate: 60 Hz
-solver: {{plugin: respa, dt: auto}}
-damping: 8
-objects:
-  - name: garment
-    colour: "#5b84b8"
-    model: {{plugin: pattern, file: {pattern}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
-bodies:
-  - name: wearer
-    collider: {{plugin: mesh, file: {body}}}
-    friction: 0.4
-cloth_contact: {{plugin: offset, thickness: 2 mm, bodies: [wearer]}}
-operations:
-  - {{plugin: untangle}}
-view: {{azimuth: 20 deg, elevation: 5 deg}}
-"""
-"""The scene of a pattern on a body: the guarantee of cloth contact begins once `untangle` is done."""
-WALKED = (
-    WORN.replace("and comes to rest there", "comes to rest there, and goes along as the body moves")
-    .replace("duration: 3 s\nuntil: rest\n", "duration: 4 s\n")
-    .replace("damping: 8", "damping: 1")
-    .replace("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
-             "    motion: {{plugin: bvh, file: {motion}}}")
-)  # fmt: skip
-"""The same on a body that stands for a second and sets out: what moves is held back less than what is to rest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "patterns", nargs="+", type=Path, metavar="PATTERN",
-        help="a pattern as GarmentCode writes it: JSON, or YAML of the same fields",
+        help="a pattern as GarmentCode writes it: JSON, or YAML of the same fields; on a body the innermost first",
     )  # fmt: skip
     worn = parser.add_argument_group("put on a body")
     add_flags(worn, {
-        "--body": ("FILE", "the body that wears it, in metres: OBJ, PLY, STL or GLB, upright, facing +z", Path),
+        "--body": ("FILE", "the body that wears them, in metres: OBJ, PLY, STL or GLB, upright, facing +z", Path),
         "--motion": ("FILE", "a BVH that the body moves by, with its skin (default: it stands)", Path),
-        "--fabric": ("NAME", "a preset (default: interlock); nuno fabrics lists them", str),
+        "--fabric": ("NAME...", "a preset (default: interlock; nuno fabrics lists them); again for each pattern", str),
         "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
-        "--scene": ("FILE", "the scene that is written and run (default: PATTERN-worn.yaml, here)", Path),
+        "--scene": ("FILE", "the scene that is written and run (default: PATTERN...-worn.yaml, here)", Path),
     })  # fmt: skip
     checked = parser.add_argument_group("or only look at the patterns")
     checked.add_argument(
@@ -72,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         checked, {"--gather": ("RATIO", "tell of seams whose edges differ by more than this (default: 1.1)", float)}
     )
     checked.add_argument("--json", action="store_true", help="the same for a program, as one JSON object a line")
-    parser.set_defaults(gather=1.1, fabric="interlock", edge="2 cm")
+    parser.set_defaults(gather=1.1, edge="2 cm")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -85,46 +53,34 @@ def main(args: argparse.Namespace) -> int:
 
 
 def wear(args: argparse.Namespace) -> int:
-    """Write a scene in which a body wears the pattern, and run it."""
+    """Write a scene in which a body wears the patterns, run it, and tell how they fit a body that stands."""
     from nuno.cli import main as nuno
 
-    if len(args.patterns) > 1:
-        raise BadInput("a body is put on one pattern at a time", value=f"{len(args.patterns)} patterns")
-    files = {"pattern": args.patterns[0], "body": args.body} | ({"motion": args.motion} if args.motion else {})
-    for what, file in files.items():
+    fabrics = args.fabric or ["interlock"]
+    if len(fabrics) not in (1, len(args.patterns)):
+        raise BadInput("fabrics and patterns do not go together", field="--fabric", value=f"{len(fabrics)} fabrics",
+                       limit=f"one, or {len(args.patterns)}, one for each pattern")  # fmt: skip
+    beside = {"body": args.body} | ({"motion": args.motion} if args.motion else {})
+    files = [("pattern", pattern) for pattern in args.patterns] + list(beside.items())
+    for what, file in files:
         if not file.is_file():
             raise BadInput("no such file", field=what, value=str(file))
-    pattern = files["pattern"]
-    scene = args.scene or Path(f"{pattern.stem}-worn.yaml")
-    names = {what: file.name for what, file in files.items()}
-    given = names | {"name": scene.stem, "edge": args.edge, "fabric": args.fabric}
-    if scene.exists() and not _is_own(scene.read_text(encoding="utf-8")):
+    scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
+    names = name_garments([pattern.stem for pattern in args.patterns])
+    each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
+    garments = [Garment(name, pattern.name, fabric) for name, pattern, fabric in each]
+    if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    scene.write_text(describe_worn(**given), encoding="utf-8")
-    roots = dict.fromkeys(str(file.resolve().parent) for file in files.values())
+    moved = {what: file.name for what, file in beside.items()}
+    scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved), encoding="utf-8")
+    roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
-    return nuno(command)
-
-
-def describe_worn(*, motion: str | None = None, **given: str) -> str:
-    """A scene's text: of a `pattern` on a `body`, both files beside it, in which the body may go by the file `motion`.
-
-    given  also the scene's `name`, the `edge` of triangles, and the `fabric`
-    """
-    quoted = {name: json.dumps(value) for name, value in (given | {"motion": motion}).items()}
-    return (WALKED if motion else WORN).format(**quoted)
-
-
-def _is_own(text: str) -> bool:
-    """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
-    fields = ("name", "pattern", "body", "motion", "edge", "fabric")
-    own = (
-        re.escape(one.format(**dict.fromkeys(fields, "\0"))).replace(re.escape("\0"), ".*") for one in (WORN, WALKED)
-    )
-    return any(re.fullmatch(one, text) for one in own)
+    code = nuno(command)
+    # A body that walks is not as high at the end as it was measured.
+    return code or (nuno(["fit", "last"]) if args.motion is None else 0)
 
 
 def check(args: argparse.Namespace) -> int:

@@ -107,13 +107,15 @@ def _build_models(loaded: Loaded, geometry: Geometry | None, poses: Poses | None
     if geometry is None and loaded.colliders and any(over):
         bodies = build_bodies(loaded)
         geometry, poses = bodies.geometry, bodies.poses(0.0)
-    fabrics = []
+    fabrics: list[Fabric] = []
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
             given: tuple[Any, ...] = (model.config, loaded.files, loaded.scene.seed + i)
-            name = over[i]
-            build = model.plugin.build if name is None else model.plugin.build_over
-            fabric = build(*given, *(() if name is None else mesh_of(name, geometry, poses)))
+            if (name := over[i]) is None:
+                fabric = model.plugin.build(*given)
+            else:
+                worn = [one for one, body in zip(fabrics, over, strict=False) if body == name and len(one.faces)]
+                fabric = model.plugin.build_over(*given, *mesh_of(name, geometry, poses), worn)
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:

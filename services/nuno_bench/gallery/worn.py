@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from nuno.cli.common import add_flags
-from nuno.cli.sew import describe_worn
+from nuno.cli.worn import Garment, describe_worn, name_garments
 from nuno_schemas.errors import BadInput
 
 NEEDED = "--patterns, --body"
@@ -46,8 +46,8 @@ def write_scenes(args: argparse.Namespace, folder: Path) -> dict[str, Path]:
     body = shutil.copy(args.body, folder / f"body{args.body.suffix}")
     for pattern in args.patterns:
         shutil.copy(pattern, folder)
-        given = {"name": pattern.stem, "pattern": pattern.name, "body": Path(body).name}
+        garments = [Garment(name_garments([pattern.stem])[0], pattern.name, args.fabric)]
         found[pattern.stem] = folder / f"{pattern.stem}.yaml"
-        text = describe_worn(edge=args.edge, fabric=args.fabric, **given)
+        text = describe_worn(pattern.stem, garments, args.edge, Path(body).name)
         found[pattern.stem].write_text(text, encoding="utf-8")
     return found

@@ -1,0 +1,98 @@
+"""Scenes that `nuno sew` writes: garments on a body, to be run as they are and to be changed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+WORN = """\
+nuno: 1
+name: {name}
+description: What is sewn from patterns is drawn on a body, and comes to rest there.
+duration: 3 s
+until: rest
+frame_rate: 60 Hz
+solver: {{plugin: respa, dt: auto}}
+damping: 8
+objects:
+{garments}bodies:
+  - name: wearer
+    collider: {{plugin: mesh, file: {body}}}
+    friction: 0.4
+cloth_contact: {{plugin: offset, thickness: 2 mm, bodies: [wearer]}}
+operations:
+  - {{plugin: untangle}}
+view: {{azimuth: 20 deg, elevation: 5 deg}}
+"""
+"""The scene of patterns on a body: the guarantee of cloth contact begins once `untangle` is done."""
+WALKED = (
+    WORN.replace("and comes to rest there", "comes to rest there, and goes along as the body moves")
+    .replace("duration: 3 s\nuntil: rest\n", "duration: 4 s\n")
+    .replace("damping: 8", "damping: 1")
+    .replace("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
+             "    motion: {{plugin: bvh, file: {motion}}}")
+)  # fmt: skip
+"""The same on a body that stands for a second and sets out: what moves is held back less than what is to rest."""
+GARMENT = """\
+  - name: {name}
+    colour: {colour}
+    model: {{plugin: pattern, file: {pattern}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
+"""
+COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
+"""In turn, the innermost first."""
+
+
+class Garment(NamedTuple):
+    """An object's name, its pattern's file beside the scene, and its fabric."""
+
+    name: str
+    pattern: str
+    fabric: str
+
+
+def name_garments(stems: Sequence[str]) -> list[str]:
+    """Names of objects after their files: letters, digits, - and _, none twice."""
+    found: list[str] = []
+    for stem in stems:
+        name = re.sub("[^A-Za-z0-9_-]", "-", stem)[:48]
+        name = name if re.match("[A-Za-z]", name) else f"garment-{name}"
+        found.append(name if name not in found else f"{name}-{len(found) + 1}")
+    return found
+
+
+def describe_worn(
+    name: str, garments: Sequence[Garment], edge: str, body: str, motion: str | None = None
+) -> str:  # fmt: skip
+    """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
+    beside the scene, which may go by the file `motion`.
+    """
+    each = [
+        GARMENT.format(name=one.name, colour=_quoted(COLOURS[i % len(COLOURS)]), pattern=_quoted(one.pattern),
+                       edge=_quoted(edge), fabric=_quoted(one.fabric))
+        for i, one in enumerate(garments)
+    ]  # fmt: skip
+    given = {"name": _quoted(name), "body": _quoted(body), "motion": _quoted(motion)}
+    return (WALKED if motion else WORN).format(garments="".join(each), **given)
+
+
+def is_own(text: str) -> bool:
+    """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
+    of_garment, of_scene = ("name", "colour", "pattern", "edge", "fabric"), ("name", "body", "motion")
+    garments = f"(?:{_pattern_of(GARMENT, dict.fromkeys(of_garment, '.*'))})+"
+    values = dict.fromkeys(of_scene, ".*") | {"garments": garments}
+    return any(re.fullmatch(_pattern_of(one, values), text) for one in (WORN, WALKED))
+
+
+def _pattern_of(template: str, values: dict[str, str]) -> str:
+    """The regular expression of a template's texts, of one for each of its fields."""
+    marks = {name: f"\0{i}\0" for i, name in enumerate(values)}
+    text = re.escape(template.format(**marks))
+    for name, mark in marks.items():
+        text = text.replace(re.escape(mark), values[name])
+    return text
+
+
+def _quoted(value: str | None) -> str:
+    return json.dumps(value)
