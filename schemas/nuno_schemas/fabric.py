@@ -180,6 +180,11 @@ class Panels:
     pairs: Annotated[Int, "k", 2, Bounds(0, below="p")]
     seam: Annotated[Int, "k", Bounds(0)]
 
+    @staticmethod
+    def letters(seam: int) -> str:
+        """What a seam is called: A to Z, then AA, AB, and so on."""
+        return (Panels.letters(seam // 26 - 1) if seam >= 26 else "") + chr(ord("A") + seam % 26)
+
 
 @dataclass(frozen=True)
 class Corners:

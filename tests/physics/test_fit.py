@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
-from sewing_patterns import column
+from sewing_patterns import column, panel, pattern, stitch
 
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
+from nuno.fit.seams import measure_seams
 from nuno.fit.slices import cut
-from nuno_schemas.fabric import Float
+from nuno.scene.files import SceneFiles
+from nuno_cloth.models.pattern import Pattern, PatternConfig
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.sew import sew
+from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.triangles import Membrane
 
 AROUND, LEVELS = 32, 6
@@ -124,3 +130,45 @@ def test_heights_of_a_body_are_where_a_tape_finds_its_girths(shared_data: Path) 
 
 def test_a_column_has_no_waist() -> None:
     assert find_heights(*column((0.3, 0.2), (0.2, 1.8))) == {}
+
+
+def energy(x: Float, m: Membrane, some: Bool) -> float:
+    """Of some triangles (t,) of a membrane, as its class defines it."""
+    along, across = (np.einsum("tc,tcd->td", shares, x[m.faces]) for shares in m.shares())
+    e, f, g = np.linalg.norm(along, axis=1) - 1.0, np.linalg.norm(across, axis=1) - 1.0, (along * across).sum(axis=1)
+    density = m.moduli[0] * e * e + m.moduli[1] * f * f + 2.0 * m.moduli[2] * e * f + m.moduli[3] * g * g
+    return float((0.5 * m.area * density)[some].sum())
+
+
+@pytest.mark.parametrize("grain", [0.0, 30.0])
+def test_a_seam_is_pulled_by_what_its_panel_does_work_with(tmp_path: Path, grain: float) -> None:
+    """Two panels side by side, strained and sheared the same everywhere, and turned in space: what moves the vertices
+    of the seam loses the energy that the pull tells. The ends' share of the free edges cancels.
+    """
+    half = panel((0, 0), (10, 0), (10, 20), (0, 20)) | {"grain": grain}
+    cut_out = pattern({"one": half, "other": half}, stitch("one[1]", "other[3]"))
+    (tmp_path / "plate.json").write_text(json.dumps(cut_out))
+    config = PatternConfig.model_validate({"file": "plate.json", "edge": "2 cm", "fabric": "denim"})
+    fabric = Pattern().build(config, SceneFiles(tmp_path), 0)
+    assert fabric.membrane is not None and fabric.corners is not None and fabric.corners.panels is not None
+    membrane, corners, panels = fabric.membrane, fabric.corners, fabric.corners.panels
+    sewn = sew(read_pattern(SceneFiles(tmp_path), "plate.json"), 0.02)
+    laid = np.empty((fabric.number, 2))
+    for k in (0, 1):
+        own = np.unique(sewn.faces[sewn.panel == k])
+        laid[sewn.merged[own]] = sewn.flat[own] + [0.1 * k, 0.0]
+    strained = np.array([[1.03, 0.02], [-0.01, 0.98]])
+    turned = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0][:, :2]
+    x = laid @ (turned @ strained).T
+    (seam,) = measure_seams(x, membrane, corners)
+    assert (seam.letters, sorted(seam.panels)) == ("A", ["one", "other"]) and seam.length == pytest.approx(0.2)
+    assert seam.most == pytest.approx(seam.mean, rel=1e-9)
+    on_seam = np.isclose(laid[:, 0], 0.1)
+    way = turned @ strained @ [0.0, 1.0]
+    out = turned @ strained @ [1.0, 0.0]
+    out -= (out @ way) / (way @ way) * way
+    out /= np.linalg.norm(out)
+    step = 1e-6 * on_seam[:, None] * out
+    some = panels.of == panels.names.index("one")
+    work = (energy(x + step, membrane, some) - energy(x - step, membrane, some)) / 2e-6
+    assert work / seam.length == pytest.approx(seam.mean, rel=1e-6)

@@ -11,10 +11,14 @@ from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.fit.measure import Fit, Girth, Spread
 from nuno.fit.read import read_fits
+from nuno.fit.seams import Seam
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
+
+SEAMS = 8
+"""Of so many seams a person is told: those that are pulled at most."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,10 +65,25 @@ def describe(fit: Fit) -> str:
     rows = [["strain", "median %", "95 % below", "most %"]]
     rows += [[name, *_percents(spread)] for name, spread in fit.strains.items()]
     lines += ["", align(rows)]
+    lines += ["", align(_seam_rows(fit.seams), left=(0, 1))] if fit.seams else []
     if (p := fit.pressed) is not None:
         text = f"{p.mean:.0f} Pa on {1e4 * p.area:.0f} cm² of cloth, 95 % of it below {p.high:.0f} Pa"
         lines += ["", f"presses    {text}; {p.force:.2f} N in all"]
+    if tight := [one for one in fit.girths if one.ease is not None and one.ease < 0.0]:
+        told = ", ".join(f"by {-1e2 * (one.ease or 0.0):.1f} cm at the {one.name}" for one in tight)
+        lines += ["", f"smaller    than the body {told}"]
     return "\n".join([*lines, ""])
+
+
+def _seam_rows(seams: list[Seam]) -> list[list[str]]:
+    """Those that are pulled at most."""
+    most = sorted(seams, key=lambda one: -one.mean)[:SEAMS]
+    which = "seam" if len(most) == len(seams) else f"{len(most)} of {len(seams)} seams"
+    rows = [[which, "panels", "cut cm", "pulled N/m", "most N/m"]]
+    return rows + [
+        [one.letters, ", ".join(one.panels), f"{1e2 * one.length:.1f}", f"{one.mean:.1f}", f"{one.most:.1f}"]
+        for one in most
+    ]
 
 
 def _row(one: Girth) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nuno.fit.places import trunk
+from nuno.fit.seams import Seam
 from nuno.fit.slices import Slice, cut
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.triangles import Membrane
@@ -69,6 +70,7 @@ class Fit:
     """Lowest and highest height of each opening [m], and its length as it was cut, from the top."""
     strains: dict[str, Spread] = field(default_factory=dict)
     pressed: Pressed | None = None
+    seams: list[Seam] = field(default_factory=list)
 
 
 def measure(name: str, x: Float, membrane: Membrane, body: tuple[Float, Int], heights: dict[str, float]) -> Fit:

@@ -14,6 +14,7 @@ from nuno.collision.surfaces import surface, vertex_normals
 from nuno.export.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
+from nuno.fit.seams import measure_seams
 from nuno.moments import Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
@@ -69,7 +70,8 @@ def _fit(piece: ShownPiece, moment: Moment, mesh: Mesh, at: dict[str, float], no
     x = moment.x[start:stop]
     fit = measure(piece.name, x, membrane, mesh, at)
     force = sum((forces.parts[part][start:stop] for part in CONTACTS if part in forces.parts), 0.0 * x)
-    return replace(fit, pressed=measure_pressure(membrane, force, normals[start:stop]))
+    seams = [] if piece.corners is None else measure_seams(x, membrane, piece.corners)
+    return replace(fit, pressed=measure_pressure(membrane, force, normals[start:stop]), seams=seams)
 
 
 def _normals(mesh: Mesh, found: Any) -> Float:
