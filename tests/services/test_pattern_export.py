@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sewing_patterns as patterns
+from PIL import Image
 from scenes import write_scene
 
 import nuno
@@ -148,7 +150,7 @@ def test_what_has_no_pattern_or_another_ending_is_refused(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(BadInput, match=r"must end in \.svg"):
-        export_pattern(recording, tmp_path / "flat.pdf")
+        export_pattern(recording, tmp_path / "flat.png")
     sheet = [{"name": "sheet", "model": {"plugin": "sheet", "resolution": [4, 4], "pin": ["top-row"]}}]
     nuno.run(write_scene(tmp_path, objects=sheet, duration=0.02), record=tmp_path / "sheet.mcap")
     with pytest.raises(BadInput, match="no garment is sewn from a pattern"):
@@ -178,3 +180,51 @@ def test_a_short_edge_that_is_closed_leaves_no_slit_in_the_drawing(tmp_path: Pat
         for seam in garment.findall(f"{SVG}polyline[@class='seam']")
     ]
     assert lengths == pytest.approx([200.0] * 4, rel=2e-3)
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A top whose panels are cut of an image, and one in a colour."""
+    folder = tmp_path_factory.mktemp("printed")
+    shutil.copy(PATTERN, folder)
+    Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3)).save(folder / "print.png")
+    top = {"plugin": "pattern", "file": "top.yaml", "edge": 0.1}
+    objects = [
+        {"name": "print", "model": top | {"texture": "print.png"}},
+        {"name": "plain", "model": top, "colour": "#204060"},
+    ]
+    nuno.run(write_scene(folder, objects=objects, duration=0.02), record=folder / "run.mcap")
+    return folder / "run.mcap"
+
+
+def test_the_print_lies_on_each_panel_as_it_is_cut(printed: Path, tmp_path: Path) -> None:
+    """Every point of an outline is where the image has the texture coordinates of a corner of that panel."""
+    garment, plain = drawn(export_pattern(printed, tmp_path / "flat.svg", None, "cloth"))
+    with open_recording(printed) as opened:
+        corners = read_pieces(opened)[0].corners
+    assert corners is not None and corners.panels is not None
+    for k, panel in enumerate(garment.findall(f"{SVG}g[@class='panel']")):
+        image = panel.find(f".//{SVG}image")
+        outline, clip = panel.find(f"{SVG}path[@class='outline']"), panel.find(f"{SVG}clipPath/{SVG}path")
+        assert image is not None and outline is not None and clip is not None
+        assert clip.attrib["d"] == outline.attrib["d"]
+        x, y, wide, high = (float(image.attrib[name]) for name in ("x", "y", "width", "height"))
+        assert wide == high == pytest.approx(1e3 * corners.panels.unit[k], abs=1e-3)
+        points = numbers(outline.attrib["d"])
+        found = np.stack([(points[:, 0] - x) / wide, 1.0 - (points[:, 1] - y) / high], axis=1)
+        own = corners.points[np.unique(corners.faces[corners.panels.of == k])]
+        assert np.linalg.norm(found[:, None] - own[None], axis=2).min(axis=1).max() < 1e-5
+    assert {rect.attrib["fill"] for rect in plain.iter(f"{SVG}rect")} == {"#204060"}
+    assert len({clip.attrib["id"] for one in (garment, plain) for clip in one.iter(f"{SVG}clipPath")}) == 4
+
+
+@pytest.mark.parametrize("colour", ["auto", "cloth", "stretch"])
+def test_a_pdf_is_one_page_as_large_as_the_drawing(printed: Path, tmp_path: Path, colour: str) -> None:
+    pytest.importorskip("fpdf")
+    root = ElementTree.parse(export_pattern(printed, tmp_path / "flat.svg", None, colour)).getroot()
+    data = export_pattern(printed, tmp_path / "flat.pdf", None, colour).read_bytes()
+    wide, high = (float(root.attrib[name].removesuffix("mm")) / 25.4 * 72.0 for name in ("width", "height"))
+    boxes = re.findall(rb"/MediaBox \[([0-9. ]+)\]", data)
+    assert data.startswith(b"%PDF") and boxes
+    assert [float(value) for value in boxes[-1].split()[-2:]] == pytest.approx([wide, high], abs=0.02)
+    assert len(re.findall(rb"/Type /Page\b", data)) == 1

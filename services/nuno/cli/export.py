@@ -31,7 +31,7 @@ FILES = {
     "ply": "the cloth in a frame; a folder: every frame",
     "glb": "the cloth and bodies in a frame; a folder: every frame",
     "rrd": "a file for the rerun viewer",
-    "pattern": "the flat pattern of sewn garments at true size, .svg",
+    "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
 }
 """What can be written, by its flag."""
@@ -63,7 +63,7 @@ def _add_yarns(yarns: argparse._ArgumentGroup) -> None:
 def _add_parts(which: argparse._ArgumentGroup) -> None:
     painted = (
         "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure; "
-        "--pattern: outlines, or triangles by their largest strain (stretch), or that along warp or weft "
+        "--pattern: outlines, the print (cloth), or triangles by their strain, the largest, or along warp or weft "
     )
     own = "(default: its own where the scene gives one)"
     which.add_argument("--colour", choices=COLOURS, default="auto", help=painted + own)

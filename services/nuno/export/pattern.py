@@ -1,24 +1,28 @@
-"""The flat pattern of sewn garments as a drawing at true size: SVG, 1 unit = 1 mm."""
+"""The flat pattern of sewn garments as a drawing at true size: SVG, 1 unit = 1 mm, or PDF made of it."""
 
 from __future__ import annotations
 
+import base64
+import io
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from nuno.export.cloth import Pieces, ShownPiece, check_size, read_frame
-from nuno.export.paint import STRETCH, paint_stretch
+from nuno.export.paint import paint_stretch
+from nuno.export.pattern_marks import INK, SEAM, legend, points, scale, text
 from nuno.export.target import check_target, opened, writing
 from nuno.recording.reader import Recording
-from nuno_schemas.colour import CONTROL, to_srgb
+from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int, Panels
 
-MM = 1e3
+MM, PLAIN = 1e3, "#d9d4c8"
 GAP, MARGIN, HEAD, FOOT = 30.0, 20.0, 14.0, 40.0
 """Between panels, round the drawing, for a garment's name above it, for scale and legend below it [mm]."""
-INK, SEAM = "#1d2430", "#b5523b"
 NOTCH, INSIDE = 5.0, 10.0
 """How long a notch is, and how far inside of the edge its label stands [mm]."""
 WORDS = {"stretch": "largest strain", "warp": "strain along the warp", "weft": "strain along the weft"}
@@ -26,12 +30,16 @@ WORDS = {"stretch": "largest strain", "warp": "strain along the warp", "weft": "
 
 
 def export_pattern(source: Recording | Path | str, path: Path, frame: int | None = None, colour: str = "auto") -> Path:
-    """Draw the panels of all sewn garments, one garment beside the other, as .svg at true size.
+    """Draw the panels of all sewn garments, one garment beside the other, as .svg or .pdf at true size.
 
-    colour "stretch", "warp" or "weft" paints triangles by the strain of a frame (default: the last); any other draws
-    outlines. Raises BadInput for another ending, a frame that is not there, and a recording without a sewn garment.
+    colour "stretch", "warp" or "weft" paints triangles by the strain of a frame (default: the last), "cloth" shows the
+    print that panels are cut of, or the garment's colour; any other draws outlines. Raises BadInput for another ending,
+    a frame that is not there, a recording without a sewn garment, and a .pdf where fpdf2 is not installed.
     """
-    check_target(path, ".svg")
+    suffix = ".pdf" if path.suffix.lower() == ".pdf" else ".svg"
+    check_target(path, suffix)
+    if suffix == ".pdf":
+        _fpdf()
     with opened(source) as recording:
         shown = read_frame(recording, frame)
         pieces = Pieces(recording).at(shown.t)
@@ -49,11 +57,12 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
             height = max(height, float(flat[:, 1].max()))
             painted = paint_triangles(piece, shown.x[piece.start : piece.stop], colour) if colour in WORDS else None
             drawn.append(f'<g class="garment" transform="translate({start:.3f} 0)">')
-            drawn.append(_text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
-            drawn += _garment(corners, panels, flat * [1.0, -1.0], painted)
+            drawn.append(text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
+            cloth = _cloth(piece, flat, corners, panels) if colour == "cloth" else None
+            drawn += _garment(piece.name, corners, panels, flat * [1.0, -1.0], painted, cloth)
             drawn.append("</g>")
             start += width + 2.0 * GAP
-        foot = [*_scale(), *(_legend(WORDS[colour]) if colour in WORDS else [])]
+        foot = [*scale(), *(legend(WORDS[colour]) if colour in WORDS else [])]
     width, top = max(start - 2.0 * GAP + MARGIN, 2.0 * MARGIN + 260.0), MARGIN + HEAD
     size = f"{width:.3f}", f"{top + height + FOOT + MARGIN:.3f}"
     lines = [
@@ -63,9 +72,54 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
         f'<g transform="translate(0 {top + height:.3f})">', *drawn, "</g>",
         f'<g transform="translate({MARGIN} {top + height + 20.0:.3f})">', *foot, "</g>", "</svg>",
     ]  # fmt: skip
-    with writing(path, ".svg") as new:
-        new.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with writing(path, suffix) as new:
+        if suffix == ".pdf":
+            _write_pdf("\n".join(lines), new)
+        else:
+            new.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def _fpdf() -> Any:
+    try:
+        import fpdf
+        import fpdf.svg
+    except ImportError:
+        remedy = 'install it: pip install "nuno[pdf]"; or export an .svg'
+        raise BadInput("PDF needs fpdf2, which is not installed", remedy=remedy) from None
+    return fpdf
+
+
+def _write_pdf(svg: str, path: Path) -> None:
+    """One page as large as the drawing."""
+    fpdf = _fpdf()
+    drawing = fpdf.svg.SVGObject(svg)
+    page = fpdf.FPDF(unit="pt", format=(drawing.width, drawing.height))
+    page.set_auto_page_break(False)
+    page.add_page()
+    drawing.draw_to_page(page)
+    page.output(str(path))
+
+
+def _cloth(piece: ShownPiece, flat: Float, corners: Corners, panels: Panels) -> list[str]:
+    """Of each panel what its outline is filled with, given that as a clip: its part of the print, else the colour."""
+    if piece.image is None:
+        fill = piece.colour or PLAIN
+        return [f'<rect x="0" y="{-float(flat[:, 1].max()):.3f}" width="{float(flat[:, 0].max()):.3f}" '
+                f'height="{float(flat[:, 1].max()):.3f}" fill="{fill}"/>'] * len(panels.names)  # fmt: skip
+    stream = io.BytesIO()
+    Image.fromarray(piece.image).save(stream, "PNG")
+    data = base64.b64encode(stream.getvalue()).decode()
+    found = []
+    for k, unit in enumerate(panels.unit.tolist()):
+        some = int(corners.faces[panels.of == k][0, 0])
+        side = MM * unit
+        x, y = flat[some] - side * corners.points[some].astype(np.float64)
+        found.append(
+            f'<image x="{x:.3f}" y="{-y - side:.3f}" width="{side:.3f}" height="{side:.3f}" preserveAspectRatio="none" '
+            f'href="data:image/png;base64,{data}"/>'
+        )
+    return found
 
 
 def strains(piece: ShownPiece, x: Float) -> dict[str, Float]:
@@ -103,7 +157,9 @@ def _lay(corners: Corners, panels: Panels) -> tuple[Float, float]:
     return flat, start - GAP
 
 
-def _garment(corners: Corners, panels: Panels, flat: Float, painted: list[str] | None) -> list[str]:
+def _garment(
+    piece: str, corners: Corners, panels: Panels, flat: Float, painted: list[str] | None, cloth: list[str] | None
+) -> list[str]:
     """Elements of a garment whose corners are at flat (p, 2), y down."""
     lines = []
     for k, name in enumerate(panels.names):
@@ -113,7 +169,11 @@ def _garment(corners: Corners, panels: Panels, flat: Float, painted: list[str] |
         if painted is not None:
             lines += [_triangle(flat[corners.faces[number]], painted[number]) for number in which.tolist()]
         loops = [_without_slits(loop, corners.vertex, panels.pairs) for loop in outlines(faces)]
-        path = " ".join(f"M{_points(flat[loop])}Z" for loop in loops)
+        path = " ".join(f"M{points(flat[loop])}Z" for loop in loops)
+        if cloth is not None:
+            clip = f"cut-{piece}-{k}"
+            lines.append(f'<clipPath id="{clip}"><path d="{path}"/></clipPath>')
+            lines.append(f'<g clip-path="url(#{clip})">{cloth[k]}</g>')
         lines += [f'<path class="outline" d="{path}" fill="none" stroke="{INK}" stroke-width="0.6"/>']
         lines += [*_grain(name, flat[faces]), "</g>"]
     # Of a short side that was closed an end may be in no triangle.
@@ -121,12 +181,12 @@ def _garment(corners: Corners, panels: Panels, flat: Float, painted: list[str] |
     for number in np.unique(panels.seam).tolist():
         pairs = panels.pairs[(panels.seam == number) & there]
         for side in pairs.T if len(pairs) > 1 else ():
-            lines += _seam(_letters(number), flat, side, corners.faces)
+            lines += _seam(panels.letters(number), flat, side, corners.faces)
     return lines
 
 
 def _triangle(corners: Float, colour: str) -> str:
-    return f'<polygon points="{_points(corners)}" fill="{colour}" stroke="{colour}" stroke-width="0.15"/>'
+    return f'<polygon points="{points(corners)}" fill="{colour}" stroke="{colour}" stroke-width="0.15"/>'
 
 
 def outlines(faces: Int) -> list[list[int]]:
@@ -171,16 +231,11 @@ def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
     inwards *= np.sign((flat[touching].mean(axis=(0, 1)) - middle) @ inwards)
     tip, place = middle + NOTCH * inwards, middle + INSIDE * inwards
     return [
-        f'<polyline class="seam" data-seam="{letters}" points="{_points(run)}" fill="none" stroke="{SEAM}"/>',
-        f'<path d="M{_points(np.stack([middle, tip]))}" stroke="#ffffff" stroke-width="2.5"/>',
-        f'<path d="M{_points(np.stack([middle, tip]))}" stroke="{SEAM}"/>',
-        _text(letters, place[0], place[1] + 3.0, 8, SEAM, "middle"),
+        f'<polyline class="seam" data-seam="{letters}" points="{points(run)}" fill="none" stroke="{SEAM}"/>',
+        f'<path d="M{points(np.stack([middle, tip]))}" stroke="#ffffff" stroke-width="2.5"/>',
+        f'<path d="M{points(np.stack([middle, tip]))}" stroke="{SEAM}"/>',
+        text(letters, place[0], place[1] + 3.0, 8, SEAM, "middle"),
     ]
-
-
-def _letters(number: int) -> str:
-    """A to Z, then AA, AB, and so on."""
-    return (_letters(number // 26 - 1) if number >= 26 else "") + chr(ord("A") + number % 26)
 
 
 def _grain(name: str, corners: Float) -> list[str]:
@@ -196,37 +251,6 @@ def _grain(name: str, corners: Float) -> list[str]:
         f'<path d="{arrow}" fill="none" stroke="#ffffff" stroke-width="2"/>',
         f'<path class="grain" d="{arrow}" fill="none" stroke="{INK}" stroke-width="0.5"/>',
         f'<g transform="translate({x - 0.4 * size:.3f} {y:.3f}) rotate(-90)">',
-        _text(name, 0, 0, size, INK, "middle"),
+        text(name, 0, 0, size, INK, "middle"),
         "</g>",
     ]
-
-
-def _scale() -> list[str]:
-    return [
-        f'<path class="scale" d="M0,-3V3M0,0H100M100,-3V3" fill="none" stroke="{INK}" stroke-width="0.6"/>',
-        _text("10 cm", 50, -2.5, 6, INK, "middle"), _text("1:1, in mm. Arrows run along the warp.", 0, 12, 5),
-    ]  # fmt: skip
-
-
-def _legend(words: str) -> list[str]:
-    """A bar of 100 mm, beside the scale, with the strains at decades."""
-    stops = "".join(f'<stop offset="{k / (len(CONTROL) - 1)}" stop-color="{c}"/>' for k, c in enumerate(CONTROL))
-    decades = np.arange(round(np.log10(STRETCH[0])), round(np.log10(STRETCH[1])) + 1).tolist()
-    marks = np.linspace(130.0, 230.0, len(decades)).tolist()
-    return [
-        f'<defs><linearGradient id="map">{stops}</linearGradient></defs>',
-        '<rect x="130" y="-3" width="100" height="6" fill="url(#map)"/>', _text(words, 130, -5.5, 5),
-        *(_text(f"{100.0 * 10.0**k:g} %", x, 9, 5, INK, "middle") for k, x in zip(decades, marks, strict=True)),
-    ]  # fmt: skip
-
-
-def _points(rows: Float) -> str:
-    return " ".join(f"{x:.3f},{y:.3f}" for x, y in rows.tolist())
-
-
-def _text(text: str, x: float, y: float, size: float, ink: str = INK, anchor: str = "start") -> str:
-    place = f'x="{x:.3f}" y="{y:.3f}" font-size="{size:.3g}" fill="{ink}" text-anchor="{anchor}"'
-    # A white rim first: labels are to be read on any colour, and not all programs know paint-order.
-    return f'<text {place} stroke="#ffffff" stroke-width="{0.2 * size:.3g}">{escape(text)}</text>' + (
-        f"<text {place}>{escape(text)}</text>"
-    )

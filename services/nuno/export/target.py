@@ -23,6 +23,7 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".csv": (0, b"frame,"),
     ".obj": (0, b"# nuno"),
     ".svg": (0, b'<svg id="nuno-pattern"'),
+    ".pdf": (0, b"%PDF"),
     ".ply": (0, b"ply\n"),
     ".glb": (0, b"glTF"),
     ".png": (0, b"\x89PNG"),
