@@ -129,10 +129,15 @@ class Loaded:
 
 def shipped(folder: str = "") -> dict[str, Path]:
     """The scenes that come with the project by name, those of a folder as `folder/name`."""
-    beside = Path(__file__).resolve().parents[3] / "scenes"
-    root = beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
+    root = shipped_folder()
     paths = sorted((root / folder).glob("*.yaml"))
     return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}
+
+
+def shipped_folder() -> Path:
+    """Where the scenes that come with the project lie, and the files that those in folders share."""
+    beside = Path(__file__).resolve().parents[3] / "scenes"
+    return beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
 
 
 FOLDERS = ("contact", "dye", "extreme", "instruments", "knit", "sewn")
@@ -176,7 +181,9 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
         lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
-    loaded = load(data, lines, named or str(path), SceneFiles(path.resolve().parent, roots))
+    folder, shared = path.resolve().parent, shipped_folder().resolve()
+    roots = (*roots, shared) if shared in folder.parents else roots
+    loaded = load(data, lines, named or str(path), SceneFiles(folder, roots))
     return replace(loaded, overrides=tuple(overrides), path=path)
 
 
