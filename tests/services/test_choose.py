@@ -120,6 +120,21 @@ def test_estimates_the_error_of_a_step(tmp_path: Path) -> None:
         assert trials.error(method, 8) == pytest.approx(real, rel=0.1)
 
 
+def test_the_error_of_kicks_is_seen(tmp_path: Path) -> None:
+    """Of gravity and wind that are kicked once a frame: halving the step alone would leave each kick as long."""
+    scene = "solver=leapfrog", "objects.0.model.fabric={density: 0.16, structural: 19, shear: 6, damping_ratio: 0.006}"
+    problem = make_problem(read(tmp_path, *scene))
+    plugin = registry.load("nuno.integrators", "respa")
+    steps = 24
+    assert plugin.steps_a_kick(plugin.Config(), problem.system, problem.frame / steps) > steps
+    trials = Trials(problem.system, (None,) * (problem.frames + 1), problem.frame, problem.frames, problem.size)
+    higher = registry.load("nuno.integrators", "leapfrog")
+    x = simulate(problem, plugin, plugin.Config(), steps).series.x[1:]
+    fine = simulate(problem, higher, higher.Config(), 400).series.x[1:]
+    real = np.sqrt(((x - fine) ** 2).sum(axis=2).mean()) / problem.size
+    assert trials.error(Method("respa", plugin, plugin.Config(), 1, 1), steps) == pytest.approx(real, rel=0.2)
+
+
 def test_a_choice_repeats_and_is_written_whole(tmp_path: Path) -> None:
     loaded = read(tmp_path, "accuracy=normal")
     first, second = choose.decide(loaded), choose.decide(loaded)

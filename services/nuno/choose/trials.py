@@ -7,7 +7,7 @@ order p. Positions count only as long as they can be predicted (GROWTH).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ class Trials:
     total: int
     size: float
     work: float = 0.0
-    kept: dict[tuple[str, int, float], Float | None] = field(default_factory=dict)
+    kept: dict[tuple[str, int, Any, float], Float | None] = field(default_factory=dict)
     predictable: int | None = None
 
     @property
@@ -67,7 +67,7 @@ class Trials:
         Errors are taken to grow in proportion to time beyond what is tried, unless that is already
         more than can be predicted.
         """
-        coarse, fine = self._positions(method, steps), self._positions(method, 2 * steps)
+        coarse, fine = self._positions(method, steps), self._positions(self._halved(method, steps), 2 * steps)
         if coarse is None or fine is None:
             return math.inf
         apart = self._apart(coarse, fine)[: self._horizon(method, steps)]
@@ -75,6 +75,16 @@ class Trials:
         higher = 2.0**method.plugin.order
         found: float = float(np.sqrt((apart**2).mean())) * growth * higher / (higher - 1.0)
         return found
+
+    def _halved(self, method: Method, steps: int) -> Method:
+        """With kicks half as long, too, where a step of so many a frame is halved: by itself the solver would let each
+        stand for twice as many, and what kicks are off would not be seen.
+        """
+        kicks = getattr(method.plugin, "steps_a_kick", None)
+        if kicks is None:
+            return method
+        every = min(kicks(method.config, self.system, self.frame / steps), steps)  # a frame ends the last one
+        return replace(method, config=method.config.model_copy(update={"every": every}))
 
     def _horizon(self, method: Method, steps: int) -> int:
         """Frames whose positions can be predicted, at least one."""
@@ -98,7 +108,7 @@ class Trials:
 
     def _positions(self, method: Method, steps: int, disturbance: float = 0.0) -> Float | None:
         """(frames, free, 3) [m], None where the run does not end well."""
-        key = (method.name, steps, disturbance)
+        key = (method.name, steps, getattr(method.config, "every", None), disturbance)
         if key not in self.kept:
             self.work += self._cost(method, steps)
             with np.errstate(all="ignore"):  # what a diverging trial overflows is its result
