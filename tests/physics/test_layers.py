@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from scenes import write_scene
 from sewing_patterns import back, column, front, tube
 
+from nuno.cloth.build import build_fabrics
 from nuno.scene.files import SceneFiles
+from nuno.scene.scene_file import read
 from nuno_cloth.fabrics.material import Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.elements import build_triangles
@@ -157,3 +161,22 @@ def test_fabrics_of_no_panel_are_refused(tmp_path: Path, fabrics: object, field:
     assert caught.value.field == field
     if field == "fabrics":
         assert "back" in (caught.value.remedy or "")
+
+
+def test_a_scenes_objects_are_layers_in_their_order(tmp_path: Path) -> None:
+    """Those of one body; what another body wears is nothing to it."""
+    (tmp_path / "tube.json").write_text(json.dumps(tube()))
+    trimesh.Trimesh(*BODY, process=False).export(tmp_path / "column.obj")
+    model = {"plugin": "pattern", "file": "tube.json", "edge": "2 cm"}
+    on = {"one": "near", "other": "far", "second": "near"}
+    scene = write_scene(
+        tmp_path,
+        objects=[{"name": name, "model": model | {"over": {"body": body}}} for name, body in on.items()],
+        bodies=[
+            {"name": name, "collider": {"plugin": "mesh", "file": "column.obj"}} for name in ("near", "far")
+        ],
+        contact={"plugin": "sliding"},
+    )  # fmt: skip
+    one, other, second = build_fabrics(read(scene))
+    np.testing.assert_array_equal(one.position, other.position)
+    assert crossings([one, second]) == 0 and girth(second) > girth(one) + 1e-2

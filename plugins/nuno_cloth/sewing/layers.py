@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes
 
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.isosurface import net_of
@@ -23,6 +22,8 @@ def enclose(x: Float, faces: Int, worn: Sequence[Fabric], clearance: float) -> t
     Room between body and cloth that is less than twice the clearance wide, or that nothing leads into, belongs to what
     is enclosed: a garment that is drawn round that does not get beneath a hem.
     """
+    from scipy.ndimage import binary_fill_holes
+
     spacing = max(clearance / CELLS, FINEST)
     points = np.concatenate([x, *(one.position for one in worn)])
     low = points.min(axis=0) - clearance - 2.0 * spacing
