@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from nuno.scene.scene_file import Loaded
 from nuno_bench.precision.accuracy import promised_frames
 from nuno_bench.problem.horizon import find_horizon
 from nuno_bench.problem.observe import make_problem, simulate
+from nuno_bench.problem.random_scenes import random_scene
 from nuno_bench.problem.reference import make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -121,18 +123,17 @@ def test_estimates_the_error_of_a_step(tmp_path: Path) -> None:
 
 
 def test_the_error_of_kicks_is_seen(tmp_path: Path) -> None:
-    """Of gravity and wind that are kicked once a frame: halving the step alone would leave each kick as long."""
-    scene = "solver=leapfrog", "objects.0.model.fabric={density: 0.16, structural: 19, shear: 6, damping_ratio: 0.006}"
-    problem = make_problem(read(tmp_path, *scene))
-    plugin = registry.load("nuno.integrators", "respa")
-    steps = 24
+    """Of wind that is kicked once a frame: where the step alone is halved, each kick stands as long."""
+    (tmp_path / "random.yaml").write_text(json.dumps(random_scene(2)))
+    problem = make_problem(scene_file.read(tmp_path / "random.yaml", ("duration=0.25", "solver.plugin=leapfrog")))
+    plugin, higher = (registry.load("nuno.integrators", name) for name in ("respa", "leapfrog"))
+    steps = 17
     assert plugin.steps_a_kick(plugin.Config(), problem.system, problem.frame / steps) > steps
     trials = Trials(problem.system, (None,) * (problem.frames + 1), problem.frame, problem.frames, problem.size)
-    higher = registry.load("nuno.integrators", "leapfrog")
     x = simulate(problem, plugin, plugin.Config(), steps).series.x[1:]
-    fine = simulate(problem, higher, higher.Config(), 400).series.x[1:]
+    fine = simulate(problem, higher, higher.Config(), 16 * steps).series.x[1:]
     real = np.sqrt(((x - fine) ** 2).sum(axis=2).mean()) / problem.size
-    assert trials.error(Method("respa", plugin, plugin.Config(), 1, 1), steps) == pytest.approx(real, rel=0.2)
+    assert trials.error(Method("respa", plugin, plugin.Config(), 1, 1), steps) == pytest.approx(real, rel=0.3)
 
 
 def test_a_choice_repeats_and_is_written_whole(tmp_path: Path) -> None:
