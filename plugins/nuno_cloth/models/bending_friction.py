@@ -51,7 +51,7 @@ def build_friction(
     of, place = np.unique(faces[loose], return_index=True)
     face, corner = loose[place // 3], place % 3
     area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(held))[of].astype(np.float64)
-    limit, slip = 0.5 * widths[:, face], np.full(len(of), SLIP)
+    limit, slip = 0.5 * np.take(widths, face, axis=1), np.full(len(of), SLIP)
     sides, parts = find_sides(corners, faces), []
     for at in range(0, len(of), AT_ONCE):
         part = slice(at, at + AT_ONCE)

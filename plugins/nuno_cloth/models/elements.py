@@ -86,9 +86,7 @@ def build_elements(
     return Elements(mass, faces, springs, _hinges(edges, flat + material.hinge, flat))
 
 
-def build_triangles(
-    material: Material | Materials, corners: Float, faces: Int, warp: Float, held: Bool
-) -> Elements:  # fmt: skip
+def build_triangles(material: Material | Materials, corners: Float, faces: Int, warp: Float, held: Bool) -> Elements:
     """A membrane, and bending by a matrix, of triangles with corners (f, 3, 3) at rest [m] between vertices faces
     (f, 3), with the warp (3,) or (f, 3) laid onto each. Along a seam two that are neighbours have corners of their own.
 

@@ -126,9 +126,7 @@ def _forearm(x: Float, y: Float, z: Float, arms: float) -> Float:
     return arm
 
 
-def _cone(
-    x: Float, y: Float, z: Float, a: tuple[float, ...], b: tuple[float, ...], thick: float, thin: float
-) -> Float:  # fmt: skip
+def _cone(x: Float, y: Float, z: Float, a: tuple[float, ...], b: tuple[float, ...], thick: float, thin: float) -> Float:
     """Round cone between two places, whose radius goes from `thick` to `thin`."""
     way = np.subtract(b, a)
     share = ((x - a[0]) * way[0] + (y - a[1]) * way[1] + (z - a[2]) * way[2]) / float((way * way).sum())

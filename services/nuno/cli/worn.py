@@ -62,9 +62,7 @@ def name_garments(stems: Sequence[str]) -> list[str]:
     return found
 
 
-def describe_worn(
-    name: str, garments: Sequence[Garment], edge: str, body: str, motion: str | None = None
-) -> str:  # fmt: skip
+def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, motion: str | None = None) -> str:
     """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
     beside the scene, which may go by the file `motion`.
     """
