@@ -32,13 +32,12 @@ from nuno_contact.offset.places import (
     LACKING,
     LAST_STEP,
     NEAR,
-    NEAR_BEGUN,
     NEAR_WINDOW,
     NOW,
     STEPS,
     STILL,
 )
-from nuno_contact.offset.plan import plan, set_out, strays_near
+from nuno_contact.offset.plan import list_holds, near_holds, plan, set_out
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
@@ -199,18 +198,14 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 
     Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
     """
-    last, reference, clock = m.last, m.reference[3:], m.clock
+    last, clock = m.last, m.clock
     way = s - clock[NOW]
     ahead = way if m.local.shape[0] > 0 else 0.0
-    if s + ahead > clock[NEAR_BEGUN] + clock[NEAR_WINDOW] or strays_near(m, x, s):
+    renew = not list_holds(m, x, s, ahead)
+    if renew or not near_holds(m, x, s, ahead):
         if not all_finite(x):
             return False
-        # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
-        gone = clock[NOW] - clock[NEAR_BEGUN]
-        if gone > 0.0:
-            plan(m, sum_rows(last, -1.0, reference), gone, way, ahead, threads)
-        if gone <= 0.0 or strays_near(m, x, s):
-            plan(m, sum_rows(x, -1.0, last), way, way, ahead, threads)
+        plan(m, sum_rows(x, -1.0, last), way, way, ahead, renew, threads)
     return True
 
 
@@ -257,7 +252,7 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
             spread[i] = max(spread[i], share[i])
-        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], threads)
+        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], True, threads)
     if m.number[LACKING] > 0:
         # What is not listed might be met: nothing moves.
         m.so_far[STILL] += 1

@@ -17,8 +17,8 @@ from nuno_contact.offset.bodies import copy_part, pose_solids
 from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
-from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_ROOM, NEAR_WINDOW, NOW
-from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays_near
+from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_WINDOW, NOW
+from nuno_contact.offset.plan import LEAST, MOST, WINDOW, allow, learn, list_holds, near_holds, set_out
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
@@ -107,16 +107,17 @@ def freeze(m: Meeting, y: Float) -> None:
 def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
-    if s <= clock[NEAR_BEGUN] + clock[NEAR_WINDOW] and not strays_near(m, end, s):
+    renew = not list_holds(m, end, s, 0.0)
+    if not renew and near_holds(m, end, s, 0.0):
         return
     way, gone = s - clock[NOW], clock[NOW] - clock[NEAR_BEGUN]
     if gone > 0.0:
         learn(m, 1, last, gone, gone / clock[NEAR_WINDOW])
     window = max(way, WINDOW)
-    allow(m, spread, m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
+    allow(m, spread, m.unrest[1], window, LEAST[1], MOST[1])
     for i in range(end.shape[1]):
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
     left_out = m.so_far[LEFT_OUT]
-    set_out(m, sum_rows(end, -1.0, last), way, window, threads)
+    set_out(m, sum_rows(end, -1.0, last), way, window, renew, threads)
     m.so_far[LEFT_OUT] = left_out  # which counts those of steps that count

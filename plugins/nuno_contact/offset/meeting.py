@@ -115,7 +115,7 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(8,) times and shares: see NOW; part of the state"""
+    """(7,) times and shares: see NOW; part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -269,7 +269,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(8),
+        clock=np.zeros(7),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros((3, n)),

@@ -11,8 +11,8 @@ CUT, HELD_CUT, STEPS, LEFT_OUT, STILL = range(5)
 """Of Meeting.so_far: steps of vertices that were cut short, and of held ones; steps; pairs that found no place in a
 list; steps in which for want of that nothing moved.
 """
-NOW, LIST_BEGUN, LIST_WINDOW, NEAR_BEGUN, NEAR_WINDOW, LIST_ROOM, NEAR_ROOM, LAST_STEP = range(8)
+NOW, LIST_BEGUN, LIST_WINDOW, NEAR_BEGUN, NEAR_WINDOW, LIST_ROOM, LAST_STEP = range(7)
 """Of Meeting.clock, in fractions of the interval: when the last step ended; when the list was made, and its window; the
-same of what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
-at least; how long the last step of an explicit method was [s].
+same of what is near; the share of what the list's plan allows at most; how long the last step of an explicit method was
+[s].
 """

@@ -11,6 +11,7 @@ from __future__ import annotations
 from nuno_contact.offset.lists import choose_near, renew_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import (
+    CLOSE,
     LACKING,
     LEFT_OUT,
     LIST_BEGUN,
@@ -19,23 +20,20 @@ from nuno_contact.offset.places import (
     LISTED,
     NEAR,
     NEAR_BEGUN,
-    NEAR_ROOM,
     NEAR_WINDOW,
     NOW,
-    TOUCHING,
 )
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.choose import EVERY, higher, lanes_up_to
-from nuno_kernels.lanes.simd import WIDTH, Triple, magnitude, read, root, splat, write
+from nuno_kernels.lanes.simd import WIDTH, Triple, read, root, splat, write
 from nuno_kernels.lanes.triples import dot, minus, read_triple, times
-from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
-WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, (1.0 / 96.0, 1.0 / 24.0), 4.0
-"""Of an interval: for how long what is near is chosen at first, at least and at most. The shorter one is for where a
-vertex has many that are near and few of them touch, as of edges not much longer than the thickness.
-"""
-LISTS, RESTLESS = 0.6, 0.05
+WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 96.0, 4.0
+"""Of an interval: for how long what is near is chosen at first, at least and at most."""
+CHOICE = 4.0
+"""To look at a pair of the list when what is near is chosen takes as long as to look so often at one that is near."""
+LISTS, RESTLESS = 1.0, 0.05
 """Of an interval: for how long the list is made at least; else for two windows of what is near, or for longer and
 longer, up to LONGEST, while no more than this share of the vertices need more room for it.
 """
@@ -46,8 +44,6 @@ strayed from it EARLY.
 """
 EARLY = 0.25
 """In so small a share of its window."""
-FEW = 0.25
-"""Pairs that are near for each vertex up to which more may be: vertices may then stray by more, and plans last."""
 LEAST, MOST = (2.0, 0.1), (3.0, 1.0)
 """How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
 GROWTH = 1.25
@@ -65,24 +61,27 @@ def off_plan(m: Meeting, which: int, x: Float, share: float, i: int, count: int)
 
 @block_kernel
 def strays(m: Meeting, which: int, x: Float, share: float) -> bool:
-    """Whether a vertex of x (3, n) is farther from where it is in a plan after a share of that than it may be.
-
-    Of the list's, 0, there is to be room besides for all that it may stray in that of what is near, 1.
-    """
+    """Whether a vertex of x (3, n) is farther from where it is in a plan after a share of that than it may be."""
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
-        off = off_plan(m, which, x, share, i, count)
-        room = read(m.spread, which, i, count) - float(1 - which) * read(m.spread, 1, i, count)
-        if lanes_up_to(dot(off, off) - room * magnitude(room), 0.0) != EVERY:
+        off, room = off_plan(m, which, x, share, i, count), read(m.spread, which, i, count)
+        if lanes_up_to(dot(off, off) - room * room, 0.0) != EVERY:
             return True
     return False
 
 
 @block_kernel
-def strays_near(m: Meeting, x: Float, s: float) -> bool:
-    """The same of x at fraction s of the interval and the plan of what is near."""
-    share = (s - m.clock[NEAR_BEGUN]) / m.clock[NEAR_WINDOW]
-    return strays(m, 1, x, share)
+def list_holds(m: Meeting, x: Float, s: float, ahead: float) -> bool:
+    """Whether the list holds for vertices x (3, n) at fraction s of the interval, and until `ahead` after that."""
+    begun, window = m.clock[LIST_BEGUN], m.clock[LIST_WINDOW]
+    return s + ahead <= begun + window and not strays(m, 0, x, (s - begun) / window)
+
+
+@block_kernel
+def near_holds(m: Meeting, x: Float, s: float, ahead: float) -> bool:
+    """The same of what is near."""
+    begun, window = m.clock[NEAR_BEGUN], m.clock[NEAR_WINDOW]
+    return s + ahead <= begun + window and not strays(m, 1, x, (s - begun) / window)
 
 
 @block_kernel
@@ -129,31 +128,30 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: int | None) -> None:
+def plan(
+    m: Meeting, u: Float, way: float, step: float, ahead: float, renew: bool, threads: int | None
+) -> None:  # fmt: skip
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
     before where the last plan was lived out and a step costs less by what is near than by its share of choosing that,
-    else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end.
+    else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end. With a list
+    that is made anew, or the one that there is.
     """
     clock = m.clock
     gone = clock[NOW] - clock[NEAR_BEGUN]
     share, used = gone / clock[NEAR_WINDOW], (gone + step + ahead) / clock[NEAR_WINDOW]
-    longer = GROWTH if m.number[NEAR] * clock[NEAR_WINDOW] <= m.number[LISTED] * step else 1.0 / GROWTH
-    window = clock[NEAR_WINDOW] * (longer if used > 1.0 else 0.75 if used < 0.5 else 1.0)
-    crowd = m.number[NEAR] / m.last.shape[1]
-    shortest = SHORTEST[0] if crowd > 1.0 and m.number[NEAR] > 8 * m.number[TOUCHING] else SHORTEST[1]
-    window = max(way + 1.5 * ahead, min(LONGEST, max(shortest, window)))
+    dear = (m.number[NEAR] - m.number[CLOSE]) * gone > CHOICE * m.number[LISTED] * step
+    window = clock[NEAR_WINDOW] * (1.0 / GROWTH if dear or used < 0.5 else GROWTH if used > 1.0 else 1.0)
+    window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m, 1, m.last, gone, share)
-    room = clock[NEAR_ROOM] * (0.7 if crowd > FEW else 1.2 if crowd < 0.5 * FEW else 1.0)
-    clock[NEAR_ROOM] = min(MOST[1], max(LEAST[1], room))
-    allow(m, m.spread[1], m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
-    set_out(m, u, way, window, threads)
+    allow(m, m.spread[1], m.unrest[1], window, LEAST[1], MOST[1])
+    set_out(m, u, way, window, renew, threads)
 
 
 @block_kernel
-def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None) -> None:
-    """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says. The list is made anew
-    unless it holds for all of that.
+def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, threads: int | None) -> None:
+    """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says, of a list that is made
+    anew or the one that there is.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
     s, near, scale = clock[NOW], motion[3:], window / way
@@ -162,8 +160,8 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
             near[row, i] = scale * u[row, i]
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
-    begun, end = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW], (s + window - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
-    if end > 1.0 or strays(m, 0, last, begun) or strays(m, 0, sum_rows(last, 1.0, near), end):
+    begun = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
+    if renew:
         if s > clock[LIST_BEGUN]:
             learn(m, 0, last, s - clock[LIST_BEGUN], begun)
         scale, pairs = clock[LIST_ROOM], m.number[LISTED] / (last.shape[1] - m.local.shape[0])
@@ -177,13 +175,13 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
             whole = longer
         allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
-            spread[0, i] = max(scale * spread[0, i], 0.5 * spread[1, i]) + spread[1, i]
+            spread[0, i] = scale * spread[0, i] + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
-        while m.number[LACKING] > 0 and m.local.shape[0] > 0 and whole > window:
-            # Bodies are taken to go through what they will push: for less time it is less.
+        while m.number[LACKING] > 0 and whole > window:
+            # What will be pushed back is taken to go through: for less time it is less.
             shorter = max(0.5, window / whole)
             whole *= shorter
             clock[LIST_WINDOW] = whole
