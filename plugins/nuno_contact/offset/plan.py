@@ -1,9 +1,11 @@
 """Where vertices are taken to go, for how long and how precisely: what lists of pairs are made for.
 
-There are two plans. That of the list is looked for in the tree, which is dear, and lasts some tenths of an interval;
-that of what is near is chosen from the list, often, so that each step looks at few pairs. Vertices go on as they have
-gone on average since the last plan. How far each may stray follows from how far it did stray then, as the square of
-the time: what is thrown about gets wide room, what hangs quietly nearly none.
+There are two plans. That of the list is looked for in the tree, which is dear, and lasts up to an interval or more;
+that of what is near is chosen from the list, often, so that each step looks at few pairs. Each holds until its time is
+over or a vertex has strayed from it. Vertices go on as they go in the step that is to come. How far each may stray
+follows from how far it did stray before, as the square of the time: what is thrown about gets wide room, what hangs
+quietly nearly none. That cloth goes on as fast, not faster and faster: accelerations, which change within a frame,
+foretell less for half a frame ahead than none (measured on a skirt that swings).
 """
 
 from __future__ import annotations
@@ -131,10 +133,10 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
 def plan(
     m: Meeting, u: Float, way: float, step: float, ahead: float, renew: bool, threads: int | None
 ) -> None:  # fmt: skip
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
-    before where the last plan was lived out and a step costs less by what is near than by its share of choosing that,
-    else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end. With a list
-    that is made anew, or the one that there is.
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for shorter than
+    before where to look at what is near and does not touch is dearer than to choose it, or where the last plan came to
+    half of its time; for longer where that was lived out. One that is to hold for a step `ahead` is used up where
+    another goes beyond its end. With a list that is made anew, or the one that there is.
     """
     clock = m.clock
     gone = clock[NOW] - clock[NEAR_BEGUN]
