@@ -17,10 +17,9 @@ from nuno_contact.offset.places import (
     LISTED,
     NEAR,
     NEAR_BEGUN,
-    NEAR_WINDOW,
     NOW,
 )
-from nuno_contact.offset.plan import LISTS, WINDOW, plan
+from nuno_contact.offset.plan import LEAST, LISTS, MOST, WINDOW, allow, set_out
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.touching import find_touching
 from nuno_kernels import block_kernel, kernel
@@ -52,13 +51,12 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
         if not all_finite(x):
             return
         copy_rows(x, m.last)
-        clock[NEAR_WINDOW], clock[LIST_WINDOW], clock[LAST_STEP] = WINDOW, LISTS, 0.0
-        clock[LIST_ROOM] = 1.0
-        clock[LIST_BEGUN], clock[NEAR_BEGUN] = -2.0 * clock[LIST_WINDOW], 0.0
+        clock[LIST_BEGUN], clock[LIST_WINDOW], clock[LIST_ROOM], clock[LAST_STEP] = 0.0, LISTS, 1.0, 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False
         m.number[LISTED] = 0
-        plan(m, m.nothing, 1.0, 0.0, 0.0, True, threads)
+        allow(m, m.spread[1], m.unrest[1], WINDOW, LEAST[1], MOST[1])
+        set_out(m, m.nothing, 1.0, WINDOW, True, threads)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)

@@ -37,7 +37,7 @@ from nuno_contact.offset.places import (
     STEPS,
     STILL,
 )
-from nuno_contact.offset.plan import list_holds, near_holds, plan, set_out
+from nuno_contact.offset.plan import CHOSEN, LIST, holds, plan, set_out
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
@@ -198,14 +198,13 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 
     Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
     """
-    last, clock = m.last, m.clock
-    way = s - clock[NOW]
+    way = s - m.clock[NOW]
     ahead = way if m.local.shape[0] > 0 else 0.0
-    renew = not list_holds(m, x, s, ahead)
-    if renew or not near_holds(m, x, s, ahead):
+    renew = not holds(m, LIST, x, s, ahead)
+    if renew or not holds(m, CHOSEN, x, s, ahead):
         if not all_finite(x):
             return False
-        plan(m, sum_rows(x, -1.0, last), way, way, ahead, renew, threads)
+        plan(m, sum_rows(x, -1.0, m.last), way, ahead, renew, threads)
     return True
 
 

@@ -18,7 +18,7 @@ from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_WINDOW, NOW
-from nuno_contact.offset.plan import LEAST, MOST, WINDOW, allow, learn, list_holds, near_holds, set_out
+from nuno_contact.offset.plan import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
@@ -107,8 +107,8 @@ def freeze(m: Meeting, y: Float) -> None:
 def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
-    renew = not list_holds(m, end, s, 0.0)
-    if not renew and near_holds(m, end, s, 0.0):
+    renew = not holds(m, LIST, end, s, 0.0)
+    if not renew and holds(m, CHOSEN, end, s, 0.0):
         return
     way, gone = s - clock[NOW], clock[NOW] - clock[NEAR_BEGUN]
     if gone > 0.0:

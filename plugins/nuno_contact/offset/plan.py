@@ -31,6 +31,9 @@ from nuno_kernels.lanes.simd import WIDTH, Triple, read, root, splat, write
 from nuno_kernels.lanes.triples import dot, minus, read_triple, times
 from nuno_schemas.fabric import Float
 
+LIST, CHOSEN = range(2)
+"""The plan of the list, and that of what is near."""
+BEGUN, LASTS = (LIST_BEGUN, NEAR_BEGUN), (LIST_WINDOW, NEAR_WINDOW)
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 96.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
 CHOICE = 4.0
@@ -73,17 +76,10 @@ def strays(m: Meeting, which: int, x: Float, share: float) -> bool:
 
 
 @block_kernel
-def list_holds(m: Meeting, x: Float, s: float, ahead: float) -> bool:
-    """Whether the list holds for vertices x (3, n) at fraction s of the interval, and until `ahead` after that."""
-    begun, window = m.clock[LIST_BEGUN], m.clock[LIST_WINDOW]
-    return s + ahead <= begun + window and not strays(m, 0, x, (s - begun) / window)
-
-
-@block_kernel
-def near_holds(m: Meeting, x: Float, s: float, ahead: float) -> bool:
-    """The same of what is near."""
-    begun, window = m.clock[NEAR_BEGUN], m.clock[NEAR_WINDOW]
-    return s + ahead <= begun + window and not strays(m, 1, x, (s - begun) / window)
+def holds(m: Meeting, which: int, x: Float, s: float, ahead: float) -> bool:
+    """Whether a plan holds for vertices x (3, n) at fraction s of the interval, and until `ahead` after that."""
+    begun, window = m.clock[BEGUN[which]], m.clock[LASTS[which]]
+    return s + ahead <= begun + window and not strays(m, which, x, (s - begun) / window)
 
 
 @block_kernel
@@ -130,18 +126,16 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
 
 
 @block_kernel
-def plan(
-    m: Meeting, u: Float, way: float, step: float, ahead: float, renew: bool, threads: int | None
-) -> None:  # fmt: skip
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for shorter than
-    before where to look at what is near and does not touch is dearer than to choose it, or where the last plan came to
-    half of its time; for longer where that was lived out. One that is to hold for a step `ahead` is used up where
-    another goes beyond its end. With a list that is made anew, or the one that there is.
+def plan(m: Meeting, u: Float, way: float, ahead: float, renew: bool, threads: int | None) -> None:
+    """Plan from `last` on, for vertices that go u (3, n) in a step of `way`: for shorter than before where to look at
+    what is near and does not touch is dearer than to choose it, or where the last plan came to half of its time; for
+    longer where that was lived out. One that is to hold for a step `ahead` is used up where another goes beyond its
+    end. With a list that is made anew, or the one that there is.
     """
     clock = m.clock
     gone = clock[NOW] - clock[NEAR_BEGUN]
-    share, used = gone / clock[NEAR_WINDOW], (gone + step + ahead) / clock[NEAR_WINDOW]
-    dear = (m.number[NEAR] - m.number[CLOSE]) * gone > CHOICE * m.number[LISTED] * step
+    share, used = gone / clock[NEAR_WINDOW], (gone + way + ahead) / clock[NEAR_WINDOW]
+    dear = (m.number[NEAR] - m.number[CLOSE]) * gone > CHOICE * m.number[LISTED] * way
     window = clock[NEAR_WINDOW] * (1.0 / GROWTH if dear or used < 0.5 else GROWTH if used > 1.0 else 1.0)
     window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
@@ -162,8 +156,8 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
             near[row, i] = scale * u[row, i]
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
-    begun = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
     if renew:
+        begun = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
         if s > clock[LIST_BEGUN]:
             learn(m, 0, last, s - clock[LIST_BEGUN], begun)
         scale, pairs = clock[LIST_ROOM], m.number[LISTED] / (last.shape[1] - m.local.shape[0])
