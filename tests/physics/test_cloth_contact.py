@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from sheets import DOWN, Pile, sheet
 
 from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
-from nuno_contact.offset.places import LEFT_OUT, LISTS_MADE, STEPS, TOUCHING
+from nuno_contact.offset.lists import make_list
+from nuno_contact.offset.places import LEFT_OUT, LISTED, LISTS_MADE, STEPS, TOUCHING
 from nuno_contact.offset.plan import AHEAD, is_quiet
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
@@ -50,6 +52,21 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     assert pile.meeting.number[LISTS_MADE] > lists
     assert most > 20
     assert held() == before
+
+
+def test_a_wider_list_has_the_pairs_of_a_narrower_in_the_same_order() -> None:
+    """In which constraints are solved: what rests would creep if another list had them in another."""
+    pile = Pile(*piles.stack(), solver="xpbd", dt=1e-3)
+    pile.go(1)
+    m, keys = pile.meeting, []
+    for share in (0.5, 2.0, 5.0):
+        m.spread[0] = share * m.law[0]
+        make_list(m, None)
+        keys.append(m.key[: m.number[LISTED]].tolist())
+    for narrow, wide in pairwise(keys):
+        assert len(narrow) < len(wide)
+        known = set(narrow)
+        assert [key for key in wide if key in known] == narrow
 
 
 def test_a_list_is_made_for_longer_only_while_hardly_a_vertex_strays() -> None:

@@ -93,7 +93,7 @@ def test_a_sheet_sticks_on_an_incline_just_if_friction_holds_it() -> None:
         pile.go(400)
         gained = 9.81 * (math.sin(slope) - mu * math.cos(slope)) * 400 * USUAL
         if sticks:
-            assert np.abs(pile.state.x.mean(axis=0) - start).max() < 1e-8
+            assert np.abs(pile.state.x.mean(axis=0) - start).max() < 1e-12
         else:
             assert pace(pile)[0] - speed == pytest.approx(gained, rel=0.1)
         assert pile.meeting.so_far[CUT] == 0

@@ -142,22 +142,31 @@ def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
 def search_part(part: int, m: Meeting, leaves: Long, found: Long, normal: Float, number: Long) -> None:
     """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
 
-    Into number (PARTS,) how many, or, below 0, for how many more there is no room.
+    Into number (PARTS, 2) how many, or, below 0, for how many more there is no room, and how many of them are of a
+    vertex and a triangle.
     """
     room, count = found.shape[0] // PARTS, leaves.shape[0]
     mine, across = found[part * room : (part + 1) * room], normal[part * room : (part + 1) * room]
     met = find_near(tree_of(m), m.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
-    number[part] = room - met if met > room else keep_near(m, mine, across, met)
+    number[part, 0] = room - met if met > room else keep_near(m, mine, across, met)
+    number[part, 1] = 0
+    for c in range(number[part, 0]):
+        number[part, 1] += 1 if mine[c, 0] >= 0 else 0
 
 
 @block_kernel
 def enlist_part(part: int, m: Meeting, found: Long, normal: Float, number: Long) -> None:
-    """Put what a part has found into the list, behind what those before it have, as far as there are places."""
-    first, room, edges, faces = 0, found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
+    """Put what a part has found into the list, as far as there are places: all pairs of a vertex and a triangle, then
+    all of edges, part by part. Pairs of a list then stand in the next one in the same order, wherever parts begin:
+    forces are summed, and constraints solved, in that order, in which what rests is to stay at rest.
+    """
+    room, edges, faces = found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
+    first, own = [0, number[:, 1].sum()], number[part, 1]
     for before in range(part):
-        first += number[before]
-    for c in range(number[part]):
-        at, of = first + c, part * room + c
+        first[0] += number[before, 1]
+        first[1] += number[before, 0] - number[before, 1]
+    for c in range(number[part, 0]):
+        at, of = (first[0] + c if c < own else first[1] + c - own), part * room + c
         if at < m.pair.shape[0]:
             e, f = found[of, 0], found[of, 1]
             m.pair[at, 0], m.pair[at, 1], m.pair[at, 2], m.pair[at, 3] = vertices_of(m, e, f)
@@ -175,14 +184,14 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
 def search(m: Meeting, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
     leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
-    number, room = np.empty(PARTS, np.int64), 24 * m.faces.shape[0] // PARTS
+    number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
         search_parts(m, leaves, found, normal, number, PARTS, threads)
         lacking, total = 0, 0
         for part in range(PARTS):
-            lacking, total = max(lacking, -number[part]), total + number[part]
+            lacking, total = max(lacking, -number[part, 0]), total + number[part, 0]
         room += lacking
     enlist_parts(m, found, normal, number, PARTS, threads)
     m.number[LISTED], m.number[LACKING] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
@@ -257,19 +266,19 @@ def slot(key: int, table: Long) -> int:
 
 @block_kernel
 def renew_list(m: Meeting, threads: int | None) -> None:
-    """The same, anchors going with their pairs."""
+    """The same, anchors going with their pairs, and the shares of friction that an xpbd step has just given them."""
     held, size = 0, 64
     for p in range(m.number[LISTED]):
         held += 1 if m.anchored[p] else 0
     while size < 2 * held:
         size *= 2
-    table, anchors = np.empty(size, np.int64), np.empty((size, 4))
+    table, anchors, share = np.empty(size, np.int64), np.empty((size, 4)), np.empty(size)
     for at in range(size):
         table[at] = EMPTY
     for p in range(m.number[LISTED]):
         if m.anchored[p]:
             at = slot(m.key[p], table)
-            table[at] = m.key[p]
+            table[at], share[at] = m.key[p], m.pulled[p, 3] if m.kept[p] else -1.0
             for corner in range(4):
                 anchors[at, corner] = m.anchor[p, corner]
             m.anchored[p] = False
@@ -278,5 +287,6 @@ def renew_list(m: Meeting, threads: int | None) -> None:
         at = slot(m.key[p], table)
         m.anchored[p] = table[at] != EMPTY
         if m.anchored[p]:
+            m.kept[p], m.pulled[p, 3] = share[at] >= 0.0, share[at]
             for corner in range(4):
                 m.anchor[p, corner] = anchors[at, corner]
