@@ -30,6 +30,7 @@ FILES = {
     "obj": "the cloth in a frame; a folder: every frame",
     "ply": "the cloth in a frame; a folder: every frame",
     "glb": "the cloth and bodies in a frame; a folder: every frame",
+    "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
     "rrd": "a file for the rerun viewer",
     "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
@@ -68,7 +69,7 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
     own = "(default: its own where the scene gives one)"
     which.add_argument("--colour", choices=COLOURS, default="auto", help=painted + own)
     add_flags(which, {
-        "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes and yarns (default: the last)", int),
+        "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes, yarns (default: last), --usd", int),
         "--start": ("SECONDS", "animations: from here", float),
         "--end": ("SECONDS", "animations: to here", float),
         "--fps": ("N", "animations: pictures a second (default: 25)", float),
@@ -126,6 +127,10 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
             written.append(meshes.export_mesh(recording, path, args.frame))
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
+    if args.usd:
+        from nuno.export.usd import export_usd
+
+        written.append(export_usd(recording, args.usd, args.frame, _progress))
     if args.png and args.style:
         from nuno.export.yarns import export_yarn_picture
 
@@ -175,6 +180,10 @@ def _check(recording: Recording, args: argparse.Namespace) -> None:
 
     for path in filter(None, (args.gif, args.mp4)):
         check_animation(path, args.fps, _size(args.size))
+    if args.usd:
+        from nuno.export.usd import check_usd
+
+        check_usd(args.usd)
     require(None, args.rrd, "--rrd")
     for name in () if args.yarns else ("form", *YARNS):
         if getattr(args, name) is not None:
@@ -194,7 +203,9 @@ def _check(recording: Recording, args: argparse.Namespace) -> None:
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=args.style, remedy="leave it out")
     if recording.dyed_alone:
-        shapes = [name for name in ("forces", "yarns", "pattern", *(m[1:] for m in MESHES)) if getattr(args, name)]
+        shapes = [
+            name for name in ("forces", "yarns", "pattern", "usd", *(m[1:] for m in MESHES)) if getattr(args, name)
+        ]
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)

@@ -104,7 +104,7 @@ def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None
             lines += ["vt {:.9g} {:.9g}".format(*row) for row in laid.points.tolist()]
             both = np.stack([corners, laid.faces + written], axis=2).reshape(-1, 6)
             rows = ["f {}/{} {}/{} {}/{}".format(*row) for row in both.tolist()]
-            for name, first, stop in _panel_runs(piece):
+            for name, first, stop in panel_runs(piece):
                 lines += [f"g {'_'.join(name.split())}"] if name else []
                 lines += rows[first:stop]
             written += len(laid.points)
@@ -113,7 +113,7 @@ def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None
         stream.write(("\n".join(lines) + "\n").encode())
 
 
-def _panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
+def panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
     """Triangles in a row that are of one panel: its name, the first, and the one after the last; "" is of none."""
     panels = None if piece.corners is None else piece.corners.panels
     if panels is None:
@@ -158,7 +158,7 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
             split = piece.laid_out if piece.image is not None else None
             mesh = _trimesh(x, piece.faces, _visual(piece, x), split)
             if piece.corners is not None and piece.corners.panels is not None:
-                mesh.metadata["panels"] = [list(run) for run in _panel_runs(piece)]  # among glTF's extras
+                mesh.metadata["panels"] = [list(run) for run in panel_runs(piece)]  # among glTF's extras
             scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name, transform=place)
     bodies = read_bodies(recording)
     points = body_vertices(recording, bodies, frame.t)

@@ -26,6 +26,7 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".pdf": (0, b"%PDF"),
     ".ply": (0, b"ply\n"),
     ".glb": (0, b"glTF"),
+    ".usdz": (0, b"PK\x03\x04"),
     ".png": (0, b"\x89PNG"),
     ".gif": (0, b"GIF8"),
     ".mp4": (4, b"ftyp"),

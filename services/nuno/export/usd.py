@@ -1,0 +1,247 @@
+"""A recording as USD: cloth and bodies over time, with texture coordinates, prints and panels, in one .usdz file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nuno.collision.surfaces import vertex_normals
+from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
+from nuno.export.dyed_pictures import read_dyed_object
+from nuno.export.meshes import panel_runs
+from nuno.export.paint import BODY, PLAIN, paint_stretch
+from nuno.export.target import Progress, check_target, opened, writing
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
+from nuno.wire.arrays import origin_of
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.messages import FABRIC, STATE
+
+SUFFIX = ".usdz"
+ROUGHNESS = 0.9
+"""Of UsdPreviewSurface."""
+BODIES, MATERIALS = "/run/bodies", "/run/materials"
+AT_ONCE = 64
+"""Frames that are held in memory before they are written."""
+
+
+def export_usd(
+    source: Recording | Path | str, path: Path, frame: int | None = None, progress: Progress | None = None
+) -> Path:
+    """Write the cloth and bodies of every frame, or of one, as .usdz: y up, metres, a time code each frame.
+
+    Positions, float32, are about an origin that the root is moved to. Every panel of a sewn garment is a subset of its
+    faces, of the family "panel". Cloth that is dyed while it moves has the image of the last frame. Raises BadInput for
+    another ending, frames that are not there or not finite, a recording without faces, and where usd-core is not
+    installed.
+    """
+    check_usd(path)
+    with opened(source) as recording, writing(path, SUFFIX) as new, TemporaryDirectory() as folder:
+        stage, pxr = Path(folder) / "run.usdc", _pxr()
+        try:
+            with _stage(stage) as opened_stage:
+                _Writer(recording, opened_stage, stage.parent, frame).write(progress)
+            done, why = pxr.UsdUtils.CreateNewUsdzPackage(str(stage), str(new)), ""
+        except pxr.Tf.ErrorException as error:
+            done, why = False, f": {error}"
+        if not done:
+            remedy = "make room, there and for temporary files (TMPDIR), or choose another place"
+            raise BadInput(f"USD cannot be written{why}", field="--usd", value=str(path), remedy=remedy)
+    return path
+
+
+def check_usd(path: Path) -> None:
+    """Raises BadInput for another ending, what would be lost, and where usd-core is not installed."""
+    check_target(path, SUFFIX)
+    _pxr()
+
+
+def _pxr() -> Any:
+    try:
+        import pxr
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt  # noqa: F401
+    except ImportError:
+        remedy = 'install it: pip install "nuno[usd]"; or export a .glb'
+        raise BadInput("USD needs usd-core, which is not installed", remedy=remedy) from None
+    return pxr
+
+
+@contextmanager
+def _stage(path: Path) -> Iterator[Any]:
+    pxr = _pxr()
+    stage = pxr.Usd.Stage.CreateNew(str(path))
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    yield stage
+    stage.Save()
+
+
+class _Writer:
+    """Adds frames to a stage whose images lie in a folder: all at their time codes, or one by itself."""
+
+    def __init__(self, recording: Recording, stage: Any, folder: Path, frame: int | None) -> None:
+        self.recording, self.stage, self.folder, self.frame, self.pxr = recording, stage, folder, frame, _pxr()
+        self.root = self.pxr.UsdGeom.Xform.Define(stage, "/run")
+        stage.SetDefaultPrim(self.root.GetPrim())
+        self.changes = frame is None and recording.counts.get(FABRIC.name, 0) > 1
+        """Whether operations change the cloth's faces."""
+        self.pxr.UsdGeom.Scope.Define(stage, MATERIALS)
+        self.names: dict[tuple[str, str], str] = {}
+        """Paths by name, and by what they are in."""
+        self.shaped: dict[str, ShownPiece | None] = {}
+        """The piece of cloth whose faces each mesh has, by its path, None of bodies."""
+
+    def frames(self) -> Iterable[Frame]:
+        """What is to be written."""
+        return self.recording.frames() if self.frame is None else [read_frame(self.recording, self.frame)]
+
+    def write(self, progress: Progress | None) -> None:
+        """Write them. Raises BadInput."""
+        cloth, bodies = Pieces(self.recording), read_bodies(self.recording)
+        number = self.recording.counts.get(STATE.name, 0) if self.frame is None else 1
+        origin, shown = None, None
+        for done, shown in enumerate(self.frames(), 1):
+            x, code = shown.x, self.code(shown)
+            pieces = cloth.at(shown.t)
+            check_size(self.recording, pieces, shown)
+            if not np.isfinite(x).all():
+                problem, remedy = "the frame's positions are not finite", "name an earlier one with --frame"
+                raise BadInput(problem, str(self.recording.path), value=shown.number, remedy=remedy)
+            if origin is None:
+                origin = origin_of(x)
+                self.root.AddTranslateOp().Set(self.pxr.Gf.Vec3d(*origin.tolist()))
+                self.stage.SetStartTimeCode(shown.number)
+            self.stage.SetEndTimeCode(shown.number)
+            for piece in pieces:
+                if len(piece.faces):
+                    self.add_cloth(piece, x[piece.start : piece.stop] - origin, code)
+            points = body_vertices(self.recording, bodies, shown.t)
+            if bodies is not None and len(points):
+                self.add_bodies(points - origin, bodies.faces, code)
+            if done % AT_ONCE == 0:
+                self.stage.Save()
+            if progress is not None:
+                progress(done, number)
+        if shown is None or not self.shaped:
+            problem, remedy = "nothing in the recording has faces", "a net has none: export .npz"
+            raise BadInput(problem, str(self.recording.path), remedy=remedy)
+        if shown.t > 0.0:
+            self.stage.SetTimeCodesPerSecond(rate := round(shown.number / shown.t, 6))
+            self.stage.SetFramesPerSecond(rate)
+        dyed = read_dyed_object(self.recording)
+        for piece in pieces if dyed is None else dyed.dress(pieces, shown.t):
+            if len(piece.faces):
+                self.colour(piece)
+
+    def code(self, frame: Frame) -> Any:
+        """The time code of what moves."""
+        return self.pxr.Usd.TimeCode(frame.number) if self.frame is None else self.pxr.Usd.TimeCode.Default()
+
+    def name(self, of: str, parent: str) -> str:
+        """A path in USD, whose names have letters, digits and _ alone, for a name of ours."""
+        if (of, parent) not in self.names:
+            plain = f"{parent}/{self.pxr.Tf.MakeValidIdentifier(of)}"
+            found = (plain, *(f"{plain}_{k}" for k in range(2, 4 + len(self.names))))
+            taken = {BODIES, MATERIALS, *self.names.values()}
+            self.names[of, parent] = next(name for name in found if name not in taken)
+        return self.names[of, parent]
+
+    def add_mesh(self, path: str, x: Float, faces: Int, piece: ShownPiece | None, code: Any) -> Any:
+        """One with its points; its faces where they are not those it had."""
+        mesh, vt = self.pxr.UsdGeom.Mesh.Define(self.stage, path), self.pxr.Vt
+        if path not in self.shaped or self.shaped[path] is not piece:
+            # Faces that change hold from one time code to the next.
+            when = code if self.changes else self.pxr.Usd.TimeCode.Default()
+            mesh.GetFaceVertexCountsAttr().Set(vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)), when)
+            mesh.GetFaceVertexIndicesAttr().Set(vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()), when)
+            mesh.GetSubdivisionSchemeAttr().Set(self.pxr.UsdGeom.Tokens.none)
+            mesh.GetPrim().SetDisplayName("bodies" if piece is None else piece.name)
+            mesh.SetNormalsInterpolation(self.pxr.UsdGeom.Tokens.vertex)
+            if piece is not None:
+                self.lay_out(mesh, piece, when)
+            self.shaped[path] = piece
+        mesh.GetPointsAttr().Set(_vectors(vt, x), code)
+        mesh.GetNormalsAttr().Set(_vectors(vt, vertex_normals(x, faces)), code)
+        mesh.GetExtentAttr().Set(_vectors(vt, np.stack([x.min(axis=0), x.max(axis=0)])), code)
+        return mesh
+
+    def add_cloth(self, piece: ShownPiece, x: Float, code: Any) -> None:
+        """A piece at x (n, 3) [m], painted by its stretch where it has neither colour nor image."""
+        mesh = self.add_mesh(self.name(piece.name, "/run"), x, piece.faces, piece, code)
+        if piece.colour is None and piece.image is None and len(piece.edges):
+            painted = mesh.CreateDisplayColorPrimvar(self.pxr.UsdGeom.Tokens.vertex)
+            painted.Set(_vectors(self.pxr.Vt, paint_stretch(piece.stretch(x))), code)
+
+    def lay_out(self, mesh: Any, piece: ShownPiece, when: Any) -> None:
+        """Texture coordinates and panels."""
+        geom, vt, sdf = self.pxr.UsdGeom, self.pxr.Vt, self.pxr.Sdf
+        mesh.GetDoubleSidedAttr().Set(True)
+        if (laid := piece.laid_out) is not None:
+            kind = sdf.ValueTypeNames.TexCoord2fArray
+            st = geom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, geom.Tokens.faceVarying)
+            st.Set(vt.Vec2fArray.FromNumpy(np.ascontiguousarray(laid.points, np.float32)), when)
+            st.SetIndices(vt.IntArray.FromNumpy(np.ascontiguousarray(laid.faces).ravel()), when)
+        for name, first, stop in panel_runs(piece):
+            if name:
+                path = self.name(name, str(mesh.GetPath()))
+                subset = geom.Subset.Define(self.stage, path)
+                subset.GetElementTypeAttr().Set(geom.Tokens.face)
+                subset.GetFamilyNameAttr().Set("panel")
+                subset.GetIndicesAttr().Set(vt.IntArray.FromNumpy(np.arange(first, stop, dtype=np.int32)), when)
+                subset.GetPrim().SetDisplayName(name)
+
+    def add_bodies(self, x: Float, faces: Int, code: Any) -> None:
+        """All bodies as one."""
+        self.bind(self.add_mesh(BODIES, x, faces, None, code), BODY)
+
+    def colour(self, piece: ShownPiece) -> None:
+        """Give a piece its material: its image, else its colour; none to one that is painted by its stretch."""
+        mesh = self.pxr.UsdGeom.Mesh.Get(self.stage, self.name(piece.name, "/run"))
+        if piece.image is not None and piece.laid_out is not None:
+            image = f"{mesh.GetPath().name}.png"
+            Image.fromarray(piece.image).save(self.folder / image)
+            self.bind(mesh, image=f"./{image}")
+        elif piece.colour is not None or not len(piece.edges):
+            self.bind(mesh, piece.colour or PLAIN)
+
+    def bind(self, mesh: Any, colour: str = PLAIN, image: str | None = None) -> None:
+        """A matt material of a colour "#rrggbb" or an image, once."""
+        shade, types = self.pxr.UsdShade, self.pxr.Sdf.ValueTypeNames
+        token = f"{MATERIALS}/{mesh.GetPath().name}"
+        if self.stage.GetPrimAtPath(token):
+            return
+        material = shade.Material.Define(self.stage, token)
+        surface = shade.Shader.Define(self.stage, f"{token}/surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        surface.CreateInput("roughness", types.Float).Set(ROUGHNESS)
+        diffuse = surface.CreateInput("diffuseColor", types.Color3f)
+        if image is None:
+            diffuse.Set(self.pxr.Gf.Vec3f(*parse_hex(colour).tolist()))
+        else:
+            reader = shade.Shader.Define(self.stage, f"{token}/st")
+            reader.CreateIdAttr("UsdPrimvarReader_float2")
+            reader.CreateInput("varname", types.String).Set("st")
+            texture = shade.Shader.Define(self.stage, f"{token}/image")
+            texture.CreateIdAttr("UsdUVTexture")
+            texture.CreateInput("file", types.Asset).Set(image)
+            texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+            for side in ("wrapS", "wrapT"):
+                texture.CreateInput(side, types.Token).Set("repeat")
+            st = texture.CreateInput("st", types.Float2)
+            st.ConnectToSource(reader.CreateOutput("result", types.Float2))
+            diffuse.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+        shade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+
+
+def _vectors(vt: Any, x: Float) -> Any:
+    """USD's array of (n, 3)."""
+    return vt.Vec3fArray.FromNumpy(np.ascontiguousarray(x, np.float32))
