@@ -1,10 +1,13 @@
-"""A person's mesh as a body that moves with its skin: its joints and weights are found, a motion is carried over."""
+"""A person's mesh as a body that moves with its skin: its joints and weights are found or given, a motion is carried
+over.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, cast
+from functools import partial
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -15,6 +18,7 @@ from nuno_contact.quantities import Angle, Span
 from nuno_contact.skin.bones import bones_of
 from nuno_contact.skin.figure import find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
+from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
 from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import find_weights
 from nuno_kernels.meshes.check import crossing_notes
@@ -34,6 +38,10 @@ class SkinConfig(Surface):
         description="how much more the arms are held off the trunk than in the motion, of a body slimmer perhaps [rad]",
     )
     stand: Span = Field(default=0.0, description="how long it stands in its own pose before it begins to move [s]")
+    weights: Literal["auto", "found"] = Field(
+        default="auto",
+        description="of its joints: auto, those of a GLB file that has some, else found in the mesh; found, those",
+    )
     blend: Span = Field(
         default=1.0, description="over how long it goes from its own pose into the motion, which runs on meanwhile [s]"
     )
@@ -60,16 +68,40 @@ class SkinCollider:
                 remedy="add a motion, bvh or hula, or give the body collider: {plugin: mesh, ...}, which stands still",
             )  # fmt: skip
         roles = find_roles(mover)
-        x, faces = c.make(files, read_closed)
+        rig = _read_rig(c, files)
+        x, faces = c.make(files, read_closed if rig is None else partial(read_closed, load=rig.surface))
         x = np.ascontiguousarray(x + np.asarray(c.centre))
-        figure, parts = find_figure(x, faces), list(roles)
-        part, weight = find_weights(x, faces, *bones_of(figure, parts))
+        if rig is None or c.weights == "found":
+            figure = find_figure(x, faces)
+            part, weight = find_weights(x, faces, *bones_of(figure, list(roles)))
+        else:
+            points, place = (c.upright(c.scale * at) + np.asarray(c.centre) for at in (rig.points, rig.place))
+            rig = replace(rig, points=points, place=place)
+            figure, roles, goes = fit_rig(rig, roles)
+            part, weight = weights_of(rig, goes, x)
+        parts = list(roles)
         gait = fit_gait(mover, roles, figure, c.spread, c.stand, c.blend)
         feet = {number: part[:, 0] == number for number, name in enumerate(parts) if name.endswith("_foot")}
+        for number, mine in feet.items():
+            if not mine.any():
+                problem, remedy = "a foot carries nothing of the body", "take weights: found"
+                raise BadInput(problem, field="file", value=parts[number], remedy=remedy)
         gait = replace(gait, lift=find_lift(gait, x, feet))
         joint, place = np.array(list(roles.values()), np.int32), gait.place[gait.follows]
         skin = Skin(np.ascontiguousarray(place), np.ascontiguousarray(joint[part]), weight)
         return replace(skin_shape(mover, x, faces, skin), pose=gait.pose, notes=crossing_notes(x, faces))
+
+
+def _read_rig(config: SkinConfig, files: Files) -> Rig | None:
+    """That of the file, if any. Raises BadInput for one that cannot be read, unless it is not asked for."""
+    if config.file is None:
+        return None
+    try:
+        return read_rig(files.resolve(config.file))
+    except BadInput:
+        if config.weights == "found":
+            return None
+        raise
 
 
 def skin_shape(mover: Mover, x: Float, faces: Int, skin: Skin) -> BodyShape:

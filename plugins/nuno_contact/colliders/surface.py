@@ -79,13 +79,17 @@ class Surface(Config):
         known = {"leg": LANDMARKS, "torso": HEIGHTS, "person": PERSON}
         return {} if self.file is not None or self.shape is None else known[self.shape]
 
+    def upright(self, x: Float) -> Float:
+        """Points (n, 3) of the file with y up."""
+        return x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if self.up == "z" else x
+
     def make(self, files: Files, read: Callable[[Path, float, bool], tuple[Float, Int]]) -> tuple[Float, Int]:
         """Vertices (n, 3) [m] before they are moved, and triangles (f, 3); `read` reads a file's. Raises BadInput for
         one that cannot be read or made.
         """
         if self.file is not None:
             x, faces = read(files.resolve(self.file), self.scale, self.mend)
-            return (x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if self.up == "z" else x), faces
+            return self.upright(x), faces
         x, faces = leg_mesh(self.resolution) if self.shape == "leg" else make_mannequin(self)
         return x * self.scale, faces
 

@@ -127,6 +127,7 @@ def keep_largest(heat: Float) -> tuple[Int, Float]:
     largest = np.take_along_axis(heat, order, axis=1)
     beyond = largest[:, kept : kept + 1] if heat.shape[1] > kept else 0.0
     weight = np.maximum(largest[:, :kept] - np.maximum(beyond, 0.0), 0.0)
+    weight = np.where(weight.any(axis=1, keepdims=True), weight, largest[:, :kept])
     weight = np.round(weight / weight.sum(axis=1, keepdims=True) * BITS) / BITS
     weight[:, 0] = 1.0 - weight[:, 1:].sum(axis=1)
     return order[:, :kept].astype(np.int32), weight

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,14 @@ KINDS = ("obj", "ply", "stl", "glb")
 LARGEST_FILE = 1 << 30
 
 
-def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
+def load_surface(path: Path) -> tuple[Float, NDArray[np.int64]]:
+    """Vertices (n, 3) and triangles (f, 3) of a file as they stand there. Raises BadInput."""
+    return load_mesh(path, KINDS)[:2]
+
+
+def read_closed(
+    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Any]] = load_surface
+) -> tuple[Float, Int]:
     """Vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], seen from outside
     counter-clockwise.
 
@@ -28,7 +36,7 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
     Raises BadInput, with the edge and its place, for a file that cannot be read, or is not a closed surface. It may
     pass through itself, as scanned bodies do at mouth and armpits: `check_crossings` tells.
     """
-    x, faces = read_mesh(path, scale, mend)
+    x, faces = read_mesh(path, scale, mend, load)
     try:
         check_closed(x, faces)
     except BadInput as error:
@@ -39,10 +47,12 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
     return x, faces
 
 
-def read_mesh(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
+def read_mesh(
+    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Any]] = load_surface
+) -> tuple[Float, Int]:
     """As `read_closed`, of a file whose surface may have holes."""
     try:
-        points, triangles, _ = load_mesh(path, KINDS)
+        points, triangles = load(path)
         x, faces = clean_mesh(points, triangles.astype(np.int32), scale)
         return mend_mesh(x, faces) if mend else (x, faces)
     except BadInput as error:
