@@ -17,7 +17,9 @@ from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.collision.surfaces import surface
 from nuno.wire.arrays import BadMessage
 from nuno_bench.problem.oracle import Oracle
-from nuno_contact.offset.bodies import pose_solids, set_solid_poses
+from nuno_contact.offset.begin import begin_apart
+from nuno_contact.offset.bodies import CATCH_UP, PLACED, STANDS, pose_solids, set_solid_poses
+from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.places import LEFT_OUT, TOUCHING
 from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
 from nuno_contact.sliding.plugin import Sliding, SlidingConfig
@@ -90,16 +92,33 @@ def test_vertices_of_a_skin_go_straight_and_as_fast_as_is_said() -> None:
     met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)])
     ends = met.poses(0.004), met.poses(0.009)
     set_solid_poses(met.meeting, *ends)
-    n, whole = met.fabric.number, met.meeting.whole.shape
-    x, v = np.zeros(whole), np.zeros(whole)
+    n, x, v = met.fabric.number, met.meeting.goal, met.meeting.whole_velocity
     places = [met.geometry.placed(0, poses)[0] for poses in ends]
     for s in (0.0, 0.3, 1.0):
-        pose_solids(met.meeting, s, x, v)
+        pose_solids(met.meeting, s)
         assert np.abs(x[:, n:].T - (1.0 - s) * places[0] - s * places[1]).max() < 1e-15
         assert np.abs(v[:, n:].T - (places[1] - places[0]) / 0.005).max() < 1e-9
     set_solid_poses(met.meeting, ends[0], ends[0])
-    pose_solids(met.meeting, 1.0, x, v)
+    pose_solids(met.meeting, 1.0)
     assert np.abs(x[:, n:].T - places[0]).max() == 0.0 and np.abs(v[:, n:]).max() == 0.0
+
+
+def test_bodies_that_stand_are_placed_once_and_are_behind_where_they_were_moved() -> None:
+    """Of an interval in which nothing moves; of the next, that begins elsewhere, they are behind and catch up."""
+    met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)])
+    m, n = met.meeting, met.fabric.number
+    for t, placed in ((0.0, PLACED), (0.004, STANDS)):
+        poses = met.poses(t)
+        set_solid_poses(m, poses, poses)
+        assert m.still[0] == STANDS
+        begin_apart(m, np.ascontiguousarray(met.state.x.T), 1e-3, 1)
+        assert m.still[0] == placed and m.behind.any() == (placed == STANDS)
+        assert np.abs(m.goal[:, n:].T - met.geometry.placed(0, poses)[0]).max() < 1e-15
+    before = m.last.copy()
+    x = np.ascontiguousarray(met.state.x.T)
+    hold_apart(m, x, np.zeros_like(x), 1.0, 1)
+    way = np.linalg.norm(m.last - before, axis=0)[n:]
+    assert 0.0 < way.max() <= CATCH_UP * 1e-3 * (1.0 + 1e-12)
 
 
 def test_threads_give_the_same_bits() -> None:

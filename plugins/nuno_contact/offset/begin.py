@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.bodies import copy_part, find_behind, pose_solids
+from nuno_contact.offset.bodies import STANDS, copy_part, find_behind, pose_solids
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.hold import all_close
 from nuno_contact.offset.lists import choose_near, make_list
@@ -32,8 +32,8 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
     """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
     n, goal = x.shape[1], x
     if m.local.shape[0] > 0:
-        goal = m.goal
-        pose_solids(m, 0.0, goal, m.whole_velocity)
+        goal, m.still[0] = m.goal, min(m.still[0], STANDS)
+        pose_solids(m, 0.0)
         copy_part(x, goal, 0, n)
     begin_whole(m, goal, same_rows(x, m.last), span, threads)
     if m.local.shape[0] > 0:

@@ -38,6 +38,8 @@ SAME = 1e-9
 """A vertex is behind its body if it is farther from where that has it [m] than rounding explains."""
 
 
+MOVES, STANDS, PLACED = range(3)
+"""What bodies do in an interval; of those that stand, whether m.goal has them and none of their vertices is behind."""
 OF_SKIN = -1
 """Stands for the frame of a vertex that goes with several."""
 
@@ -138,6 +140,7 @@ def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
         "goal": np.zeros((3, wide)),
         "way": np.zeros((3, wide)),
         "behind": np.zeros(len(solids.x), np.bool_),
+        "still": np.zeros(1, np.int64),
     }
 
 
@@ -146,6 +149,7 @@ def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
     if not len(m.local):
         return
     write_interval(m, start, end)
+    m.still[0] = STANDS if start.same_place(end) else MOVES
     if len(m.skin_joint):
         mine, skin, moving = m.frame == OF_SKIN, Skin(m.skin_place, m.skin_joint, m.skin_weight), end.t > start.t
         for poses, to in ((start, m.skin_begin), (end if moving else start, m.skin_end)):
@@ -154,9 +158,12 @@ def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
 
 
 @block_kernel
-def pose_solids(m: Meeting, s: float, x: Float, v: Float) -> None:
-    """Put the bodies' vertices in x, v (3, n + b) where they are at fraction s of the interval."""
+def pose_solids(m: Meeting, s: float) -> None:
+    """Put the bodies' vertices in m.goal, m.whole_velocity where they are at fraction s of the interval."""
+    if m.still[0] == PLACED:
+        return
     frames, local, of_frame, begin, end = m.frames, m.local, m.frame, m.skin_begin, m.skin_end
+    x, v = m.goal, m.whole_velocity
     for f in range(frames.shape[0]):
         pose_frame(s, f, m.rotation0, m.origin0, m.spin, m.shift, frames)
     first = x.shape[1] - local.shape[0]
@@ -182,10 +189,10 @@ def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
     """Have the bodies' vertices for forces at fraction s: those that are not behind where their bodies are. In an
     implicit step they are where the iterate has them.
     """
-    if m.local.shape[0] == 0:
+    if m.local.shape[0] == 0 or m.still[0] == PLACED:
         return
     n, whole, goal, last = x.shape[1], m.whole, m.goal, m.last
-    pose_solids(m, s, goal, m.whole_velocity)
+    pose_solids(m, s)
     if m.step[0] > 0.0:
         return
     for b in range(m.local.shape[0]):
@@ -203,7 +210,7 @@ def is_waiting(m: Meeting) -> bool:
 def limit_ways(m: Meeting, n: int, dt: float) -> None:
     """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""
     goal, last, v = m.goal, m.last, m.whole_velocity
-    for i in range(n, goal.shape[1]):
+    for i in range(n, goal.shape[1] if m.still[0] != PLACED else n):
         a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
         speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
         way, most = math.sqrt(a * a + b * b + c * c), dt * (speed + CATCH_UP)
@@ -233,9 +240,13 @@ def catch_up(m: Meeting, n: int, dt: float) -> None:
 def find_behind(m: Meeting, n: int) -> None:
     """Which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
     goal, last, whole = m.goal, m.last, m.whole
+    late = False
     for b in range(m.local.shape[0]):
         way = 0.0
         for row in range(3):
             way = max(way, abs(goal[row, n + b] - last[row, n + b]))
             whole[row, n + b] = last[row, n + b]
         m.behind[b] = way > SAME
+        late = late or way > SAME
+    if m.still[0] == STANDS and not late:
+        m.still[0] = PLACED

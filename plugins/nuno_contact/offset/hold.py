@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
+from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
 from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, farthest_way, push_on
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
@@ -178,15 +178,16 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         m.swept[0] = 0
         return
     n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
-    pose_solids(m, s, goal, velocity)
+    pose_solids(m, s)
     limit_ways(m, n, dt)
     copy_part(x, goal, 0, n)
     copy_part(v, velocity, 0, n)
     if hold_whole(m, goal, velocity, s, threads):
         copy_part(goal, x, 0, n)
-        pose_solids(m, s, goal, velocity)
-        find_behind(m, n)
-        catch_up(m, n, dt)
+        if m.still[0] != PLACED:
+            pose_solids(m, s)
+            find_behind(m, n)
+            catch_up(m, n, dt)
         brake(m, velocity, dt, SWEEPS[1])
         copy_part(velocity, v, 0, n)
     m.swept[0] = 0

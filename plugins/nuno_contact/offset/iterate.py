@@ -43,7 +43,7 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
     if m.local.shape[0] == 0:
         return restrain_whole(m, y, d, s, threads)
     n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
-    pose_solids(m, s, goal, m.whole_velocity)
+    pose_solids(m, s)
     if same_rows(y, m.last):
         copy_part(m.last, whole, n, way.shape[1])
     copy_part(y, whole, 0, n)

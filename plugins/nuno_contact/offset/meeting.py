@@ -180,6 +180,8 @@ class Meeting(NamedTuple):
     """(3, n) scratch of an implicit method: the way to its next iterate"""
     behind: Bool
     """(b,) which of the bodies' vertices are behind their bodies at `last`"""
+    still: NDArray[np.int64]
+    """(1,) what bodies do in the interval: see nuno_contact.offset.bodies.MOVES"""
     so_far: NDArray[np.int64]
     """(5,) counts of the whole run: see CUT; part of the state"""
 

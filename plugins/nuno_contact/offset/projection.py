@@ -67,7 +67,7 @@ def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads:
     copy_part(moved.x, x, 0, n)
     copy_part(moved.u, u, 0, n)
     copy_rows(moved.mobility, mobility)
-    pose_solids(m, s, m.goal, m.whole_velocity)
+    pose_solids(m, s)
     limit_ways(m, n, 1.0 / moved.inverse_step)
     copy_part(m.last, x, n, all_of[1])
     for row in range(3):
