@@ -21,7 +21,7 @@ from nuno.choose.cloth import decide
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import per_dye
 from nuno.report import Report, make_report
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import runs, supervisor
@@ -119,7 +119,7 @@ def _loaded(
 ) -> Iterator[Loaded]:
     """The scene, which services in processes of their own can read meanwhile."""
     if not isinstance(scene, Mapping):
-        yield scene_file.read(scene_file.find(os.fspath(scene)), overrides, roots)
+        yield scene_file.read(shipped.find(os.fspath(scene)), overrides, roots)
         return
     try:
         text = json.dumps(dict(scene))

@@ -12,7 +12,7 @@ import yaml
 from nuno.cloth import build
 from nuno.cloth.worn import check_worn
 from nuno.collision.bodies import build_bodies
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -80,7 +80,7 @@ def test_boxes_reach_as_far_as_they_are_long_and_planes_without_end() -> None:
 
 
 def system(folder: Path, **model: Any) -> None:
-    data = yaml.safe_load(scene_file.shipped()["skirt-hula"].read_text())
+    data = yaml.safe_load(shipped.scenes("")["skirt-hula"].read_text())
     data["objects"][0]["model"] |= model
     path = folder / "scene.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False))

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from nuno import registry
-from nuno.scene import scene_file
+from nuno.scene import shipped
 from nuno.scene.json_schema import scene_schema
 from nuno_schemas.plugin import GROUPS
 
@@ -22,7 +22,7 @@ def validator() -> Any:
     return jsonschema.Draft202012Validator(schema)
 
 
-SHIPPED = {name: path for folder in ("", *scene_file.FOLDERS) for name, path in scene_file.shipped(folder).items()}
+SHIPPED = shipped.scenes()
 
 
 @pytest.mark.parametrize("name", sorted(SHIPPED))
@@ -47,7 +47,7 @@ def test_shipped_scenes_say_what_they_show_in_whole_sentences(name: str) -> None
     ],
 )
 def test_mistakes_do_not_fit(validator: Any, field: str, value: object) -> None:
-    scene = yaml.safe_load(scene_file.shipped()["hanging-sheet"].read_text())
+    scene = yaml.safe_load(shipped.scenes("")["hanging-sheet"].read_text())
     assert validator.is_valid(scene)
     assert not validator.is_valid(scene | {field: value})
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nuno.cloth import build
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.pace import BETTER, TRY_AGAIN, Pace
 from nuno_schemas.system import System, Term
@@ -54,7 +54,7 @@ def test_a_single_slow_frame_changes_nothing() -> None:
 def test_one_pass_has_the_bits_of_two(steps: int) -> None:
     """A force in Python that adds nothing takes the way by forces first and updates after."""
     overrides = ("objects.0.model.resolution=[9, 8]", "objects.0.model.velocity=[0.1, 0.2, 0.3]", "damping=0.5")
-    loaded = scene_file.read(Path(scene_file.find("stiff-sheet")), overrides)
+    loaded = scene_file.read(Path(shipped.find("stiff-sheet")), overrides)
     fabric, _ = build.build_fabric(loaded)
     plain = System(fabric, np.array([0.0, -9.81, 0.0]), 0.5)
     nothing = replace(plain, terms=(Term("python", lambda x, v, t, out: None),))

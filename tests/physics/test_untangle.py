@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tangles import EDGE, KINDS, SIDE, Random, Sheet, across, bump, cloth_of, crosses, moved, poke, sheet, tangle
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_contact.untangle.plugin import Untangle, UntangleConfig
 from nuno_schemas.errors import BadInput
@@ -80,9 +80,7 @@ def test_what_was_pushed_through_comes_back_on_its_side(irregular: bool) -> None
 @pytest.mark.full
 def test_cloth_that_fell_through_itself_comes_apart() -> None:
     """The folds below a ball, after two thirds of a second without cloth contact: hundreds of crossings."""
-    simulation = Simulation.with_bodies(
-        scene_file.read(scene_file.find("drape-over-sphere"), ["cloth_contact=none"]), 1
-    )
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find("drape-over-sphere"), ["cloth_contact=none"]), 1)
     for _ in range(40):
         simulation.step()
     fabric = replace(simulation.fabric, position=simulation.state.x)

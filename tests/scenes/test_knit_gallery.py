@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from nuno.cli import parser_of
-from nuno.scene import scene_file
+from nuno.scene import shipped
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import knit as knit_gallery
 from nuno_bench.gallery.kind import EFFECT, Difference, Shown, compare
@@ -49,7 +49,7 @@ def test_the_stitches_show_what_they_must(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.full
 def test_a_stocking_that_does_not_settle_is_shown_as_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = yaml.safe_load(scene_file.find("knit/stocking-150").read_text())
+    scene = yaml.safe_load(shipped.find("knit/stocking-150").read_text())
     scene |= {"name": "short", "duration": "0.3 s"}
     scene["objects"][0]["model"] |= {"wales": 15, "courses": 29}
     scene["bodies"][0]["collider"]["resolution"] = 24
@@ -64,7 +64,7 @@ def test_a_stocking_that_does_not_settle_is_shown_as_failed(tmp_path: Path, monk
 
 def test_differences_are_of_shipped_knits() -> None:
     named = {scene for one in knit_gallery.DIFFERENCES for scene, _ in (one.high, one.low)}
-    assert named <= set(knit_gallery.scenes())
+    assert named <= set(knit_gallery.KIND.scenes())
 
 
 def stocking(*pressures: float) -> dict[str, Shown]:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.plugin import ImplicitEuler
@@ -22,7 +22,7 @@ LEGS = 90
 
 def simulate(name: str, frames: int) -> tuple[Simulation, list[Float]]:
     """Positions after each frame; a frame is a step."""
-    simulation = Simulation(scene_file.read(scene_file.shipped("knit")[f"knit/{name}"]), None, None, 1)
+    simulation = Simulation(scene_file.read(shipped.scenes("knit")[f"knit/{name}"]), None, None, 1)
     assert simulation.steps == 1
     positions = []
     for _ in range(frames):

@@ -12,7 +12,8 @@ import yaml
 
 from nuno.cli.common import load_scene
 from nuno.cloth import build
-from nuno.scene.scene_file import Loaded, find
+from nuno.scene import shipped
+from nuno.scene.scene_file import Loaded
 from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -111,7 +112,7 @@ def test_only_what_the_user_names_is_read_from_outside(tmp_path: Path, monkeypat
     fabric("bodies.leg.collider={plugin: mesh, file: mine.obj}")
     scene = tmp_path / "scene" / "own.yaml"
     scene.parent.mkdir()
-    data = yaml.safe_load(find("knit/stocking-leg").read_text())
+    data = yaml.safe_load(shipped.find("knit/stocking-leg").read_text())
     data["bodies"][0]["collider"] = {"plugin": "mesh", "file": "mine.obj"}
     scene.write_text(yaml.safe_dump(data))
     with pytest.raises(BadInput, match="no such file"):

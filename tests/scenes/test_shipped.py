@@ -13,11 +13,11 @@ import pytest
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 
 FRAMES = 5
-SCENES = scene_file.shipped() | scene_file.shipped("contact")
+SCENES = shipped.scenes("") | shipped.scenes("contact")
 QUICK = ("hanging-sheet", "drape-over-sphere", "skirt-hula")
 """Scenes that have between them what shipped scenes are made of; each other one compiles its own kernels."""
 STRETCH = 0.25
@@ -71,7 +71,7 @@ def test_waist_follows_its_frame(name: str) -> None:
     np.testing.assert_allclose(local[1], local[0], atol=1e-12)
 
 
-FOLDER = scene_file.shipped()["skirt-walk"].parent
+FOLDER = shipped.scenes("")["skirt-walk"].parent
 MESHES = tuple(f"contact/{name}.obj" for name in ("funnel", "knot-left", "knot-right", "scarf", "star", "table"))
 SCRIPTS = {
     "make_walk.py": ("walk.bvh",), "make_pattern.py": ("seigaiha.png",), "make_net.py": ("pendulum.npz",),

@@ -13,7 +13,7 @@ import pytest
 import nuno
 from nuno.cli import main
 from nuno.collision.bodies import build_bodies
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
 from nuno_integrators.profile import profile_steps
@@ -26,7 +26,7 @@ SMALL = ("objects.0.model.wales=15", "objects.0.model.courses=29", "bodies.0.col
 
 
 def prepare(*overrides: str) -> tuple[Simulation, Any]:
-    loaded = scene_file.read(scene_file.find("knit/stocking-150"), (*SMALL, *overrides))
+    loaded = scene_file.read(shipped.find("knit/stocking-150"), (*SMALL, *overrides))
     bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     return Simulation(loaded, bodies.geometry, poses, 1), poses
@@ -205,7 +205,7 @@ def test_a_stocking_fits_both_legs_of_a_body(side: int, shared_data: Path) -> No
     places = [[side * 0.22, 0.03, 0.08], [side * 0.11, 0.7, 0.02]]
     small = ("objects.0.model.wales=20", "objects.0.model.courses=59", "contact.gap=0.5 mm")
     own = ("bodies.0.collider={plugin: mesh, file: body.obj}", f"objects.0.model.over.between={places}")
-    loaded = scene_file.read(scene_file.find("knit/stocking-leg"), (*small, *own), [shared_data])
+    loaded = scene_file.read(shipped.find("knit/stocking-leg"), (*small, *own), [shared_data])
     bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     simulation = Simulation(loaded, bodies.geometry, poses, 1)

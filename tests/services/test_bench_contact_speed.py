@@ -7,7 +7,7 @@ import pytest
 
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
@@ -30,7 +30,7 @@ def test_parts_of_contact_are_timed_beside_a_run_that_they_do_not_touch() -> Non
     """Cloth ends in the same bits whether it was looked at; what a step seldom needs counts as seldom."""
     ends = []
     for looked in (False, True):
-        loaded = scene_file.read(scene_file.find("contact/ribbon"), ("duration=0.1",))
+        loaded = scene_file.read(shipped.find("contact/ribbon"), ("duration=0.1",))
         simulation = Simulation(loaded, None, None, 1)
         simulation.present()
         parts = Parts(simulation)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench.integrators import findings
 from nuno_bench.integrators.command import report
 from nuno_bench.integrators.experiment import SERIES, SPLIT, Trace, run_variant
@@ -84,7 +84,7 @@ def test_a_run_that_is_no_longer_finite_has_run_away() -> None:
 
 
 def test_same_run_twice_is_the_same_and_bones_differ_in_pieces() -> None:
-    path = scene_file.find("skirt-paper")
+    path = shipped.find("skirt-paper")
     runs = [
         run_variant(scene_file.read(path, [*SMALL, f"{SPLIT}={split}"]), "symplectic_euler", split == "true")
         for split in ("true", "true", "false")

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
@@ -53,7 +53,7 @@ def against(sheet: Sheet, exact: Float) -> Callable[[Float], Score]:
 
 
 def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sheet) -> None:
-    simulation = Simulation(scene_file.read(scene_file.find("stiff-sheet"), SMALL), None, None, 1)
+    simulation = Simulation(scene_file.read(shipped.find("stiff-sheet"), SMALL), None, None, 1)
     draw, n = np.random.default_rng(11), sheet.mass.size
     x = np.ascontiguousarray(sheet.x.T) + draw.normal(0.0, 0.01, (3, n))
     v = draw.normal(0.0, 1.0, (3, n)) * sheet.free

@@ -216,7 +216,7 @@ def test_saving_again_takes_the_place_of_what_was_saved(tmp_path: Path) -> None:
 def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = write_sheet(tmp_path)
-    monkeypatch.setattr(keep, "shipped", lambda folder="": {"sheet": path})
+    monkeypatch.setattr(keep.shipped, "scenes", lambda: {"sheet": path})
     for name in ("sheet-drawn.yaml", "sheet-drawn-2.yaml"):
         answer = scene_desk(path).act({"do": "save", "lines": [LINE]})
         assert Path(answer["file"]) == tmp_path / name and answer["text"].endswith(f"nuno run {name}")

@@ -11,7 +11,7 @@ from scattered_meshes import BALL, SIDE, irregular, mesh, shuffled, simulated
 
 from nuno.cloth import build, numbering
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, renumber
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 
 
 @pytest.mark.quick(solver=["symplectic_euler"])
@@ -116,7 +116,7 @@ def test_old_vertices_of_changed_cloth_keep_their_places_and_new_ones_come_last(
 
 @pytest.mark.parametrize("name", ["skirt-hula", "shirt-on-mannequin", "drape-over-sphere", "stiff-sheet"])
 def test_what_stands_in_good_order_is_left_alone(name: str) -> None:
-    loaded = scene_file.read(scene_file.find(name))
+    loaded = scene_file.read(shipped.find(name))
     fabric, pieces = build.build_fabric(loaded)
     assert fabric.number > numbering.FEWEST and find_numbers(fabric, pieces) is None
 

@@ -11,7 +11,7 @@ from scenes import BALL, write_scene
 
 from nuno.choose.cloth import decide
 from nuno.premises import compare, leaves, premises_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
 from nuno.supervision import runs, supervisor
@@ -155,7 +155,7 @@ def test_long_values_are_cut_short(tmp_path: Path) -> None:
 
 def test_every_scene_that_comes_along_is_the_same_for_all() -> None:
     """Whatever its plugins were given crosses the bus, and is read alike twice."""
-    scenes = {name: path for folder in ("", *scene_file.FOLDERS) for name, path in scene_file.shipped(folder).items()}
+    scenes = shipped.scenes()
     assert len(scenes) > 50
     for path in scenes.values():
         here, there = (json.dumps(premises_of(scene_file.read(path), False)) for _ in range(2))

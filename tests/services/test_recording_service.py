@@ -22,7 +22,7 @@ from nuno.recording import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.simulation.run import Simulation
 from nuno.wire.bus import Bus, Inbox, Message
@@ -36,7 +36,7 @@ RUN = "waving-run"
 
 @pytest.fixture(scope="module")
 def loaded() -> scene_file.Loaded:
-    return scene_file.read(scene_file.find("hanging-sheet"))
+    return scene_file.read(shipped.find("hanging-sheet"))
 
 
 @dataclass
@@ -224,7 +224,7 @@ def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
     """Any string of a configuration that names a file beside the scene is attached."""
     (tmp_path / "check.png").write_bytes(b"picture")
     (tmp_path / "secret.txt").write_bytes(b"not named")
-    text = scene_file.find("hanging-sheet").read_text()
+    text = shipped.find("hanging-sheet").read_text()
     (tmp_path / "scene.yaml").write_text(text)
     override = "objects.0.model.texture=check.png"
     loaded = scene_file.read(tmp_path / "scene.yaml", [override])

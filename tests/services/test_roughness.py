@@ -14,7 +14,7 @@ from scenes import write_chain
 
 import nuno
 from nuno.cloth import build
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
@@ -108,7 +108,7 @@ def test_a_strip_on_its_edge_tips_over_where_it_must() -> None:
 
 @pytest.mark.parametrize("name", ["hanging-sheet", "hung-cloth-wrinkle"])
 def test_shipped_cloth_that_hangs_leaves_its_plane(name: str) -> None:
-    loaded = scene_file.read(scene_file.find(name))
+    loaded = scene_file.read(shipped.find(name))
     assert loaded.scene.objects[0].roughness > 0.0
     start = build.build_fabric(loaded)[0].position[:, 2]
     assert 0.0 < np.abs(start).max() < 5.0 * loaded.scene.objects[0].roughness

@@ -20,7 +20,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.restore import control_events
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.service import Context, Options
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ask_poses
@@ -157,12 +157,12 @@ def test_divergence_fails_plainly_and_keeps_the_recording(tmp_path: Path) -> Non
 @pytest.mark.parametrize("residual", [0.1, 0.01])
 def test_auto_takes_a_step_that_its_solver_resolves(residual: float) -> None:
     chosen = f"solver={{plugin: xpbd, residual: {residual}, dt: auto}}"
-    simulation = Simulation(scene_file.read(scene_file.find("stiff-sheet"), [chosen]), None, None, 1)
+    simulation = Simulation(scene_file.read(shipped.find("stiff-sheet"), [chosen]), None, None, 1)
     assert simulation.limit.dt == np.inf
     reach = 2.0 * np.sqrt(residual / (1.0 - residual))
     assert simulation.limit.resolved * simulation.limit.omega == pytest.approx(reach)
     assert 0.99 * simulation.limit.resolved < simulation.dt <= simulation.limit.resolved
-    longer = scene_file.read(scene_file.find("stiff-sheet"), [chosen.replace("dt: auto", "dt: 8.3333333333e-3")])
+    longer = scene_file.read(shipped.find("stiff-sheet"), [chosen.replace("dt: auto", "dt: 8.3333333333e-3")])
     assert Simulation(longer, None, None, 1).steps == 2, "what is longer is stable as well"
 
 

@@ -13,7 +13,7 @@ from scenes import write_scene
 import nuno
 from nuno import report
 from nuno.cloth import build
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.errors import BadInput
@@ -128,7 +128,7 @@ def test_a_garment_that_starts_in_itself_is_untangled() -> None:
     """
     low = ["bodies.mannequin.collider.arms=40 deg", "cloth_contact=none", "objects.shirt.model.around=100",
            "objects.shirt.model.cuff=15cm"]  # fmt: skip
-    path = scene_file.find("shirt-on-mannequin")
+    path = shipped.find("shirt-on-mannequin")
     before = start(path, *low)
     after = build.build_start(scene_file.read(path, [*low, "operations=[{plugin: untangle}]"]))
     assert crosses(before, before.position)

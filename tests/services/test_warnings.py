@@ -13,8 +13,9 @@ import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
 from nuno.report import lines
+from nuno.scene import shipped
 from nuno.scene.files import SceneFiles
-from nuno.scene.scene_file import FOLDERS, find, load, read, shipped
+from nuno.scene.scene_file import load, read
 from nuno.warnings import scene_warnings
 from nuno_schemas.messages import EVENT
 
@@ -182,9 +183,9 @@ def test_bare_numbers_are_looked_at_in_all_of_a_scene() -> None:
     )
 
 
-@pytest.mark.parametrize("name", [name for folder in ("", *FOLDERS) for name in shipped(folder)])
+@pytest.mark.parametrize("name", shipped.scenes())
 def test_shipped_scenes_are_beyond_doubt(name: str) -> None:
-    assert scene_warnings(read(find(name))) == []
+    assert scene_warnings(read(shipped.find(name))) == []
 
 
 def test_implausible_numbers_are_said_by_plan_run_and_python(

@@ -14,7 +14,7 @@ from nuno.export.cloth import read_pieces
 from nuno.export.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
 from nuno.export.pictures import Painter
 from nuno.recording.reader import open_recording
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Fabric
 
@@ -22,7 +22,7 @@ SCENE = "knit/stitch-10x10"
 
 
 def fabric() -> Fabric:
-    return build.build_fabric(scene_file.read(scene_file.find(SCENE)))[0]
+    return build.build_fabric(scene_file.read(shipped.find(SCENE)))[0]
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from live_run import Live
 from nuno.choose.cloth import decide
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision.supervisor import Deployment
@@ -114,7 +114,7 @@ def each_way(case: Case, folder: Path, quick: bool, rng: random.Random) -> Itera
 def read(case: Case, folder: Path) -> Loaded:
     """A case's scene, with its solver chosen."""
     if isinstance(case.scene, str):
-        return decide(scene_file.read(scene_file.find(case.scene), case.overrides))
+        return decide(scene_file.read(shipped.find(case.scene), case.overrides))
     path = folder / "scene.yaml"
     path.write_text(json.dumps(case.scene))
     return decide(scene_file.read(path, case.overrides))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
@@ -73,7 +73,7 @@ def warn(recording: Recording) -> None:
 
 def load_scene(args: argparse.Namespace) -> Loaded:
     """The scene, changed by `--set`. Raises BadInput."""
-    path = scene_file.find(args.scene)
+    path = shipped.find(args.scene)
     overrides, folders = find_own(path, args.overrides)
     return scene_file.read(path, overrides, [*args.root, *folders])
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
@@ -80,7 +80,7 @@ def _memory() -> Row:
 
 def _kernels() -> Row:
     start = time.perf_counter()
-    simulation = Simulation(scene_file.read(scene_file.find("net")), None, None, 0)
+    simulation = Simulation(scene_file.read(shipped.find("net")), None, None, 0)
     simulation.advance(None, None)
     simulation.about()  # chooses numba's threading layer, which `_threads` reads
     return Row("kernels", "ok", f"ready, and a scene stepped, in {time.perf_counter() - start:.1f} s")

@@ -12,7 +12,7 @@ from nuno.draw.follow import Follower
 from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.supervision import runs
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
@@ -45,7 +45,7 @@ def main(args: argparse.Namespace) -> int:
 def open_desk(args: argparse.Namespace) -> Desk:
     """What is drawn on: a scene, or else a run that goes on, by its name. Raises BadInput."""
     try:
-        path = scene_file.find(args.scene)
+        path = shipped.find(args.scene)
     except BadInput as no_scene:
         if args.scene.endswith((".yaml", ".yml")):
             raise

@@ -6,7 +6,7 @@ import argparse
 import json
 
 from nuno import registry
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
 
 
@@ -40,7 +40,6 @@ def _list_plugins(wanted: str | None) -> None:
 
 
 def _list_scenes(paths: bool) -> None:
-    for folder in ("", *scene_file.FOLDERS):
-        for name, path in scene_file.shipped(folder).items():
-            data, _ = yaml_lines.parse(path.read_text(), str(path))
-            print(path if paths else f"{name:28} {data.get('description', '')}")
+    for name, path in shipped.scenes().items():
+        data, _ = yaml_lines.parse(path.read_text(), str(path))
+        print(path if paths else f"{name:28} {data.get('description', '')}")

@@ -13,7 +13,7 @@ from pathlib import Path
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import end_process
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.supervision import runs
 from nuno.supervision.launch import FINISH_TIMEOUT
@@ -66,7 +66,7 @@ def main(args: argparse.Namespace) -> int:
     stop, keeping = threading.Event(), threading.Event()
     if args.lifeline:
         threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
-    loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
+    loaded = scene_file.read(shipped.find(args.scene), args.overrides, args.root, args.named)
     if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))

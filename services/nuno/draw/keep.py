@@ -15,8 +15,8 @@ from nuno.cloth import build
 from nuno.draw.append import append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Sight
-from nuno.scene import scene_file, yaml_lines
-from nuno.scene.scene_file import Loaded, shipped
+from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 
@@ -59,7 +59,7 @@ def as_items(lines: Lines, settings: object) -> list[str]:
 def target(loaded: Loaded) -> Path:
     """The file that lines are saved to: the user's own, or one of a new name here in the place of a shipped one."""
     own = loaded.path.resolve()
-    if own not in {path.resolve() for folder in ("", *scene_file.FOLDERS) for path in shipped(folder).values()}:
+    if own not in {path.resolve() for path in shipped.scenes().values()}:
         return own
     names = (f"{loaded.path.stem}-drawn{number}.yaml" for number in ("", *(f"-{n}" for n in range(2, 1000))))
     return next(path for name in names if not (path := Path.cwd() / name).exists())

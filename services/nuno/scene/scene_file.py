@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry
-from nuno.scene import yaml_lines
+from nuno.scene import shipped, yaml_lines
 from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
@@ -127,37 +126,6 @@ class Loaded:
         return located(error, self.file, self.lines, field)
 
 
-def shipped(folder: str = "") -> dict[str, Path]:
-    """The scenes that come with the project by name, those of a folder as `folder/name`."""
-    root = shipped_folder()
-    paths = sorted((root / folder).glob("*.yaml"))
-    return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}
-
-
-def shipped_folder() -> Path:
-    """Where the scenes that come with the project lie, and the files that those in folders share."""
-    beside = Path(__file__).resolve().parents[3] / "scenes"
-    return beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
-
-
-FOLDERS = ("contact", "dye", "extreme", "instruments", "knit", "sewn")
-"""Of shipped scenes."""
-
-
-def find(name: str) -> Path:
-    """A scene file by path, or a shipped one by name. Raises BadInput."""
-    path = Path(name)
-    if path.is_file():
-        return path
-    scenes = {name: path for folder in ("", *FOLDERS) for name, path in shipped(folder).items()}
-    if path.suffix == "" and name in scenes:
-        return scenes[name]
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        where = f"a file in {path.resolve().parent}"
-        raise BadInput("no such scene file", value=name, limit=where, remedy="check the name; nuno scenes lists others")
-    raise BadInput("no such scene", value=name, remedy=f"{nearest(name, scenes)}; or give the path of a YAML file")
-
-
 def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), named: str | None = None) -> Loaded:
     """Read, override and validate a scene file. Raises BadInput.
 
@@ -181,7 +149,7 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
         lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
-    folder, shared = path.resolve().parent, shipped_folder().resolve()
+    folder, shared = path.resolve().parent, shipped.folder().resolve()
     roots = (*roots, shared) if shared in folder.parents else roots
     loaded = load(data, lines, named or str(path), SceneFiles(folder, roots))
     return replace(loaded, overrides=tuple(overrides), path=path)

@@ -10,7 +10,7 @@ from typing import Any
 from nuno.export.cloth import read_frame
 from nuno.export.pictures import export_picture
 from nuno.recording.reader import Recording
-from nuno_bench.gallery.kind import Kind, Shown, read_picture, shipped, show_scene
+from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
@@ -80,7 +80,7 @@ def table(shown: Sequence[Shown]) -> Table:
 KIND = Kind(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
-    scenes=partial(shipped, "contact"),
+    scenes=partial(find_scenes, "contact"),
     run_scene=partial(show_scene, look=look),
     differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
 from nuno_bench.gallery.kind import Difference, Kind, Shown
@@ -46,7 +46,7 @@ DIFFERENCES = (
 
 def scenes() -> dict[str, Path]:
     """Files of the paper's figures by name, in their order."""
-    figures = [path for path in scene_file.shipped("dye").values() if path.stem.startswith("fig")]
+    figures = [path for path in shipped.scenes("dye").values() if path.stem.startswith("fig")]
     return {path.stem: path for path in sorted(figures, key=lambda path: (figure_of(path.stem), path.stem))}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from nuno import api
 from nuno.recording.reader import Recording, open_recording
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
@@ -111,9 +111,9 @@ def show_scene(path: Path, look: Look) -> Shown:
     return Shown(scene.name, scene.description, pictures, measured, failed)
 
 
-def shipped(folder: str) -> dict[str, Path]:
+def find_scenes(folder: str) -> dict[str, Path]:
     """Files of a folder's shipped scenes by name."""
-    return {path.stem: path for path in scene_file.shipped(folder).values()}
+    return {path.stem: path for path in shipped.scenes(folder).values()}
 
 
 def read_picture(path: Path) -> Picture:

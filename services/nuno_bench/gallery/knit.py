@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, Shown, read_picture, recorded
+from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
 from nuno_bench.gallery.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
 from nuno_schemas.dye_picture import Picture
 
@@ -63,11 +64,6 @@ DIFFERENCES = (
     _between("pressure falls from ankle to calf", COMPRESSION, PRESSURE, "ankle", "calf"),
     _between("pressure falls from calf to thigh", COMPRESSION, PRESSURE, "calf", "thigh"),
 )
-
-
-def scenes() -> dict[str, Path]:
-    """Files of the shipped knits by name."""
-    return {path.stem: path for path in scene_file.shipped("knit").values()}
 
 
 def run_scene(path: Path) -> Shown:
@@ -133,7 +129,7 @@ KIND = Kind(
     title="Knits",
     lead="The knits that come with nuno: the knit paper's stitches, stretched, and its stocking on a leg, at rest; the "
     "pictures follow its figures.",
-    scenes=scenes,
+    scenes=partial(find_scenes, "knit"),
     run_scene=run_scene,
     differences=DIFFERENCES,
     measures="Links by mean elongation; stitches over their area and pressure as means of 2 cm at each place.",

@@ -17,7 +17,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
-from nuno_bench.gallery.kind import Kind, Shown, read_picture, shipped, show_scene
+from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.problem.oracle import Oracle
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
@@ -91,7 +91,7 @@ def _told(value: float) -> str:
 KIND = Kind(
     title="Sewn from patterns",
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
-    scenes=partial(shipped, "sewn"),
+    scenes=partial(find_scenes, "sewn"),
     run_scene=partial(show_scene, look=look),
     differences=(),
     measures=TOLD,

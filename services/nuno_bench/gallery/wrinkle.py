@@ -13,7 +13,7 @@ from nuno.export.cloth import Pieces, read_frame
 from nuno.export.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Difference, Kind, Shown, read_picture, recorded
 from nuno_bench.gallery.wrinkle_measures import Drawn
@@ -36,7 +36,7 @@ DIFFERENCES = (
 
 def scenes() -> dict[str, Path]:
     """Files of the shipped scenes with wrinkles by name."""
-    known = scene_file.shipped()
+    known = shipped.scenes("")
     return {name: known[name] for name in NAMES if name in known}
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno.cloth import build
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench.problem.observe import Problem, make_problem
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float, Memory, State
@@ -108,7 +108,7 @@ def mount(scene: str, fabric: object, solver: str | None = None, **model: object
     fields = {"fabric": fabric, **model}
     overrides = [f"objects.0.model.{name}={json.dumps(value)}" for name, value in fields.items()]
     overrides += ["until=duration"] if solver is None else ["until=duration", f"solver={{plugin: {solver}}}"]
-    loaded = scene_file.read(scene_file.find(f"instruments/{scene}"), overrides)
+    loaded = scene_file.read(shipped.find(f"instruments/{scene}"), overrides)
     problem = make_problem(loaded, threads=1)
     rig = Rig(problem, problem.system, build.start_state(problem.fabric), Memory())
     rig.load(GRAVITY)

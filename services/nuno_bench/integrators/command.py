@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench import machine, options
 from nuno_bench.integrators import findings
 from nuno_bench.integrators.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
@@ -50,7 +50,7 @@ def main(args: argparse.Namespace) -> int:
     page.check_section(args.docs, "integrators")
     names = options.names_of(args.integrators)
     options.require_known(names, INTEGRATORS, "method in this comparison", "--integrators")
-    path: Path = scene_file.find(args.scene)
+    path: Path = shipped.find(args.scene)
     loaded = scene_file.read(path, args.overrides)
     if not loaded.colliders or loaded.colliders[0].name != "skeleton":
         problem = "the comparison needs a skeleton as its first body"

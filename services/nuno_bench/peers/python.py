@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nuno.choose.cloth import decide
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.problem import SCENE, Sheet
@@ -17,7 +17,7 @@ from nuno_schemas.fabric import Float
 
 def stiff_sheet(*overrides: str) -> Sheet:
     """The shipped scene's sheet as plain arrays."""
-    return plain_sheet(Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, 1))
+    return plain_sheet(Simulation(scene_file.read(shipped.find(SCENE), overrides), None, None, 1))
 
 
 def plain_sheet(simulation: Simulation) -> Sheet:
@@ -40,7 +40,7 @@ class Nuno:
 
     def __init__(self, posed: object, solver: str, accuracy: str = "", overrides: Sequence[str] = ()) -> None:
         chosen = [f"solver={{{solver}}}", *[f"accuracy={accuracy}"] * bool(accuracy), *overrides]
-        self.loaded = decide(scene_file.read(scene_file.find(self.scene), chosen))
+        self.loaded = decide(scene_file.read(shipped.find(self.scene), chosen))
         self.remark = "" if not accuracy else f"took {self.loaded.integrator.plugin.name}"
         self.reset()
 

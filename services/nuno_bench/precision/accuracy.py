@@ -21,7 +21,7 @@ from nuno.choose.cloth import decide
 from nuno.choose.found import PROMISE
 from nuno.choose.trials import GROWTH
 from nuno.dye.run import DyeRun
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench import machine, options
 from nuno_bench.problem.dye import AnyProblem, DyeProblem, pose
 from nuno_bench.problem.horizon import DISTURBANCE, Horizon, refer
@@ -117,10 +117,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _paths(args: argparse.Namespace, folder: Path) -> list[Path]:
-    shipped = scene_file.find("hanging-sheet").parent
-    paths = [scene_file.find(name) for name in args.scenes]
+    paths = [shipped.find(name) for name in args.scenes]
     if not args.scenes:
-        paths = [shipped / f"{name}.yaml" for name in SCENES]
+        paths = [shipped.folder() / f"{name}.yaml" for name in SCENES]
         for seed in range(1, args.random + 1):
             paths.append(folder / f"random-{seed}.yaml")
             paths[-1].write_text(json.dumps(random_scene(seed)))

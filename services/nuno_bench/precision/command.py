@@ -9,7 +9,7 @@ import sys
 
 from nuno import registry
 from nuno.choose.cloth import decide
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
 from nuno.words import duration
@@ -69,7 +69,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     plots.require_matplotlib()
     require_viewer(None, args.rrd, "--rrd")
     overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else []), "allow_unstable=true"]
-    loaded = [decide(scene_file.read(scene_file.find(name), overrides)) for name in args.scenes]
+    loaded = [decide(scene_file.read(shipped.find(name), overrides)) for name in args.scenes]
     kinds = {DyeProblem if one.solver is None else Problem for one in loaded}
     solvers = [name for kind in kinds for name in registry.installed(kind.group)]
     observables = [name for kind in kinds for name in kind.observables]

@@ -13,7 +13,7 @@ import numpy as np
 
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import Mesh, mesh_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.problem.piles import pile, sheet
@@ -92,7 +92,7 @@ def on_over_off(name: str, overrides: Sequence[str], duration: float) -> Compare
     chosen = (*overrides, f"duration={duration!r}")
 
     def made(*more: str) -> Simulation:
-        simulation = Simulation.with_bodies(scene_file.read(scene_file.find(name), (*chosen, *more)), cores())
+        simulation = Simulation.with_bodies(scene_file.read(shipped.find(name), (*chosen, *more)), cores())
         simulation.present()
         return simulation
 

@@ -7,7 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision.supervisor import supervise
@@ -26,8 +26,8 @@ MOST = 5
 
 def pipeline(repeats: int) -> list[Result]:
     """A skirt on the dancer, run as services and by the kernels alone, in turns, so that a slow machine slows both."""
-    loaded = scene_file.read(scene_file.find("skirt-hula"), SKIRT)
-    bare_seconds(scene_file.read(scene_file.find("skirt-hula"), (*SKIRT, "duration=0.05")))
+    loaded = scene_file.read(shipped.find("skirt-hula"), SKIRT)
+    bare_seconds(scene_file.read(shipped.find("skirt-hula"), (*SKIRT, "duration=0.05")))
     pairs = [(bare_seconds(loaded), *run_seconds(loaded)) for _ in range(min(repeats, MOST))]
     bare, run, whole = zip(*pairs, strict=True)
     what = f"128x96 skirt, {DURATION:g} s at 60 frames/s: "

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result
@@ -35,7 +35,7 @@ def wrinkle(repeats: int) -> list[Result]:
         # Split triangles are finer than the scene's cloth is thick.
         thin = "cloth_contact.thickness=0.5 mm"
         overrides = ("objects[0].model.resolution=[101, 101]", drawn, thin, "until=duration")
-        simulation = Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, cores())
+        simulation = Simulation(scene_file.read(shipped.find(SCENE), overrides), None, None, cores())
         simulation.measure(None)
         simulation.rehearse()
         with watch_compiler() as compiled:

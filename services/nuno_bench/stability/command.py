@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nuno import registry
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.viewer.require import require as require_viewer
 from nuno.words import duration
 from nuno_bench import machine, options
@@ -33,7 +33,7 @@ def main(args: argparse.Namespace) -> int:
     plots.require_matplotlib()
     require_viewer(None, args.rrd, "--rrd")
     tabs = dict[str, list[plots.Panel]]()
-    paths: list[Path] = [scene_file.find(name) for name in args.scenes]
+    paths: list[Path] = [shipped.find(name) for name in args.scenes]
     for path in paths:
         if scene_file.read(path, args.overrides).solver is None:
             remedy = "nuno bench precision holds solvers of dye against each other"

@@ -13,7 +13,7 @@ import nuno
 from nuno.export.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
 from nuno.recording.restore import control_events, restored_scene
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 from soak.fuzz.containers import RECORDING
@@ -109,11 +109,10 @@ def _scenes(folder: Path) -> list[bytes]:
         b"nuno: 1\nname: a\nduration: &a 1 s\nuntil: rest\nrecord: {checkpoint_every: *a}\n"
         b"forces: [{plugin: wind, velocity: [1 m/s, 0, 0]}]\n"
     ]
-    for folder_name in ("", *scene_file.FOLDERS):
-        for path in scene_file.shipped(folder_name).values():
-            text = path.read_bytes()
-            if len(text) <= MOST_SCENE and b"file:" not in text:
-                found.append(text)
+    for path in shipped.scenes().values():
+        text = path.read_bytes()
+        if len(text) <= MOST_SCENE and b"file:" not in text:
+            found.append(text)
     return found
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno.collision.pairs import mesh_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.problem.oracle import Oracle
 from nuno_schemas.fabric import Float, Int
@@ -74,7 +74,7 @@ class Seen:
 
 def five_sheets(*overrides: str) -> Pile:
     """The pile as plain arrays."""
-    simulation = Simulation.with_bodies(scene_file.read(scene_file.find(SCENE), (*OVERRIDES, *overrides)), 1)
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find(SCENE), (*OVERRIDES, *overrides)), 1)
     fabric = simulation.fabric
     return Pile(fabric.position.copy(), fabric.faces, fabric.mass, np.asarray(simulation.system.gravity, np.float64))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.contact.problem import OVERRIDES, RATE, SCENE, THICKNESS, Pile
@@ -57,7 +57,7 @@ def ask(pile: Pile, frames: Float, repeats: int) -> list[Answer]:
 
 def own_answers(pile: Pile) -> Mapping[str, Question]:
     """Those of the solvers' cloth contact, which lists what it needs for many steps, and of the collision service."""
-    simulation = Simulation.with_bodies(scene_file.read(scene_file.find(SCENE), OVERRIDES), cores())
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find(SCENE), OVERRIDES), cores())
     term = next(term for term in simulation.system.terms if term.name == "cloth_contact")
     assert isinstance(term.data, tuple)
     (meeting,) = term.data

@@ -11,7 +11,7 @@ import numpy as np
 from nuno.collision.crossings import find_crossings
 from nuno.collision.distance import penetration
 from nuno.collision.pairs import mesh_of
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.peers.contact.problem import RATE
 from nuno_bench.peers.problem import Sheet
@@ -127,7 +127,7 @@ def hula_skirt(seconds: float, lead: float | None = None, overrides: tuple[str, 
     if (frames := round(seconds * RATE)) < 1:
         problem, limit = "the time to simulate is less than a frame", f"at least {1 / RATE:.3g} s"
         raise BadInput(problem, field="--duration", value=f"{seconds:g} s", limit=limit)
-    simulation = Simulation.with_bodies(scene_file.read(scene_file.find(SCENE), (*OVERRIDES, *overrides)), threads)
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find(SCENE), (*OVERRIDES, *overrides)), threads)
     scene, fabric = simulation.loaded.scene, simulation.fabric
     first = round((float(simulation.loaded.motions[0].config.ramp) if lead is None else lead) * RATE)  # type: ignore[union-attr]
     while simulation.frame < first:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from nuno.collision.bodies import build_bodies
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import watch_compiler
@@ -21,7 +21,7 @@ MOST = 3
 def fit(name: str, *overrides: str, frames: int | None = None) -> tuple[float, int]:
     """Seconds from reading the scene to rest, or for so many frames, and steps. Raises RuntimeError without rest."""
     began = time.perf_counter()
-    loaded = scene_file.read(scene_file.find(f"knit/{name}"), overrides)
+    loaded = scene_file.read(shipped.find(f"knit/{name}"), overrides)
     bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     simulation = Simulation(loaded, bodies.geometry, poses, 0)

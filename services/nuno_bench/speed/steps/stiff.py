@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
 from nuno_bench.problem.observe import run_own
@@ -73,7 +73,7 @@ def stiffness(repeats: int) -> list[Result]:
             constants = [f"objects.0.model.fabric.{name}={share * k!r}" for name, share in SHARES.items()]
             constants.append(f"objects.0.model.resolution=[{side}, {side}]")
             chosen = (f"solver={{plugin: {solver}, dt: auto}}", f"duration={FRAMES / 60!r}", *constants)
-            runs = [run_own(scene_file.read(scene_file.find(SCENE), chosen)) for _ in range(min(repeats, MOST))]
+            runs = [run_own(scene_file.read(shipped.find(SCENE), chosen)) for _ in range(min(repeats, MOST))]
             newton, linear = (runs[0].totals[name] for name in ("newton_steps", "linear_iterations"))
             note = f"{newton / FRAMES:.3g} Newton steps a frame, {linear / max(newton, 1):.3g} linear iterations each"
             each = tuple(1e3 * one.seconds / FRAMES for one in runs)

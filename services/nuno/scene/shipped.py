@@ -1,0 +1,38 @@
+"""The scenes that come with the project, by name."""
+
+from __future__ import annotations
+
+from importlib.resources import files as package_files
+from pathlib import Path
+
+from nuno_schemas.errors import BadInput, nearest
+
+FOLDERS = ("contact", "dye", "extreme", "instruments", "knit", "sewn")
+"""Of scenes, beside those that lie in none."""
+
+
+def scenes(*folders: str) -> dict[str, Path]:
+    """Files of folders' scenes by name, those of a folder as `folder/name`; "" is none, and all without an argument."""
+    root = folder()
+    paths = [path for name in folders or ("", *FOLDERS) for path in sorted((root / name).glob("*.yaml"))]
+    return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}
+
+
+def folder() -> Path:
+    """Where they lie, and the files that those in folders share."""
+    beside = Path(__file__).resolve().parents[3] / "scenes"
+    return beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
+
+
+def find(name: str) -> Path:
+    """A scene file by path, or a shipped one by name. Raises BadInput."""
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = scenes()
+    if path.suffix == "" and name in known:
+        return known[name]
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        where = f"a file in {path.resolve().parent}"
+        raise BadInput("no such scene file", value=name, limit=where, remedy="check the name; nuno scenes lists others")
+    raise BadInput("no such scene", value=name, remedy=f"{nearest(name, known)}; or give the path of a YAML file")
