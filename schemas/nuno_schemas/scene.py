@@ -94,6 +94,18 @@ MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "cloth
 """Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
+class Fading(Part):
+    """Damping that is strong at first and fades: last + (first - last) / (1 + t / over)^2 at time t."""
+
+    first: Damping = Field(description="at the start [1/s]")
+    over: Annotated[float, quantity("s", gt=0)] = Field(description="in this time it falls to a quarter [s]")
+    last: Damping = Field(default=0.0, description="what it fades to [1/s]")
+
+    def mean(self, start: float, end: float) -> float:
+        """Its mean from `start` to `end` [s]. A rational law has the same bits on every machine, an exponential not."""
+        return self.last + (self.first - self.last) / ((1.0 + start / self.over) * (1.0 + end / self.over))
+
+
 class Scene(Part):
     """The whole scene. Quantities carry units ("1 ms", "27 N/m"); a bare number is SI."""
 
@@ -103,8 +115,8 @@ class Scene(Part):
     duration: Duration = Field(description="simulated time [s], whole frames of it")
     until: Literal["duration", "rest", "balance"] = Field(
         "duration",
-        description="rest: end before `duration` where the cloth has come to rest, no vertex faster than a thousandth "
-        "of the cloth's size a second for a tenth of a second; balance: end where surfaces and friction leave "
+        description="rest: end before `duration` where no vertex has gone farther than a ten-thousandth of the "
+        "cloth's size in 0.2 s, but for trembling; balance: end where surfaces and friction leave "
         "every vertex no more force than a thousandth of the springs' mean tension, and fail short of that",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
@@ -121,8 +133,10 @@ class Scene(Part):
     gravity: tuple[Acceleration, Acceleration, Acceleration] = Field(
         default=(0.0, -9.81, 0.0), description="x, y, z [m/s^2]; y is up"
     )
-    damping: Damping | Literal["auto"] = Field(
-        default=0.0, description="viscous, per unit mass [1/s]; auto, with until: balance: what leads to rest soonest"
+    damping: Damping | Literal["auto"] | Fading = Field(
+        default=0.0,
+        description="viscous, per unit mass [1/s]; auto, with until: balance: what leads to rest soonest; or one that "
+        "fades, for cloth that starts out of balance",
     )
     seed: int = Field(default=0, ge=0, lt=2**63, description="of all that plugins choose at random")
     objects: list[Object] = Field(default_factory=list, max_length=1000, description="pieces of cloth")

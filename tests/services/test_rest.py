@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from nuno.scene import scene_file
-from nuno.simulation.run import REST_SPEED, Simulation
+from nuno.simulation.relax import REST_TIME, STRAYS, Stillness
+from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 
@@ -92,7 +93,9 @@ def test_a_damped_pendulum_ends_at_rest_and_not_where_it_turns(tmp_path: Path) -
     run = simulation(tmp_path, "until=rest", "damping=1.5")
     finish(run)
     assert 3.0 < run.t < 20.0
-    assert np.abs(run.state.v).max() <= REST_SPEED
+    before = run.state.x.copy()
+    run.advance(None, None)
+    assert np.abs(run.state.x - before).max() <= STRAYS
     # At rest it hangs below its pin, stretched by m g / k; the law of its decay leaves what the speed leaves.
     np.testing.assert_allclose(run.state.x[1], [0.0, -1.0 - 9.81 / 4000.0, 0.0], atol=2e-3)
     free = simulation(tmp_path, "until=rest", "duration=5 s")
@@ -113,6 +116,55 @@ def test_a_resumed_run_comes_to_rest_in_the_same_frame(tmp_path: Path) -> None:
     finish(again)
     assert again.frame == whole.frame
     assert again.digest() == whole.digest()
+
+
+@pytest.mark.parametrize("speed", [0.9, 1.1])
+def test_rest_is_where_vertices_are_not_how_fast_they_are_said_to_be(speed: float) -> None:
+    """What trembles by several times what it may stray rests after a while; what creeps by nearly as much as it may in
+    that time does, what creeps farther does not.
+    """
+    rate, size, x = 60.0, 2.0, np.zeros((3, 3))
+    trembles, creeps, rested = Stillness(rate, 3, size), Stillness(rate, 3, size), False
+    for frame in range(90):
+        trembles.after(x + (-1) ** frame * 3.0 * STRAYS * size)
+        creeps.after(x + frame * speed * STRAYS * size / (REST_TIME * rate))
+        rested = rested or (creeps.rests and frame > 30)  # by then the mean creeps as fast
+    assert trembles.rests and rested == (speed < 1.0)
+
+
+def test_damping_that_fades_takes_what_its_law_says(tmp_path: Path) -> None:
+    """Of a free vertex's velocity there remains exp(-(last t + (first - last) over t / (over + t))), to the step's
+    order; a run that is resumed goes on as it would have, to the bit.
+    """
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1], k=0.0)
+    fades = ("damping={first: 40, over: 50 ms, last: 2}", "gravity=[0,0,0]", "frame_rate=50 Hz", "allow_unstable=true")
+    off = []
+    for steps in (20, 40):
+        run = simulation(tmp_path, *fades, f"solver.dt={1000 / 50 / steps} ms")
+        run.state.v[1] = 0.0, 1.0, 0.0
+        for frame in range(1, 26):
+            run.advance(None, None)
+            t = frame / 50.0
+            off.append(run.state.v[1, 1] / np.exp(-(2.0 * t + 38.0 * 0.05 * t / (0.05 + t))) - 1.0)
+    first, second = np.abs(off[:25]).max(), np.abs(off[25:]).max()
+    assert second < 0.02 and 1.8 < first / second < 2.2
+    whole, again = (simulation(tmp_path, *fades, "gravity=[0,-1,0]", "solver.dt=1 ms") for _ in range(2))
+    for _ in range(5):
+        whole.advance(None, None)
+    again.resume(whole.keep())
+    for run in (whole, again):
+        for _ in range(5):
+            run.advance(None, None)
+    assert again.digest() == whole.digest()
+
+
+def test_a_field_of_fading_damping_is_named(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1])
+    for given, field in (("{frist: 4, over: 1 s}", "damping"), ("{first: 4, over: 0 s}", "damping.over")):
+        with pytest.raises(BadInput) as told:
+            simulation(tmp_path, f"damping={given}")
+        assert told.value.field is not None and told.value.field.startswith(field)
+        print(told.value)
 
 
 STILL = ("until=balance", "gravity=[0,0,0]", "frame_rate=50 Hz", "solver.dt=2 ms")

@@ -19,7 +19,7 @@ from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.scene import Scene
+from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import Carried, System, Term
 from nuno_schemas.vectors import turn
 
@@ -208,7 +208,7 @@ def build_system(
         objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
         bodies = [] if geometry is None or not met else [geometry.of_bodies(met), poses]
         terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies))
-    return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads, carried)
+    return System(fabric, gravity, _most_damping(loaded.scene), tuple(terms), threads, carried)
 
 
 def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:
@@ -226,9 +226,11 @@ def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:
     return groups
 
 
-def _start_damping(scene: Scene) -> float:
-    """The damping to begin with [1/s], for `auto` the largest that it takes."""
-    return 3.0 * scene.frame_rate if scene.damping == "auto" else float(scene.damping)
+def _most_damping(scene: Scene) -> float:
+    """The largest damping [1/s] that there is in a run."""
+    if isinstance(scene.damping, Fading):
+        return max(scene.damping.first, scene.damping.last)
+    return 3.0 * scene.frame_rate if scene.damping == "auto" else scene.damping
 
 
 def _prepared(

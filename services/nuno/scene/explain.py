@@ -91,6 +91,7 @@ def _beside_the_point(place: Path, error: Any, found: Sequence[tuple[Path, Any]]
     """
     kind = str(error["type"])
     plain = kind in ("literal_error", "too_short") or kind.removesuffix("_type") in ("int", "float", "bool", "string")
+    plain = plain or "must be a quantity" in str(error["msg"])
     inside = any(len(other) > len(place) and other[: len(place)] == place for other, _ in found)
     return plain and inside and isinstance(error.get("input"), (dict, list))
 

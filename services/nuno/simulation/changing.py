@@ -18,6 +18,7 @@ from nuno.recording.recorded import Checkpoint
 from nuno.scene.scene_file import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, parse
 from nuno.simulation.ordered import Ordered
+from nuno.simulation.relax import Stillness
 from nuno.stepping.stepped import Stepper
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
@@ -40,7 +41,7 @@ class Changing(Stepper):
     state: State
     numbers: Int | None
     """(n,) the vertex in each place of what is stepped, None where that is the fabric as it is."""
-    slow_frames: NDArray[np.int64]
+    stillness: Stillness
     balanced: bool
 
     @abstractmethod
@@ -157,7 +158,7 @@ class Changing(Stepper):
         # A step never grows while a run goes on, and what was at rest is so no more.
         if self.steps > changed.steps:
             changed.steps, changed.dt = self.steps, self.dt
-        changed.slow_frames[0] = 0
+        changed.stillness.begin(changed.state.x)
         changed.balanced = False
         changed.changes[-1]["measured"] = [changed.heights(len(changed.changes) - 1)]
         self.become(changed)

@@ -24,7 +24,7 @@ from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Stage
-from nuno.simulation.relax import BALANCED, Relaxation, unsettled
+from nuno.simulation.relax import BALANCED, Relaxation, Stillness, damped, unsettled
 from nuno.stepping.stepped import Stepped, copy_into, hash_of
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
@@ -33,10 +33,6 @@ from nuno_schemas.fabric import Int, State
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.operation import arranges
 from nuno_schemas.system import Forces, StepLimit, StepReport, System
-
-REST_SPEED, REST_TIME = 1e-3, 0.1
-"""Cloth rests when no vertex has been faster than this share of the cloth's size a second for this long [s]:
-longer than a swing stands still where it turns."""
 
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
@@ -101,9 +97,9 @@ class Simulation(Changing):
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
         self.costs.begin(self.loaded.integrator.plugin.making_lists(self.memory))
         # A run that goes on from a checkpoint must come to rest in the same frame.
-        self.slow_frames = np.zeros(1, np.int64)
+        self.stillness = Stillness(self.loaded.scene.frame_rate, self.fabric.number, self._size)
         if self.loaded.scene.until == "rest":
-            self.memory.arrays["slow_frames"] = self.slow_frames
+            self.memory.arrays.update(self.stillness.memory)
         self.relaxation = None
         if _finds_damping(self.loaded):
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
@@ -176,8 +172,7 @@ class Simulation(Changing):
         else:
             # What has any velocity moves: only standing cloth is worth a hash.
             before = self._content() if unmoved and not self.state.v.any() else ""
-            if self.relaxation is not None:
-                self.system = replace(self.system, damping=self.relaxation.damping)
+            self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
             self.costs.before(self.state, self.memory, poses)
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             self.costs.after(report)
@@ -188,8 +183,7 @@ class Simulation(Changing):
         self.frame += 1
         self.state.t = self.t
         if self.loaded.scene.until == "rest":
-            slow = self._size > 0.0 and float(np.abs(self.state.v).max(initial=0.0)) <= REST_SPEED * self._size
-            self.slow_frames[0] = self.slow_frames[0] + 1 if slow else 0
+            self.stillness.after(self.state.x)
         if self.relaxation is not None:
             self.relaxation.after(self.state)
         if self.loaded.scene.until == "balance" and report.status == "ok":
@@ -211,13 +205,13 @@ class Simulation(Changing):
     def finished(self) -> bool:
         """See `Stepper`; or the scene's cloth rests and that is its end."""
         scene = self.loaded.scene
-        rests = scene.until == "rest" and self.slow_frames[0] >= REST_TIME * scene.frame_rate
-        rests = (bool(rests) or self.balanced) and self.applied == len(scene.operations)
+        rests = (scene.until == "rest" and self.stillness.rests) or self.balanced
+        rests = rests and self.applied == len(scene.operations)
         return rests or super().finished
 
     def _content(self) -> str:
         """Hash of all that the next frame follows from."""
-        kept = (array for array in self.memory.arrays.values() if array is not self.slow_frames)
+        kept = [array for name, array in self.memory.arrays.items() if name not in self.stillness.memory]
         return hash_of([self.state.x, self.state.v, *kept])
 
     def about(self) -> str:
@@ -239,8 +233,7 @@ class Simulation(Changing):
 
     def forces(self, poses: tuple[Poses, Poses] | None) -> Forces:
         """What acts in the present state, with bodies as at the start of the frame of these poses."""
-        if self.relaxation is not None:
-            self.system = replace(self.system, damping=self.relaxation.damping)
+        self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         found: Forces = self.solver.plugin.forces(self.system, self.state, self.memory, poses)
         return found
 
