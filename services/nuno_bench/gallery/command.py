@@ -52,30 +52,42 @@ def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
     """See main."""
     others = machine.Others()
     paths = choose(kind, args.scenes)
-    print(f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True)
-    shown, seconds = list[Shown](), dict[str, float]()
-    for path in paths:
-        try:
-            seconds[path.stem] = run_seconds(scene_file.read(path))
-        except BadInput as error:
-            print(f"{path.stem}: {error}", file=sys.stderr, flush=True)
-            shown.append(Shown(path.stem, "", failed=str(error)))
-            if len(shown) == len(paths):
-                raise
-    paths, pace = [path for path in paths if path.stem in seconds], Pace(seconds)
-    print(f"steps take {roughly(pace.left)}, compiling and pictures apart", file=sys.stderr, flush=True)
+    number, shown, pace = len(paths), list[Shown](), Pace({path.stem: 1.0 for path in paths})
+    if not kind.alike:
+        print(
+            f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True
+        )
+        pace = Pace({})
+        for path in paths:
+            try:
+                pace.expected[path.stem] = run_seconds(scene_file.read(path))
+            except BadInput as error:
+                shown.append(_refused(path, error))
+        print(f"steps take {roughly(pace.left)}, compiling and pictures apart", file=sys.stderr, flush=True)
+    paths = [path for path in paths if path.stem in pace.expected]
     for i, path in enumerate(paths):
         left = f", {roughly(pace.left)} left" if i else ""
         print(f"{path.stem}, {i + 1} of {len(paths)}{left} ...", file=sys.stderr, flush=True)
         begin = time.perf_counter()
-        shown.append(kind.run_scene(path))
+        try:
+            shown.append(kind.run_scene(path))
+        except BadInput as error:
+            shown.append(_refused(path, error))
         pace.taken[path.stem] = time.perf_counter() - begin
         print(f"{path.stem}: {f'failed: {shown[-1].failed}' if shown[-1].failed else 'drawn'}", flush=True)
+    if all(one.refused for one in shown):
+        raise BadInput(f"none of {number} scenes can be run")
     found = compare(kind.differences, {one.name: one for one in shown if not one.failed})
     for row in found:
         print("  ".join(row))
     report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, args.docs, section)
     return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
+
+
+def _refused(path: Path, error: BadInput) -> Shown:
+    """A scene that would not start."""
+    print(f"{path.stem}: {error}", file=sys.stderr, flush=True)
+    return Shown(path.stem, "", failed=str(error), refused=True)
 
 
 def choose(kind: Kind, wanted: str | None) -> list[Path]:

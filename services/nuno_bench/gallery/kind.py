@@ -38,7 +38,7 @@ class Difference(NamedTuple):
 @dataclass(frozen=True)
 class Shown:
     """A scene that has been run: its pictures, each with what it shows beside the scene's own, what was measured, by
-    name and unit, and why it failed, if it did.
+    name and unit, why it failed, if it did, and whether it would not start.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Shown:
     pictures: list[tuple[str, Picture]] = field(default_factory=list)
     measured: Mapping[str, float] = field(default_factory=dict)
     failed: str = ""
+    refused: bool = False
 
 
 def list_measured(shown: Sequence[Shown]) -> Table:
@@ -65,6 +66,7 @@ class Kind:
     table        of what was measured
     section      heading under which a scene's pictures stand, by its name
     apart        label of pictures that stand after the others of a section
+    alike        whether the scenes take about as long, so that none is tried beforehand
     """
 
     title: str
@@ -75,6 +77,7 @@ class Kind:
     measures: str
     section: Callable[[str], str] = str
     apart: str = ""
+    alike: bool = False
     table: Callable[[Sequence[Shown]], Table] = list_measured
 
 

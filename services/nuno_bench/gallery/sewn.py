@@ -94,6 +94,7 @@ KIND = Kind(
     scenes=partial(find_scenes, "sewn"),
     run_scene=partial(show_scene, look=look),
     differences=(),
+    alike=True,
     measures=TOLD,
     table=table,
 )
