@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from nuno.recording.writer import part_of, topic_of
 from nuno.scene import scene_file, shipped
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.simulation.run import Simulation
+from nuno.supervision import oversight
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import free_port, hub
 from nuno.wire.watch import Watch
@@ -235,8 +237,13 @@ def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
         assert recording.attachment("check.png") == b"picture"
 
 
-def test_the_last_word_of_a_service_that_failed_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It answers no more how much it sent; what the supervisor has heard of it, the recording must have."""
+@pytest.mark.parametrize("late", [[service], [oversight], [service, oversight]])
+def test_the_last_word_of_a_service_that_failed_is_waited_for(
+    late: list[ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It answers no more how much it sent; what the supervisor hears of it, the recording must have, though both hear
+    it late.
+    """
 
     class Slow:
         """A session over which errors come half a second late."""
@@ -256,14 +263,15 @@ def test_the_last_word_of_a_service_that_failed_is_waited_for(tmp_path: Path, mo
         def __getattr__(self, name: str) -> Any:
             return getattr(self._session, name)
 
-    def listen_slowly(bus: Bus, topics: list[Topic]) -> Inbox:
+    def listen_slowly(bus: Bus, topics: list[Topic], *more: Any) -> Inbox:
         monkeypatch.setattr(bus, "session", Slow(bus.session))
-        return Inbox(bus, topics)
+        return Inbox(bus, topics, *more)
 
     def fail(self: Simulation, *poses: object) -> None:
         raise OSError("the loom is on fire")
 
-    monkeypatch.setattr(service, "Inbox", listen_slowly)
+    for module in late:
+        monkeypatch.setattr(module, "Inbox", listen_slowly)
     monkeypatch.setattr(Simulation, "advance", fail)
     path = tmp_path / "run.mcap"
     with pytest.raises(RunFailed, match="on fire"):

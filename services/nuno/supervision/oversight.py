@@ -216,10 +216,10 @@ class Supervisor:
             self.say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
 
     def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
-        """Hear why services died, which may come after their tokens are gone; whether the run was over."""
+        """Hear why services died, which may come after it is known that they did; whether the run was over."""
         end = time.monotonic() + LAST_WORDS
         while not self._drain(progress, timeout=0.1) and time.monotonic() < end:
-            if any(self.errors.get(name) or self.exited().get(name) for name in dead):
+            if any(self.errors.get(name) for name in dead):
                 break
         return self.ended is not None
 
