@@ -115,8 +115,8 @@ class Scene(Part):
     duration: Duration = Field(description="simulated time [s], whole frames of it")
     until: Literal["duration", "rest", "balance"] = Field(
         "duration",
-        description="rest: end before `duration` where no vertex has gone farther than a ten-thousandth of the "
-        "cloth's size in 0.2 s, but for trembling; balance: end where surfaces and friction leave "
+        description="rest: end before `duration` where no vertex has gone farther than 6e-5 of the "
+        "cloth's size in 0.3 s, but for trembling; balance: end where surfaces and friction leave "
         "every vertex no more force than a thousandth of the springs' mean tension, and fail short of that",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")

@@ -93,9 +93,7 @@ def test_a_damped_pendulum_ends_at_rest_and_not_where_it_turns(tmp_path: Path) -
     run = simulation(tmp_path, "until=rest", "damping=1.5")
     finish(run)
     assert 3.0 < run.t < 20.0
-    before = run.state.x.copy()
-    run.advance(None, None)
-    assert np.abs(run.state.x - before).max() <= STRAYS
+    assert np.abs(run.state.v).max() <= 1e-3
     # At rest it hangs below its pin, stretched by m g / k; the law of its decay leaves what the speed leaves.
     np.testing.assert_allclose(run.state.x[1], [0.0, -1.0 - 9.81 / 4000.0, 0.0], atol=2e-3)
     free = simulation(tmp_path, "until=rest", "duration=5 s")
@@ -160,11 +158,10 @@ def test_damping_that_fades_takes_what_its_law_says(tmp_path: Path) -> None:
 
 def test_a_field_of_fading_damping_is_named(tmp_path: Path) -> None:
     net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1])
-    for given, field in (("{frist: 4, over: 1 s}", "damping"), ("{first: 4, over: 0 s}", "damping.over")):
+    for given, field in (("{frist: 4, over: 1 s}", "frist"), ("{first: 4, over: 0 s}", "over"), ("{first: 4}", "over")):
         with pytest.raises(BadInput) as told:
             simulation(tmp_path, f"damping={given}")
-        assert told.value.field is not None and told.value.field.startswith(field)
-        print(told.value)
+        assert told.value.field == f"damping.{field}"
 
 
 STILL = ("until=balance", "gravity=[0,0,0]", "frame_rate=50 Hz", "solver.dt=2 ms")
