@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
+from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.layers import enclose
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
@@ -35,6 +37,9 @@ from nuno_schemas.units import quantity
 SHORTEST, SHARE = 3e-3, 0.2
 """Sides are closed that are shorter than this [m], and than this share of what they should be."""
 
+HELD = "lower_interface", "strapless_top"
+"""Edges at the waist and at the top of what has no straps, as GarmentCode labels them."""
+
 
 class Over(Config):
     """The body that wears it."""
@@ -42,6 +47,15 @@ class Over(Config):
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
     clearance: Length = Field(
         default=2e-2, description="how far from its surface, and from what it wears already, the cloth starts [m]"
+    )
+
+
+class Elastic(Config):
+    """A band that is sewn along edges, shorter than they are."""
+
+    along: str = Field(min_length=1, description="label of edges of the pattern that go round the body")
+    girth: Annotated[float, quantity("", gt=0.2, le=1)] = Field(
+        default=0.85, description="how long it is, of what a tape measures round the body where it starts"
     )
 
 
@@ -56,6 +70,11 @@ class PatternConfig(Config):
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
     fabrics: dict[str, FabricChoice] = Field(
         default_factory=dict, description="the fabric of panels, by name, that are cut of another one"
+    )
+    elastics: tuple[Elastic, ...] | None = Field(
+        default=None,
+        description=f"bands that hold it where it is put; not given: along edges labelled {' and '.join(HELD)} that "
+        "go round, which GarmentCode's programs hold there; []: none",
     )
     texture: str | None = Field(
         default=None, description="an image beside the scene, of which all panels are cut, side by side, warp upwards"
@@ -87,6 +106,9 @@ class Pattern:
         """Raises BadInput for a pattern that cannot be sewn, a fabric of constants per spring, a missing texture."""
         sewn = _sewn(config, files)
         texture = find_texture(config.texture, files)
+        if config.elastics:
+            problem, remedy = "an elastic is as long as the body is round, and there is none", "give over: {body: NAME}"
+            raise BadInput(problem, field="elastics", remedy=remedy)
         return self._fabric(config, texture, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
     def build_over(
@@ -108,12 +130,17 @@ class Pattern:
         else:
             position = _drawn(sewn, edges, body, clearance)
         _require_outside(position, edges, sewn, body, config.over.body)
-        return self._fabric(config, texture, sewn, position)
+        return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, position, (x, faces)))
 
-    def _fabric(self, config: PatternConfig, texture: str | None, sewn: Sewn, x: Float) -> Fabric:
+    def _fabric(
+        self, config: PatternConfig, texture: str | None, sewn: Sewn, x: Float, bands: Sequence[Band] = ()
+    ) -> Fabric:
         material = _materials(config, sewn)
         held = np.zeros(len(x), np.bool_)
         elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
+        if bands:
+            springs, mass = springs_of(bands, elements.mass)
+            elements = elements._replace(springs=springs, mass=mass)
         return Fabric(
             name=self.name, position=x, velocity=np.zeros_like(x), pinned=held,
             corners=_corners(sewn),
@@ -177,6 +204,23 @@ def _drawn(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Flo
     # Gathers: a side is as long as the mean of what it is in both panels.
     rest = np.bincount(number, sides.reshape(-1)) / np.bincount(number)
     return draw_together(x, edges, rest, body, clearance)
+
+
+def _bands(config: PatternConfig, sewn: Sewn, edges: Edges, x: Float, body: tuple[Float, Int]) -> list[Band]:
+    """Elastics of a garment that starts at x (n, 3) [m]. Raises BadInput."""
+    if config.elastics is None:
+        found = []
+        for label in HELD:
+            with suppress(BadInput):
+                found += bands_along(label, Elastic(along=label).girth, sewn, edges, x, *body)
+        return found
+    found = []
+    for i, one in enumerate(config.elastics):
+        try:
+            found += bands_along(one.along, one.girth, sewn, edges, x, *body)
+        except BadInput as error:
+            raise error.at(f"elastics.{i}.along") from None
+    return found
 
 
 def _require_outside(x: Float, edges: Edges, sewn: Sewn, body: Tree, name: str) -> None:

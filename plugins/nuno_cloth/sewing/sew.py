@@ -48,6 +48,7 @@ class Sewn:
     inside  (p,)    whether a panel is worn with its wrong side out
     merged  (m,)    the sewn vertex, 0 to n - 1, that each becomes
     edges           of each panel, of each edge: its cut vertices, from start to end
+    labels          of each panel, of each edge: what it is called, if anything
     seams           in the pattern's order
     """
 
@@ -60,6 +61,7 @@ class Sewn:
     inside: Bool
     merged: Int
     edges: tuple[tuple[Int, ...], ...]
+    labels: tuple[tuple[str | None, ...], ...]
     seams: tuple[Stitched, ...]
 
     @property
@@ -161,5 +163,6 @@ def _join(pattern: Pattern, pieces: list[Piece], first: Int, merged: Int, pairs:
         inside=inside,
         merged=merged,
         edges=tuple(tuple(run + at for run in piece.edges) for piece, at in zip(pieces, starts, strict=True)),
+        labels=tuple(tuple(edge.label for edge in piece.panel.edges) for piece in pieces),
         seams=tuple(stitched),
     )  # fmt: skip

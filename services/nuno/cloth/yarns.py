@@ -60,14 +60,14 @@ def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
-    """Pairs and rest lengths of the structural springs (all springs if none is), and of the sides of a membrane's
-    triangles, for display.
+    """Pairs and rest lengths of the structural springs (all springs if nothing is structural), and of the sides of a
+    membrane's triangles, for display.
     """
     springs, membrane = fabric.springs, fabric.membrane
     pairs, rest = np.zeros((0, 2), np.int32), np.zeros(0)
     if springs is not None:
         shown = springs.of_kind(0)
-        if not shown.any():
+        if membrane is None and not shown.any():
             shown[:] = True
         pairs, rest = springs.pairs()[shown], springs.per_spring(springs.rest)[shown]
     if membrane is not None:

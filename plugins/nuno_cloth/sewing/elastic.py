@@ -1,0 +1,107 @@
+"""Elastics: bands sewn along edges that go round the body, shorter than it is there, that hold a garment in its place.
+
+A skirt's waist that is cut as wide as the body's slides off: knitted cloth gives, and nothing presses it on. A band
+that is stretched by a strain e pulls with T = EA e, presses on a body of radius r with T / r per length, and so with
+2 pi T all round, whatever r is; with friction mu it bears a weight of 2 pi mu T. Its mass is added to the cloth's: a
+wave runs along it no faster, at sqrt(EA / DENSITY) = 32 m/s, than along most fabrics, and steps stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull
+
+from nuno_cloth.models.triangles import Edges
+from nuno_cloth.sewing.sew import Sewn
+from nuno_kernels.meshes.loops import cut_mesh
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float, Int, Springs
+
+STIFFNESS, DENSITY = 15.0, 0.015
+"""EA [N] and mass per length as it lies [kg/m] of a knitted band some 2 cm wide: assumed."""
+DAMPING_RATIO = 0.05
+ELASTIC = 3
+"""What kind of springs these are."""
+FLATTEST = 1e-3
+"""Points that lie nearer to a line than this [m] go round nothing."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """pairs (k, 2) of sewn vertices that go round, and how long each part is relaxed (k,) [m]."""
+
+    pairs: Int
+    rest: Float
+
+
+def bands_along(
+    label: str, share: float, sewn: Sewn, edges: Edges, x: Float, body: Float, body_faces: Int
+) -> list[Band]:  # fmt: skip
+    """Bands along the edges of a label, one for each line that these form on the garment where it starts, x (n, 3) [m],
+    each as long as this share of the body's girth, but no longer than the edges are cut.
+
+    Of a seam the shorter edge counts. Raises BadInput for a label that no edge has, and for edges that go round
+    nothing.
+    """
+    sides = np.linalg.norm(sewn.flat[np.roll(sewn.faces, -1, axis=1)] - sewn.flat[sewn.faces], axis=2)
+    cut = np.full(len(edges.pairs), np.inf)
+    np.minimum.at(cut, edges.of_face.reshape(-1), sides.reshape(-1))
+    found = []
+    for own in _lines(label, sewn, edges):
+        pairs = edges.pairs[own]
+        girth = tape(x[np.unique(pairs)], body, body_faces)
+        if not girth:
+            remedy = "an elastic goes along edges that go round the body, or round a limb"
+            raise BadInput("edges of this label go round no part of the body", value=label, remedy=remedy)
+        found.append(Band(pairs, min(1.0, share * girth / float(cut[own].sum())) * cut[own]))
+    return found
+
+
+def _lines(label: str, sewn: Sewn, edges: Edges) -> list[Int]:
+    """Numbers of sides of the closed lines along the edges of a label. Raises BadInput."""
+    runs = [run for own, names in zip(sewn.edges, sewn.labels, strict=True)
+            for run, name in zip(own, names, strict=True) if name == label]  # fmt: skip
+    if not runs:
+        known = sorted({name for names in sewn.labels for name in names if name is not None})
+        raise BadInput("no edge of the pattern has this label", value=label, remedy=nearest(label, known))
+    n, code = sewn.number, np.array([sewn.number, 1])
+    ends = np.sort(np.concatenate([sewn.merged[np.stack([run[:-1], run[1:]], axis=1)] for run in runs]), axis=1)
+    own = np.flatnonzero(np.isin(edges.pairs @ code, ends @ code))
+    a, b = edges.pairs[own].T
+    if (np.bincount(np.concatenate([a, b]))[np.unique(np.concatenate([a, b]))] != 2).any():
+        remedy = "give all edges of one opening, or of a seam round the body, the same label"
+        raise BadInput("edges of this label do not go round", value=label, remedy=remedy)
+    of = connected_components(coo_array((np.ones(len(own)), (a, b)), shape=(n, n)), directed=False)[1][a]
+    return [own[of == part] for part in np.unique(of)]
+
+
+def tape(ring: Float, x: Float, faces: Int) -> float:
+    """What a tape measures [m] round those parts of a body x (v, 3), faces (f, 3), that points (k, 3) go round, in the
+    plane that the points lie about; 0 where they go round nothing.
+    """
+    middle = ring.mean(axis=0)
+    axes = np.linalg.svd(ring - middle, full_matrices=False)[2]
+    flat = (ring - middle) @ axes[:2].T
+    if np.ptp(flat, axis=0).min() < FLATTEST:
+        return 0.0
+    sides = ConvexHull(flat).equations
+    inner = [
+        (loop.points - middle) @ axes[:2].T
+        for loop in cut_mesh(x, faces, (x - middle) @ axes[2])
+        if (sides[:, :2] @ (axes[:2] @ (loop.centroid() - middle)) + sides[:, 2] <= 0.0).all()
+    ]
+    return float(ConvexHull(np.concatenate(inner)).area) if inner else 0.0
+
+
+def springs_of(bands: Sequence[Band], mass: Float) -> tuple[Springs, Float]:
+    """What bands pull with, and the masses (n,) [kg] of vertices that have `mass` (n,) without them."""
+    pairs, rest = (np.concatenate([getattr(band, name) for band in bands]) for name in ("pairs", "rest"))
+    mass = mass + np.bincount(pairs.reshape(-1), np.repeat(0.5 * DENSITY * rest, 2), len(mass))
+    k, (one, other) = STIFFNESS / rest, mass[pairs].T
+    c = 2.0 * DAMPING_RATIO * np.sqrt(k * one * other / (one + other))
+    return Springs.from_pairs(pairs, k, rest, c, ELASTIC), mass
