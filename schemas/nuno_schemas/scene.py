@@ -90,7 +90,7 @@ class Record(Part):
     )
 
 
-MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "cloth_contact")
+MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "rest_speed", "cloth_contact")
 """Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
@@ -115,9 +115,14 @@ class Scene(Part):
     duration: Duration = Field(description="simulated time [s], whole frames of it")
     until: Literal["duration", "rest", "balance"] = Field(
         "duration",
-        description="rest: end before `duration` where no vertex has gone farther than 6e-5 of the "
-        "cloth's size in 0.3 s, but for trembling; balance: end where surfaces and friction leave "
-        "every vertex no more force than a thousandth of the springs' mean tension, and fail short of that",
+        description="rest: end before `duration` where the cloth rests, see rest_speed; balance: end where surfaces "
+        "and friction leave every vertex no more force than a thousandth of the springs' mean tension, and fail short "
+        "of that",
+    )
+    rest_speed: Annotated[float, quantity("m/s", gt=0)] | None = Field(
+        default=None,
+        description="cloth rests where no vertex has gone farther in 0.3 s than at this speed, but for trembling; not "
+        "given: 2e-4 of the cloth's size a second [m/s]",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
     solver: Solver = Field(
@@ -220,6 +225,13 @@ class Scene(Part):
         if self.accuracy is not None and not self.moves and self.dye is not None and self.dye.solver.plugin != AUTO:
             problem = "accuracy chooses the solver of the dye, and dye.solver names it; leave one of them out"
             raise PydanticCustomError("dye_accuracy", problem, {"inside": ("accuracy",)})
+        return self
+
+    @model_validator(mode="after")
+    def _rests_at_all(self) -> Scene:
+        if self.rest_speed is not None and self.until != "rest":
+            problem = "this tells when cloth rests, and the scene does not end there; give until: rest, or leave it out"
+            raise PydanticCustomError("no_rest", problem, {"inside": ("rest_speed",)})
         return self
 
     @model_validator(mode="after")

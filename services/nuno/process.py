@@ -35,8 +35,8 @@ def return_large_arrays() -> None:
     up to KEPT bytes of it at a time (glibc).
 
     By default glibc raises the first limit to the largest array ever freed, and then keeps what a run needed only while
-    it was prepared: a third of the memory of a large sheet. And it gives back what lies free at the end of its heap from
-    128 KB on: what looks at a frame's crossings took two thirds of its time for the system to clear the same room anew.
+    it was prepared: a third of the memory of a large sheet. And it gives back what lies free at the end of its heap
+    from 128 KB on: a look at a frame's crossings took two thirds of its time for the same room to be cleared anew.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nuno.scene import scene_file
-from nuno.simulation.relax import REST_TIME, STRAYS, Stillness
+from nuno.simulation.relax import REST_TIME, Stillness
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
@@ -121,11 +121,11 @@ def test_rest_is_where_vertices_are_not_how_fast_they_are_said_to_be(speed: floa
     """What trembles by several times what it may stray rests after a while; what creeps by nearly as much as it may in
     that time does, what creeps farther does not.
     """
-    rate, size, x = 60.0, 2.0, np.zeros((3, 3))
-    trembles, creeps, rested = Stillness(rate, 3, size), Stillness(rate, 3, size), False
+    rate, least, x = 60.0, 4e-4, np.zeros((3, 3))
+    trembles, creeps, rested = Stillness(rate, 3, least), Stillness(rate, 3, least), False
     for frame in range(90):
-        trembles.after(x + (-1) ** frame * 3.0 * STRAYS * size)
-        creeps.after(x + frame * speed * STRAYS * size / (REST_TIME * rate))
+        trembles.after(x + (-1) ** frame * 3.0 * least * REST_TIME)
+        creeps.after(x + frame * speed * least / rate)
         rested = rested or (creeps.rests and frame > 30)  # by then the mean creeps as fast
     assert trembles.rests and rested == (speed < 1.0)
 
@@ -214,3 +214,19 @@ def test_a_number_may_take_the_place_of_damping_that_finds_its_own(tmp_path: Pat
     assert run.system.damping == 2.0
     run.set("damping=auto")
     assert run.advance(None, None).report.status == "ok" and run.system.damping == 3.0 * 60.0
+
+
+def test_how_still_cloth_has_to_be_is_the_scene_s_to_say(tmp_path: Path) -> None:
+    """A pendulum's swings fade by exp(-0.75 t): ten times the speed is there ln 10 / 0.75 = 3.07 s sooner, give or take
+    half a swing of 1.0 s, since it is at its turning points that it moves least.
+    """
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1], k=4000.0)
+    ends = []
+    for speed in (1e-3, 1e-2):
+        run = simulation(tmp_path, "until=rest", "damping=1.5", f"rest_speed={speed} m/s")
+        finish(run)
+        ends.append(run.t)
+    assert ends[0] - ends[1] == pytest.approx(np.log(10.0) / 0.75, abs=1.0)
+    with pytest.raises(BadInput) as told:
+        simulation(tmp_path, "rest_speed=1 mm/s")
+    assert told.value.field == "rest_speed"

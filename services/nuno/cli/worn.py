@@ -13,6 +13,7 @@ name: {name}
 description: What is sewn from patterns is drawn on a body, and comes to rest there.
 duration: 6 s
 until: rest
+rest_speed: 2 mm/s
 frame_rate: 60 Hz
 solver: {{plugin: respa, dt: auto}}
 damping: {{first: 400, over: 50 ms, last: 8}}
@@ -29,7 +30,7 @@ view: {{azimuth: 20 deg, elevation: 5 deg}}
 """The scene of patterns on a body: the guarantee of cloth contact begins once `untangle` is done."""
 WALKED = (
     WORN.replace("and comes to rest there", "comes to rest there, and goes along as the body moves")
-    .replace("duration: 6 s\nuntil: rest\n", "duration: 4 s\n")
+    .replace("duration: 6 s\nuntil: rest\nrest_speed: 2 mm/s\n", "duration: 4 s\n")
     .replace("last: 8", "last: 1")
     .replace("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
              "    motion: {{plugin: bvh, file: {motion}}}")

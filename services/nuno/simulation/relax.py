@@ -22,10 +22,11 @@ from nuno_schemas.fabric import Float, State
 from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import System
 
-STRAYS, REST_TIME, TREMBLES = 6e-5, 0.3, 0.125
-"""Cloth rests when no vertex has strayed farther than this share of its size for this long [s]: of a pendulum of 1 m
-swings of less than 1 mm are left. What trembles faster than in the last time [s] is averaged over: contact of what is
-held taut goes to and fro by a tenth of a millimetre between two of its forces, and moves nothing."""
+REST_SPEED, REST_TIME, TREMBLES = 2e-4, 0.3, 0.125
+"""Cloth rests when no vertex has strayed farther than it goes at this share of the cloth's size a second, unless the
+scene gives a speed, for this long [s]: of a pendulum of 1 m swings of less than 1 mm are left. What trembles faster
+than in the last time [s] is averaged over: contact of what is held taut goes to and fro by a tenth of a millimetre
+between two of its forces, and moves nothing."""
 BALANCED = 1e-3
 """Cloth is in balance where no vertex is farther from rest than this share of the springs' mean tension."""
 
@@ -38,8 +39,9 @@ class Stillness:
     checkpoints: where vertices are on average (n, 3) [m], and the frames (1,) since they were at place (n, 3) [m].
     """
 
-    def __init__(self, frame_rate: float, vertices: int, size: float) -> None:
-        self.needed, self.room = REST_TIME * frame_rate, STRAYS * size
+    def __init__(self, frame_rate: float, vertices: int, speed: float) -> None:
+        """`speed` [m/s] is the least that is a motion."""
+        self.needed, self.room = REST_TIME * frame_rate, speed * REST_TIME
         self.share = min(1.0, 1.0 / TREMBLES / frame_rate)
         self.frames, self.mean, self.place = np.zeros(1, np.int64), *np.full((2, vertices, 3), np.nan)
         self.memory: dict[str, NDArray[Any]] = {

@@ -24,7 +24,7 @@ from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Stage
-from nuno.simulation.relax import BALANCED, Relaxation, Stillness, damped, unsettled
+from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.stepping.stepped import Stepped, copy_into, hash_of
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
@@ -97,8 +97,9 @@ class Simulation(Changing):
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
         self.costs.begin(self.loaded.integrator.plugin.making_lists(self.memory))
         # A run that goes on from a checkpoint must come to rest in the same frame.
-        self.stillness = Stillness(self.loaded.scene.frame_rate, self.fabric.number, self._size)
-        if self.loaded.scene.until == "rest":
+        scene = self.loaded.scene
+        self.stillness = Stillness(scene.frame_rate, self.fabric.number, scene.rest_speed or REST_SPEED * self._size)
+        if scene.until == "rest":
             self.memory.arrays.update(self.stillness.memory)
         self.relaxation = None
         if _finds_damping(self.loaded):
