@@ -15,6 +15,7 @@ from nuno.export.pictures import export_picture
 from nuno.fit.read import read_fits, wearer
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
+from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
@@ -28,12 +29,12 @@ SIDES = {"from the front": 20, "from the side": 110, "from behind": 200}
 BUST, WAIST = "bust [cm]", "waist [cm]"
 WARP, WEFT = "warp [%]", "weft [%]"
 PRESSURE = "pressure [Pa]"
-IPCTK, SIMULATED, ALL = "by ipctk", "simulated [s]", "in all [s]"
-MEASURES = (VERTICES, CROSSED, IPCTK, BUST, WAIST, WARP, WEFT, PRESSURE, SIMULATED, SECONDS, ALL)
+IPCTK, RESTED, ALL = "by ipctk", "at rest after [s]", "in all [s]"
+MEASURES = (VERTICES, CROSSED, IPCTK, BUST, WAIST, WARP, WEFT, PRESSURE, RESTED, SECONDS, ALL)
 TOLD = (
     "Each scene at its end. By ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, "
-    "waist: ease. Warp, weft: 95 % of the cloth is strained by less. Pressure: where cloth presses. In all: of the run "
-    "with all its services. docs/sewing.md says how fit is measured."
+    "waist: ease. Warp, weft: 95 % of the cloth is strained by less. Pressure: where cloth presses. At rest: -, where "
+    "the scene ended before. In all: of the run with all its services. docs/sewing.md says how fit is measured."
 )
 
 
@@ -58,8 +59,12 @@ def measure(recording: Recording) -> dict[str, float]:
     found = {name: value for name, value in measure_run(report).items() if name in MEASURES}
     if not found:
         return {}
-    found |= {SIMULATED: report["simulated_seconds"], ALL: report["prepare_seconds"] + report["wall_seconds"]}
-    found[IPCTK] = math.nan if importlib.util.find_spec("ipctk") is None else float(_crosses(recording))
+    with restored_scene(recording) as loaded:
+        rested = report["frames"]["sent"] <= loaded.scene.frames
+        judged = importlib.util.find_spec("ipctk") is not None
+        found[IPCTK] = float(_crosses(recording, loaded)) if judged else math.nan
+    found[RESTED] = report["simulated_seconds"] if rested else math.nan
+    found[ALL] = report["prepare_seconds"] + report["wall_seconds"]
     (fit,) = read_fits(recording)
     ease = {one.name: 100.0 * one.ease for one in fit.girths if one.ease is not None}
     strains = {WARP: 100.0 * fit.strains["warp"].high, WEFT: 100.0 * fit.strains["weft"].high}
@@ -68,11 +73,10 @@ def measure(recording: Recording) -> dict[str, float]:
     return found | {BUST: ease.get("bust", nan), WAIST: ease.get("waist", nan)} | strains | pressed
 
 
-def _crosses(recording: Recording) -> bool:
+def _crosses(recording: Recording, loaded: Loaded) -> bool:
     """Whether an edge of cloth goes through cloth or through the body at the end, or one of the body through cloth."""
     frame = list(recording.frames())[-1]
-    with restored_scene(recording) as loaded:
-        (body, faces), _, _ = wearer(loaded, None, frame.t, str(recording.path))
+    (body, faces), _, _ = wearer(loaded, None, frame.t, str(recording.path))
     x = np.concatenate([np.asarray(frame.x, np.float64), body])
     cloth = recording.fabric()[0]["faces"]
     return Oracle(x, np.concatenate([cloth, faces + len(x) - len(body)]).astype(np.int32), len(body)).crossed(x)
