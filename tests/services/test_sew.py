@@ -13,6 +13,7 @@ import yaml
 from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 
 from nuno.cli import main
+from nuno.scene import scene_file
 
 GROWTH = 0.9
 """Of a column's girth, from its top down [1/m]."""
@@ -172,6 +173,17 @@ def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
         assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", fabric, *flags) == 2
         assert meant in capsys.readouterr().err
         assert ("plugin: skin" in (tmp_path / "tube-worn.yaml").read_text()) == bool(flags)
+
+
+@pytest.mark.parametrize("file", ["tube-1.5.yaml", "2nd tube.yaml"])
+def test_a_scene_has_a_name_whatever_its_file_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    """The fabric is refused, and so the run, after the scene has been written."""
+    assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--fabric", "demin", "--scene", file) == 2
+    text = (tmp_path / file).read_text().replace("demin", "denim")
+    (tmp_path / file).write_text(text)
+    assert scene_file.read(tmp_path / file).scene.objects[0].name == "tube"
 
 
 def test_layers_are_objects_in_their_order_each_of_its_fabric(

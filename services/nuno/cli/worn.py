@@ -56,7 +56,7 @@ class Garment(NamedTuple):
 
 
 def name_garments(stems: Sequence[str]) -> list[str]:
-    """Names of objects after their files: letters, digits, - and _, none twice."""
+    """Names of objects, or of a scene, after their files: letters, digits, - and _, none twice."""
     found: list[str] = []
     for stem in stems:
         name = re.sub("[^A-Za-z0-9_-]", "-", stem)[:48]
@@ -74,7 +74,7 @@ def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, 
                        edge=_quoted(edge), fabric=_quoted(one.fabric))
         for i, one in enumerate(garments)
     ]  # fmt: skip
-    given = {"name": _quoted(name), "body": _quoted(body), "motion": _quoted(motion)}
+    given = {"name": _quoted(name_garments([name])[0]), "body": _quoted(body), "motion": _quoted(motion)}
     return (WALKED if motion else WORN).format(garments="".join(each), **given)
 
 
