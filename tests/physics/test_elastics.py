@@ -13,6 +13,7 @@ from scipy.special import ellipe
 from sewing_patterns import Body, back, column, front, panel, stitch, tube
 from sewing_patterns import pattern as pattern_of
 
+from nuno.cloth.yarns import structural_edges
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
@@ -103,6 +104,20 @@ REFUSED: dict[str, tuple[dict[str, Any], list[dict[str, Any]], str, str]] = {
     "no such label": (labelled(), [{"along": "waist"}, {"along": "wiast"}], "elastics.1.along", "did you mean 'waist'"),
     "half of it": (labelled(only_front=True), [{"along": "waist"}], "elastics.0.along", "do not go round"),
 }
+
+
+def test_edges_that_the_body_is_not_in_are_no_place_for_an_elastic(tmp_path: Path) -> None:
+    """A tube that stands above a column, in whose top edge nothing is."""
+    with pytest.raises(BadInput, match="go round no part of the body") as told:
+        put_on(tmp_path, labelled(), column((WIDE, DEEP), (0.2, 0.9)), elastics=[{"along": "waist"}])
+    assert told.value.field == "elastics.0.along"
+
+
+def test_a_band_is_not_shown_as_the_cloth_s_stretch(tmp_path: Path) -> None:
+    held = put_on(tmp_path, labelled(), elastics=[{"along": "waist", "girth": 0.5}])
+    plain = put_on(tmp_path, labelled(), elastics=[])
+    for one, other in zip(structural_edges(held), structural_edges(plain), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("name", list(REFUSED))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -199,27 +198,21 @@ def _drawn(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Flo
     """(n, 3) where the garment starts [m]: vertices of a seam begin midway between the panels as they are placed."""
     share = np.bincount(sewn.merged)
     x = np.stack([np.bincount(sewn.merged, along) / share for along in sewn.placed.T], axis=1)
-    sides = np.linalg.norm(sewn.flat[np.roll(sewn.faces, -1, axis=1)] - sewn.flat[sewn.faces], axis=2)
     number = edges.of_face.reshape(-1)
     # Gathers: a side is as long as the mean of what it is in both panels.
-    rest = np.bincount(number, sides.reshape(-1)) / np.bincount(number)
+    rest = np.bincount(number, sewn.sides.reshape(-1)) / np.bincount(number)
     return draw_together(x, edges, rest, body, clearance)
 
 
 def _bands(config: PatternConfig, sewn: Sewn, edges: Edges, x: Float, body: tuple[Float, Int]) -> list[Band]:
     """Elastics of a garment that starts at x (n, 3) [m]. Raises BadInput."""
-    if config.elastics is None:
-        found = []
-        for label in HELD:
-            with suppress(BadInput):
-                found += bands_along(label, Elastic(along=label).girth, sewn, edges, x, *body)
-        return found
-    found = []
-    for i, one in enumerate(config.elastics):
+    given, found = config.elastics, list[Band]()
+    for i, one in enumerate([Elastic(along=label) for label in HELD] if given is None else given):
         try:
             found += bands_along(one.along, one.girth, sewn, edges, x, *body)
         except BadInput as error:
-            raise error.at(f"elastics.{i}.along") from None
+            if given is not None:
+                raise error.at(f"elastics.{i}.along") from None
     return found
 
 

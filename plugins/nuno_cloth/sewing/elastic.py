@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
+from nuno_cloth.fabrics.presets import DAMPING_RATIO
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.sewing.sew import Sewn
 from nuno_kernels.meshes.loops import cut_mesh
@@ -24,7 +25,6 @@ from nuno_schemas.fabric import Float, Int, Springs
 
 STIFFNESS, DENSITY = 15.0, 0.015
 """EA [N] and mass per length as it lies [kg/m] of a knitted band some 2 cm wide: assumed."""
-DAMPING_RATIO = 0.05
 ELASTIC = 3
 """What kind of springs these are."""
 FLATTEST = 1e-3
@@ -41,16 +41,15 @@ class Band:
 
 def bands_along(
     label: str, share: float, sewn: Sewn, edges: Edges, x: Float, body: Float, body_faces: Int
-) -> list[Band]:  # fmt: skip
+) -> list[Band]:
     """Bands along the edges of a label, one for each line that these form on the garment where it starts, x (n, 3) [m],
     each as long as this share of the body's girth, but no longer than the edges are cut.
 
     Of a seam the shorter edge counts. Raises BadInput for a label that no edge has, and for edges that go round
     nothing.
     """
-    sides = np.linalg.norm(sewn.flat[np.roll(sewn.faces, -1, axis=1)] - sewn.flat[sewn.faces], axis=2)
     cut = np.full(len(edges.pairs), np.inf)
-    np.minimum.at(cut, edges.of_face.reshape(-1), sides.reshape(-1))
+    np.minimum.at(cut, edges.of_face.reshape(-1), sewn.sides.reshape(-1))
     found = []
     for own in _lines(label, sewn, edges):
         pairs = edges.pairs[own]

@@ -74,6 +74,11 @@ class Sewn:
         """(f, 3) triangles of sewn vertices."""
         return np.asarray(self.merged[self.faces])
 
+    @property
+    def sides(self) -> Float:
+        """(f, 3) lengths of triangles' sides as they are cut [m], in the order of find_edges."""
+        return np.asarray(np.linalg.norm(self.flat[np.roll(self.faces, -1, axis=1)] - self.flat[self.faces], axis=2))
+
 
 def sew(pattern: Pattern, spacing: float) -> Sewn:
     """A pattern whose sides agree, in triangles with sides of about `spacing` [m].

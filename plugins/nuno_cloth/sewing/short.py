@@ -13,7 +13,7 @@ import numpy as np
 
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.sewing.sew import Sewn
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Int
 
 
 def close_short(sewn: Sewn, least: float) -> Sewn:
@@ -24,7 +24,7 @@ def close_short(sewn: Sewn, least: float) -> Sewn:
         faces = sewn.sewn_faces
         edges = find_edges(faces)
         length = np.full(len(edges.pairs), np.inf)
-        np.minimum.at(length, edges.of_face.reshape(-1), _sides(sewn).reshape(-1))
+        np.minimum.at(length, edges.of_face.reshape(-1), sewn.sides.reshape(-1))
         on_rim = set(edges.pairs[edges.count == 1].ravel().tolist())
         for k in np.argsort(length, kind="stable"):
             if length[k] >= least:
@@ -35,11 +35,6 @@ def close_short(sewn: Sewn, least: float) -> Sewn:
                 break
         else:
             return sewn
-
-
-def _sides(sewn: Sewn) -> Float:
-    """(f, 3) lengths of triangles' sides as they are cut [m], as find_edges has them."""
-    return np.asarray(np.linalg.norm(sewn.flat[np.roll(sewn.faces, -1, axis=1)] - sewn.flat[sewn.faces], axis=2))
 
 
 def _can_close(faces: Int, one: int, other: int, on_rim: set[int]) -> bool:
