@@ -75,8 +75,7 @@ def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
     """
     if (field := geometry.distance_field(i)) is not None:
         return field_distance(p, field)
-    vertices, faces = geometry.mesh(i)
-    return _to_mesh(p, columns_of(vertices, faces, geometry.faces, i), inside_only)
+    return _to_mesh(p, columns_of(geometry, i), inside_only)
 
 
 def _bent(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool) -> Float:

@@ -14,10 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.collision.pairs import Boxes, boxes_of, overlap
+from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Bool, Float, Int
 
 AT_ONCE = 2_000_000
 """Pairs of a point and a triangle whose distances are taken together."""
+ROUNDING = 1e-9
+"""Share of a cell by which a triangle may be crossed beside its box."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,7 @@ class Columns:
     """A mesh whose triangles are listed by the cells (y, z) that they reach into.
 
     low (2,) [m] and size [m] of the cells, shape: how many; triangles of cell k are listed[start[k]:start[k + 1]].
+    Rays that cross a triangle start in its box of `reached`, which has no end towards -x.
     """
 
     vertices: Float
@@ -34,12 +39,13 @@ class Columns:
     shape: tuple[int, int]
     start: NDArray[np.int64]
     listed: NDArray[np.int64]
+    reached: Boxes
 
 
 def make_columns(vertices: Float, faces: Int) -> Columns:
     """Cells about as wide as the triangles, so that a cell lists a few."""
-    corners = vertices[faces][:, :, 1:]
-    least, most = corners.min(axis=1), corners.max(axis=1)
+    lowest, highest = boxes_of(np.ascontiguousarray(vertices.T), faces)
+    least, most = lowest[1:].T, highest[1:].T
     low, high = least.min(axis=0), most.max(axis=0)
     size = max(float((most - least).mean()), float((high - low).max()) / 2048) or 1.0
     shape = (int((high - low)[0] / size) + 1, int((high - low)[1] / size) + 1)
@@ -53,7 +59,9 @@ def make_columns(vertices: Float, faces: Int) -> Columns:
     cell = row * shape[1] + column
     order = np.argsort(cell, kind="stable")
     start = np.searchsorted(cell[order], np.arange(shape[0] * shape[1] + 1))
-    return Columns(vertices, faces, low, size, shape, start.astype(np.int64), face[order])
+    lowest[0] = -np.inf
+    reached = lowest - ROUNDING * size, highest + ROUNDING * size
+    return Columns(vertices, faces, low, size, shape, start.astype(np.int64), face[order], reached)
 
 
 def are_inside(points: Float, columns: Columns) -> Bool:
@@ -65,7 +73,9 @@ def are_inside(points: Float, columns: Columns) -> Bool:
     count = columns.start[cell + 1] - columns.start[cell]
     point = np.repeat(which, count)
     step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    along = np.ascontiguousarray(points.T)
     face = columns.listed[np.repeat(columns.start[cell], count) + step]
+    point, face = overlap(point, (along, along), face, columns.reached)
     crossed = np.bincount(point[_cross(points[point], columns, face)], minlength=len(points))
     return np.asarray(crossed % 2 == 1)
 
@@ -113,16 +123,16 @@ def _to_triangles(p: Float, a: Float, b: Float, c: Float) -> Float:
     return np.asarray(np.minimum(least, np.where(within, np.abs(height), np.inf).min(axis=1)))
 
 
-_COLUMNS: dict[int, tuple[Int, Columns]] = {}
-"""By the identity of the array of faces that they were made of: the last mesh or few of a run."""
+_COLUMNS: dict[int, tuple[Geometry, Columns]] = {}
+"""By the identity of the geometry that they are of: the last mesh or few of a run."""
 
 
-def columns_of(vertices: Float, faces: Int, key: Int, number: int) -> Columns:
-    """The columns of mesh `number` of a geometry whose faces are the array `key`, made once."""
-    name = hash((id(key), number))
+def columns_of(geometry: Geometry, primitive: int) -> Columns:
+    """The columns of a primitive that has a mesh, made once."""
+    name = hash((id(geometry), primitive))
     kept = _COLUMNS.get(name)
-    if kept is None or kept[0] is not key:
+    if kept is None or kept[0] is not geometry:
         while len(_COLUMNS) >= 16:
             del _COLUMNS[next(iter(_COLUMNS))]
-        kept = _COLUMNS[name] = (key, make_columns(vertices, faces))
+        kept = _COLUMNS[name] = (geometry, make_columns(*geometry.mesh(primitive)))
     return kept[1]

@@ -61,13 +61,15 @@ def near_pairs(x: Float, mesh: Mesh, within: float) -> tuple[Long, Long]:
     """Numbers (k,) of edges and of triangles of a mesh x (n, 3), which must be finite, that share no vertex and are no
     farther apart than `within` [m] along any axis of space or DIAGONALS; each pair once, in order.
     """
-    if not len(mesh.faces):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    none = np.zeros(0, np.int64)
+    if not len(mesh.faces) or not len(mesh.edges):
+        return none, none
     (low, high), faces = boxes_of(x.T, mesh.edges), boxes_of(x.T, mesh.faces)
     edges = low - within, high + within
     ends, corners = ([np.ascontiguousarray(each) for each in part.T] for part in (mesh.edges, mesh.faces))
-    found = []
-    for edge, face in _candidates(edges, faces):
+    found, near, below = [(none, none)], _reaching(edges, faces), _reaching(faces, edges)
+    for a, b in _candidates(_some(edges, near), _some(faces, below)):
+        edge, face = near.take(a), below.take(b)
         apart = np.ones(len(edge), bool)
         for one, other in itertools.product(
             [end.take(edge) for end in ends], [corner.take(face) for corner in corners]
@@ -100,6 +102,16 @@ def overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> tuple[Long, Long]:
     return a, b
 
 
+def _reaching(one: Boxes, two: Boxes) -> Long:
+    """Numbers of the boxes of one kind that reach into the room that those of the other take up."""
+    low, high = two[0].min(axis=1), two[1].max(axis=1)
+    return np.flatnonzero(((one[0] <= high[:, None]) & (low[:, None] <= one[1])).all(axis=0))
+
+
+def _some(boxes: Boxes, number: Long) -> Boxes:
+    return boxes[0].take(number, axis=1), boxes[1].take(number, axis=1)
+
+
 def once(a: Long, b: Long, number: int) -> tuple[Long, Long]:
     """Each of the pairs a, b (k,) once, in order; b are below `number`."""
     both = np.sort(a * number + b)
@@ -111,6 +123,8 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     """Numbers of boxes of the one kind and of the other that overlap but for rounding, once or more for each cell that
     both reach into; some at a time.
     """
+    if not one[0].size or not two[0].size:
+        return
     low = np.minimum(one[0].min(axis=1), two[0].min(axis=1))
     size = np.maximum(one[1].max(axis=1), two[1].max(axis=1)) - low
     cell = max(CELL * float((two[1] - two[0]).max(axis=0).mean()), float(size.max()) / MOST_CELLS) or 1.0
