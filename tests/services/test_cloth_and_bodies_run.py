@@ -12,6 +12,8 @@ import yaml
 from nuno.cli import main
 from nuno.collision.primitives import box_mesh
 from nuno.recording.reader import open_recording
+from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
 from nuno_bench.problem.irregular import write_obj
 from nuno_bench.problem.oracle import Oracle
 from nuno_contact.offset.plugin import Offset
@@ -111,7 +113,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "through it": ({"height": 0.01}, "cloth_contact.bodies", "sheet passes through cube where it starts"),
     "inside": ({"height": 0.0, "size": 0.02}, "cloth_contact.bodies", "starts inside of cube (49 of 49 vertices)"),
-    "too near": ({"height": 0.0204}, "cloth_contact.thickness", "sheet and cube start nearer to each other"),
+    "touching": ({"height": 0.02 + 5e-9}, "cloth_contact", "sheet touches cube where it starts"),
 }  # fmt: skip
 
 
@@ -122,6 +124,24 @@ def test_bodies_that_cannot_be_met(fault: str, tmp_path: Path, capfd: pytest.Cap
     said = capfd.readouterr().err
     assert code == 2 and not record.exists()
     assert f"{tmp_path / 'turn.yaml'}:" in said and field in said and words in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize("other", ["cube", "sheet"])
+def test_what_starts_nearer_than_the_thickness_is_pushed_apart(other: str, tmp_path: Path) -> None:
+    """From 0.3 mm on: contact gives what it has stored, and no more, until little of it is left."""
+    given = scene(0.0203, bodies=[{"name": "cube", "collider": {"plugin": "mesh", "file": "cube.obj"}}], duration=0.4)
+    write_obj(tmp_path / "cube.obj", *cube())
+    if other == "sheet":
+        below = given["objects"][0]["model"] | {"centre": [0.003, 0.02, 0.002]}
+        given["objects"].append({"name": "below", "model": below})
+        given |= {"gravity": [0.0, 0.0, 0.0], "bodies": [], "cloth_contact": {"plugin": "offset", "thickness": "1 mm"}}
+    (tmp_path / "pressed.yaml").write_text(yaml.safe_dump(given))
+    run = Simulation.with_bodies(scene_file.read(tmp_path / "pressed.yaml"), 1)
+    reports = [run.present().report] + [run.step().report for _ in range(40)]
+    total = [sum(report.energy.values()) for report in reports]
+    stored = reports[0].energy["cloth_contact"]
+    assert stored > 0.0 and max(total) <= total[0] + 1e-3 * stored
+    assert reports[-1].energy["cloth_contact"] < 0.1 * stored
 
 
 def test_cloth_without_triangles_cannot_meet_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

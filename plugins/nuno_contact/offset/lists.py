@@ -36,12 +36,22 @@ def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
     return finer if of_edges else 1.0 if i < first else finer * finer
 
 
-@block_kernel
-def measure(m: Meeting, p: int) -> None:
-    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held."""
+@forced_inline
+def begun_apart(m: Meeting, p: int) -> float:
+    """How far apart a listed pair starts [m]."""
     s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
-    _, before = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))
+    distance: float = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))[1]
+    return distance
+
+
+@block_kernel
+def measure(m: Meeting, p: int) -> None:
+    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held.
+
+    Cloth that starts nearer to itself than the thickness, as beside the tip of a dart, is as thin as that there.
+    """
+    i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     least, mass = np.inf, np.inf
     for v in (i, j, k, l):
         if m.mass[v] > 0.0:
@@ -52,15 +62,16 @@ def measure(m: Meeting, p: int) -> None:
     if body >= 0:
         mu, damping = m.body_law[body, 0], m.body_law[body, 1]
         stiffness *= share_of(m, i, l, m.of[p] < 0)
-    m.reach[p], m.pair_stiffness[p], m.pair_friction[p] = less(m.law[0], before), stiffness, mu
+    m.reach[p] = less(m.law[0], begun_apart(m, p)) if m.piece[i] == m.piece[l] else m.law[0]
+    m.pair_stiffness[p], m.pair_friction[p] = stiffness, mu
     m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
 
 
 @block_kernel
-def measure_listed(m: Meeting) -> None:
-    """The same of all that is listed."""
-    for p in range(m.number[LISTED]):
-        measure(m, p)
+def gaps_at_start(m: Meeting, gap: Float) -> None:
+    """How far apart each of the listed pairs starts (p,) [m]."""
+    for p in range(gap.shape[0]):
+        gap[p] = begun_apart(m, p)
 
 
 @block_kernel

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nuno_contact.offset.bodies import Solids
-from nuno_contact.offset.lists import make_list, measure_listed
+from nuno_contact.offset.lists import gaps_at_start, make_list
 from nuno_contact.offset.meeting import Meeting, tree_of
 from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
@@ -86,28 +86,19 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
 
 
 def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
-    """Raises BadInput for cloth that touches itself as it starts, and for objects and bodies that start nearer to each
-    other than the thickness.
-    """
+    """Raises BadInput for cloth that touches itself, other cloth or a body as it starts."""
     m.reference[:3] = m.start
     make_list(m, None)
-    number = int(m.number[LISTED])
-    measure_listed(m)
-    both = m.piece[m.pair[:number]][:, [0, 3]]
-    close = np.flatnonzero(m.reach[:number] < np.where(both[:, 0] != both[:, 1], m.law[0], NEAREST))
-    if len(close):
-        least = close[m.reach[close].argmin()]
-        one, other = (pieces[i] for i in sorted(both[least].tolist()))
-        place = place_of(m.start[:, m.pair[least, 0]])
-        if one == other:
-            raise BadInput(
-                f"{one} touches itself where it starts ({len(close):,} pairs of vertices, edges and triangles)",
-                value=place, limit=f"{NEAREST:g} m apart at least", remedy="lay it out without layers in one plane",
-            )  # fmt: skip
+    gap = np.empty(int(m.number[LISTED]))
+    gaps_at_start(m, gap)
+    if len(close := np.flatnonzero(gap < NEAREST)):
+        i, j = m.pair[close[gap[close].argmin()], [0, 3]]
+        one, other = (pieces[k] for k in sorted((int(m.piece[i]), int(m.piece[j]))))
         raise BadInput(
-            f"{one} and {other} start nearer to each other than the thickness", field="thickness",
-            value=f"{m.law[0]:g} m", limit=f"{m.reach[least]:.3g} m, {place}",
-            remedy="move them apart, or untangle them by a larger gap, or make it thinner",
+            f"{one} touches {'itself' if one == other else other} where it starts "
+            f"({len(close):,} pairs of vertices, edges and triangles)",
+            value=place_of(m.start[:, i]), limit=f"{NEAREST:g} m apart at least",
+            remedy="lay it out without layers in one plane" if one == other else "move them apart",
         )  # fmt: skip
     m.reference[:] = np.nan
     m.number[:] = 0
