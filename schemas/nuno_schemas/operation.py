@@ -69,11 +69,13 @@ class Arrangement(Operation, Protocol):
     """An operation that moves all cloth of a scene before anything acts on it."""
 
     def arrange(
-        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], thickness: float | None
-    ) -> Arranged:
+        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_],
+        thickness: float | None, bodies: Surface | None = None,
+    ) -> Arranged:  # fmt: skip
         """Where cloth starts instead of fabric.position; what is pinned stays where it is, to the bit. `objects` are
         the vertices (k,) of each by name, meet (o, o) says which of them, in that order, meet each other and
-        themselves, and `thickness` [m] is that of cloth in contact, None without. Changes none of its arguments.
+        themselves, `thickness` [m] is that of cloth in contact, None without, and `bodies` are those that it meets as
+        it meets cloth, where they start. Changes none of its arguments.
         """
         ...
 

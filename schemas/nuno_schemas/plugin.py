@@ -97,6 +97,32 @@ class Drawn(Model, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Rested:
+    """What an object has come to rest as: how it was configured, and where its vertices (n, 3) began and lie [m]."""
+
+    config: Any
+    start: Float
+    x: Float
+
+
+class Refined(Drawn, Protocol):
+    """A drawn model that can come to rest on fewer vertices first, as `coarse` of its Config says, and goes on from
+    there.
+    """
+
+    def coarser(self, config: Any) -> Any:
+        """How it is configured to have fewer vertices; None for one that is built at once."""
+        ...
+
+    def build_over(
+        self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32], worn: Sequence[Fabric] = (),
+        rested: Rested | None = None,
+    ) -> Fabric:  # fmt: skip
+        """The same, where what has `rested` lies."""
+        ...
+
+
 class Force(Plugin, Protocol):
     """A force on the cloth.
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from nuno.cli import main
+from nuno.cloth.build import build_start
 from nuno.collision.primitives import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
@@ -142,6 +144,28 @@ def test_what_starts_nearer_than_the_thickness_is_pushed_apart(other: str, tmp_p
     stored = reports[0].energy["cloth_contact"]
     assert stored > 0.0 and max(total) <= total[0] + 1e-3 * stored
     assert reports[-1].energy["cloth_contact"] < 0.1 * stored
+
+
+@pytest.mark.parametrize("deep", [1e-4, 1e-3, 4e-3])
+@pytest.mark.parametrize("across", [7, 25])
+def test_cloth_that_starts_in_a_body_is_untangled_from_it(deep: float, across: int, tmp_path: Path) -> None:
+    """A ball reaches through a sheet, as ipctk sees it, and does so no more; what is some edges from it stays."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    ball.export(tmp_path / "cube.obj")
+    given = scene(0.03 - deep, bodies=[{"name": "cube", "collider": {"plugin": "mesh", "file": "cube.obj"}}])
+    given["objects"][0]["model"]["resolution"] = [across, across]
+    (tmp_path / "in.yaml").write_text(yaml.safe_dump(given))
+    plain = scene_file.read(tmp_path / "in.yaml")
+    (tmp_path / "out.yaml").write_text(yaml.safe_dump(given | {"operations": [{"plugin": "untangle"}]}))
+    start, freed = (build_start(loaded) for loaded in (plain, scene_file.read(tmp_path / "out.yaml")))
+    faces = np.concatenate([start.fabrics[0].faces, ball.faces + np.int32(across**2)])
+    for made, through in ((start, True), (freed, False)):
+        x = np.concatenate([made.fabrics[0].position, ball.vertices])
+        assert bool(Oracle(x, faces, len(ball.vertices)).crossed(x)) == through
+    moved = np.linalg.norm(freed.fabrics[0].position - start.fabrics[0].position, axis=1)
+    far = np.linalg.norm(start.fabrics[0].position[:, [0, 2]], axis=1) > 0.045
+    assert moved.max() < 4.0 * deep + 4e-3 and (across == 7 or not moved[far].any())
+    assert freed.told[0]["facts"]["crossings"] > 0.0
 
 
 def test_cloth_without_triangles_cannot_meet_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

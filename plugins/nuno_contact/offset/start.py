@@ -61,7 +61,8 @@ def check_start(m: Meeting, fabric: Fabric, pieces: Sequence[str], objects: int)
     raise BadInput(
         f"{cloth} passes through {body} where it starts ({len(edge):,} edges through triangles)",
         field="bodies", value=place, limit="a start in which nothing meets",
-        remedy=f"place or size {cloth}, or move the body, otherwise, or leave {body} out here",
+        remedy=f"add operations: [{{plugin: untangle}}], place or size {cloth}, or move the body, otherwise, or leave "
+        f"{body} out here",
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nuno_contact.offset.tree import Tree, fit_tree, make_tree
 from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.operation import Surface
 from nuno_schemas.vectors import norm
 
 Long = NDArray[np.int64]
@@ -33,7 +34,8 @@ class Cloth(NamedTuple):
     free (n, 1)  1 for vertices that may move, 0 for others
     piece (n,)  the object that a vertex is of; meets (o, o) which objects meet each other
     begun (n, 3)  vertices at the start, put off a little [m]
-    edge  mean length of edges [m]
+    edge  mean length of the cloth's edges [m]
+    bodies  the piece that bodies are, -1 where there are none
     """
 
     tree: Tree
@@ -50,13 +52,20 @@ class Cloth(NamedTuple):
     meets: Bool
     begun: Float
     edge: float
+    bodies: int
 
 
-def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool) -> Cloth:
-    """Of a fabric with triangles."""
+def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: Surface | None) -> Cloth:
+    """Of a fabric with triangles, and of bodies, which are one more piece, all held, that does not meet itself."""
     from scipy.sparse import csr_array  # slow to import, for cloth that is tangled alone
 
-    x, n, tree = fabric.position, fabric.number, make_tree(fabric.position, fabric.faces)
+    x, faces, pinned, known = fabric.position, fabric.faces, fabric.pinned, len(objects)
+    if bodies is not None:
+        x, faces = np.concatenate([x, bodies.vertices]), np.concatenate([faces, bodies.faces + np.int32(fabric.number)])
+        pinned = np.concatenate([pinned, np.ones(len(bodies.vertices), np.bool_)])
+        meets = np.pad(meets, (0, 1), constant_values=True)
+        meets[-1, -1] = False
+    n, tree = len(x), make_tree(x, faces, len(fabric.faces))
     numbers, edges = edge_numbers(tree.faces)
     flat, every = numbers.ravel(), np.arange(len(edges))
     order = np.argsort(flat, kind="stable")
@@ -70,16 +79,17 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool) -> Cloth
     border[edges[np.diff(side_start) == 1]] = True
     a, b, c = (x[tree.faces[:, k]] for k in range(3))
     area = np.bincount(tree.faces.ravel(), np.repeat(norm(np.cross(b - a, c - a)) / 6.0, 3), n)
-    length = norm(x[edges[:, 1]] - x[edges[:, 0]])
+    of_cloth = edges[edges[:, 1] < fabric.number]
+    length = norm(x[of_cloth[:, 1]] - x[of_cloth[:, 0]])
     edge = float(np.cumsum(length)[-1] / len(length))
-    piece = np.zeros(n, np.int32)
+    piece = np.full(n, known, np.int32)
     for number, vertices in enumerate(objects.values()):
         piece[vertices] = number
     off = JITTER * edge * np.random.default_rng(0).uniform(-1.0, 1.0, x.shape)
     return Cloth(
         tree, side_start, order // 3, ring_start, ring, through[by_vertex], border, mean,
-        area + HELD * np.cumsum(area)[-1] * fabric.pinned, np.where(fabric.pinned, 0.0, 1.0)[:, None],
-        piece, meets, x + off, edge,
+        area + HELD * np.cumsum(area)[-1] * pinned, np.where(pinned, 0.0, 1.0)[:, None],
+        piece, meets, x + off, edge, known if bodies is not None else -1,
     )  # fmt: skip
 
 

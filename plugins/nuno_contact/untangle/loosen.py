@@ -38,27 +38,24 @@ parts of one object are pushed further apart."""
 
 
 class Loosened(NamedTuple):
-    """Displacements (n, 3) [m], how often the cloth was moved, edges (k,) and triangles (k,) that still cross, and
-    pairs that are nearer than they ought to be.
-    """
+    """Displacements (n, 3) [m], how often the cloth was moved, and edges (k,) and triangles (k,) that still cross."""
 
     moved: Float
     iterations: int
     edge: Long
     face: Long
-    near: Near
 
 
 def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
     """Move the cloth at most so many times, from where it crosses, until what was tangled and objects keep a gap [m].
 
-    Of one object parts may stay nearer, as in a sharp fold: they are given up after a while.
+    Parts may stay nearer, as in a sharp fold or between layers that are held: they are given up after a while.
     """
     moved = np.zeros_like(cloth.begun)
     ever, fewest, since, clear = np.zeros(len(moved), bool), len(moved) + 1, 0, 0
     for iteration in range(most + 1):
         x = cloth.begun + moved
-        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
+        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets, cloth.bodies >= 0)
         tangled, push = np.zeros(len(x), bool), np.zeros_like(x)
         if len(edge):
             nodes = make_nodes(cloth, x, edge, face)
@@ -70,12 +67,11 @@ def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
             push = pushed(cloth, nodes, sides, gap, sweeps)
         near = find_near_pairs(cloth, x + push, ever, gap)
         close = near.distance < near.wanted
-        between = cloth.piece[near.pair[:, 0]] != cloth.piece[near.pair[:, 3]]
-        clear = 0 if len(edge) or (close & between).any() else clear + 1
+        clear = 0 if len(edge) else clear + 1
         if iteration == most or clear > SETTLED or (clear and not close.any()):
             break
         moved += push + parted(cloth, near, tangled)
-    return Loosened(moved, iteration, edge, face, near)
+    return Loosened(moved, iteration, edge, face)
 
 
 def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, sweeps: int) -> Float:

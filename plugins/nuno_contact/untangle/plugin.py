@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.untangle.cloth import JITTER, Cloth, Long, make_cloth
-from nuno_contact.untangle.loosen import Loosened, loosen
+from nuno_contact.untangle.loosen import loosen
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.meshes.check import place_of
 from nuno_schemas.errors import BadInput
@@ -30,8 +30,8 @@ class UntangleConfig(Config):
 
     gap: Gap | Literal["auto"] = Field(
         default="auto",
-        description="distance that objects, and what was tangled of one, come to have [m]; auto: the thickness of "
-        f"cloth_contact, {GAP:g} without",
+        description="distance that objects, and what was tangled, come to have where there is room [m]; auto: the "
+        f"thickness of cloth_contact, {GAP:g} without",
     )
     iterations: int = Field(default=1000, ge=1, le=1_000_000, description="how often the cloth is moved at most")
 
@@ -50,24 +50,26 @@ class Untangle:
         return Outcome(made.facts, changed=Changed(fabric, after, np.arange(fabric.number, dtype=np.int32)))
 
     def arrange(
-        self, config: UntangleConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, thickness: float | None
-    ) -> Arranged:
+        self, config: UntangleConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool,
+        thickness: float | None, bodies: Surface | None = None,
+    ) -> Arranged:  # fmt: skip
         """See nuno_schemas.operation. Raises BadInput where cloth stays tangled, with how much and where."""
         x = fabric.position.copy()
         if not len(fabric.faces):
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
-        cloth = make_cloth(fabric, objects, meet)
-        before = len(find_crossings(cloth.tree, x, cloth.piece, cloth.meets)[0])
+        cloth = make_cloth(fabric, objects, meet, bodies)
+        whole = x if bodies is None else np.concatenate([x, bodies.vertices])
+        before = len(find_crossings(cloth.tree, whole, cloth.piece, cloth.meets, cloth.bodies >= 0)[0])
         if not before:
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
         gap = (thickness or GAP) if config.gap == "auto" else config.gap
         found = loosen(cloth, gap + 4.0 * JITTER * cloth.edge, config.iterations)
         # What has hardly gone stays. And the check is of the places themselves: they were moved a little beside them.
         gone = norm(found.moved) > JITTER * cloth.edge
-        x[gone] += found.moved[gone]
-        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
-        check_loose(cloth, x, edge, face, found.iterations, before, list(objects))
-        check_apart(cloth, x, found, gap, list(objects))
+        whole = np.where(gone[:, None], whole + found.moved, whole)
+        edge, face = find_crossings(cloth.tree, whole, cloth.piece, cloth.meets, cloth.bodies >= 0)
+        check_loose(cloth, whole, edge, face, found.iterations, before, [*objects, "a body"])
+        x = whole[: fabric.number]
         return Arranged(x, facts_of(before, found.iterations, x - fabric.position))
 
 
@@ -98,18 +100,3 @@ def check_loose(cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int,
         limit="none",
         remedy="place the objects so that less of them crosses, hold less of them, or allow more iterations",
     )  # fmt: skip
-
-
-def check_apart(cloth: Cloth, x: Float, found: Loosened, gap: float, names: list[str]) -> None:
-    """Raises BadInput for objects that could not be brought as far apart as they ought to be."""
-    near = found.near
-    ends = cloth.piece[near.pair[:, [0, 3]]]
-    close = np.flatnonzero((near.distance < near.wanted) & (ends[:, 0] != ends[:, 1]))
-    if len(close):
-        least = close[near.distance[close].argmin()]
-        raise BadInput(
-            f"{names[ends[least, 0]]} and {names[ends[least, 1]]} cannot be brought as far apart as the gap in "
-            f"{found.iterations:,} iterations", field="gap", value=f"{gap:g} m",
-            limit=f"{near.distance[least]:.3g} m, {place_of(x[near.pair[least, 0]])}",
-            remedy="make it smaller, hold less of them, or allow more iterations",
-        )  # fmt: skip

@@ -138,8 +138,8 @@ def neighbours(ring_start: Long, ring: Long, pair: Long, of_edges: bool) -> bool
 
 @block_kernel
 def measure_near(
-    x: Float, begun: Float, tree: Tree, ring_start: Long, ring: Long, piece: Int, meets: Bool, tangled: Bool,
-    gap: float, found: Long, number: int, pair: Long, weights: Float, normal: Float, size: Float,
+    x: Float, begun: Float, tree: Tree, ring_start: Long, ring: Long, piece: Int, meets: Bool, bodies: int,
+    tangled: Bool, gap: float, found: Long, number: int, pair: Long, weights: Float, normal: Float, size: Float,
 ) -> int:  # fmt: skip
     """Pairs among `number` found that are too near, into pair (c, 4), weights, normal, size (c, 2); how many.
 
@@ -164,7 +164,8 @@ def measure_near(
             continue
         wanted = gap
         was = tangled[i] or tangled[j] or tangled[k] or tangled[l]
-        if piece[i] == piece[l] and not (was and not neighbours(ring_start, ring, four, of_edges)):
+        objects = piece[i] != piece[l] and piece[i] != bodies and piece[l] != bodies
+        if not objects and not (was and not neighbours(ring_start, ring, four, of_edges)):
             first = (point(begun, i), point(begun, j), point(begun, k), point(begun, l))
             _, before = unit(weigh(closest(of_edges, first).weights, first))
             wanted = less(gap, KEPT * before)
@@ -183,12 +184,12 @@ def measure_near(
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
-    leaves = near_leaves(tree.boxes, radius, False)
+    leaves = near_leaves(tree.boxes, radius, cloth.bodies >= 0)
     found, number = with_room(lambda rows: find_near(tree, radius, leaves, rows), 8 * len(tree.faces))
     pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
     weights, normal = np.empty((number, 4)), np.empty((number, 3))
     kept = measure_near(
         rows, np.ascontiguousarray(cloth.begun.T), tree, cloth.ring_start, cloth.ring, cloth.piece, cloth.meets,
-        tangled, gap, found, number, pair, weights, normal, sizes,
+        cloth.bodies, tangled, gap, found, number, pair, weights, normal, sizes,
     )  # fmt: skip
     return Near(pair[:kept], weights[:kept], normal[:kept], sizes[:kept, 0], sizes[:kept, 1])

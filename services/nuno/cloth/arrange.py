@@ -12,7 +12,7 @@ from nuno.cloth.join import join_fabrics
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
-from nuno_schemas.operation import arranges
+from nuno_schemas.operation import Surface, arranges
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,9 @@ class Start:
     told: list[dict[str, Any]]
 
 
-def arrange(loaded: Loaded, fabrics: list[Fabric]) -> Start:
-    """Let the scene's operations that arrange the start do so, in their order. Raises BadInput.
+def arrange(loaded: Loaded, fabrics: list[Fabric], bodies: Surface | None) -> Start:
+    """Let the scene's operations that arrange the start do so, in their order, round the bodies that cloth meets as it
+    meets cloth. Raises BadInput.
 
     An operation on one object moves that one alone: all others are held.
     """
@@ -45,7 +46,7 @@ def arrange(loaded: Loaded, fabrics: list[Fabric]) -> Start:
             held[objects[applied.object]] = False
             whole = replace(whole, pinned=whole.pinned | held)
         try:
-            made = chosen.plugin.arrange(chosen.config, whole, objects, meet, thickness)
+            made = chosen.plugin.arrange(chosen.config, whole, objects, meet, thickness, bodies)
         except BadInput as error:
             raise loaded.at(f"operations[{i}]", error) from None
         fabrics = [replace(f, position=made.position[a:b]) for f, (a, b) in zip(fabrics, pairwise(stops), strict=True)]

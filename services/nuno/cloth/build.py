@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -14,11 +14,14 @@ from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
 from nuno.collision.bodies import build_bodies
+from nuno.collision.surfaces import surface
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.operation import Surface, arranges
+from nuno_schemas.plugin import Rested
 from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import Carried, System, Term
 from nuno_schemas.vectors import turn
@@ -74,10 +77,10 @@ def build_fabric(
 
 
 def build_told(
-    loaded: Loaded, geometry: Geometry | None, poses: Poses | None
+    loaded: Loaded, geometry: Geometry | None, poses: Poses | None, rested: Sequence[Rested] = ()
 ) -> tuple[Fabric, list[Piece], list[dict[str, Any]]]:
     """The same, and what operations said that have arranged it: see `nuno.cloth.arrange.Start`. Raises BadInput."""
-    start = build_start(loaded, geometry, poses)
+    start = build_start(loaded, geometry, poses, rested)
     return join_fabrics(start.fabrics, loaded.scene.name), place_pieces(loaded, start.fabrics), start.told
 
 
@@ -88,25 +91,37 @@ def place_pieces(loaded: Loaded, fabrics: list[Fabric]) -> list[Piece]:
     return [Piece(spec.name, stop - f.number, stop, f.texture, spec.colour) for spec, f, stop in each]
 
 
-def build_fabrics(loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None) -> list[Fabric]:
+def build_fabrics(
+    loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None, rested: Sequence[Rested] = ()
+) -> list[Fabric]:
     """The fabric of each object where the scene starts, see `build_start`. Raises BadInput."""
-    return build_start(loaded, geometry, poses).fabrics
+    return build_start(loaded, geometry, poses, rested).fabrics
 
 
-def build_start(loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None) -> Start:
+def build_start(
+    loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None, rested: Sequence[Rested] = ()
+) -> Start:
     """The fabric of each object, and what operations said that have moved them from where models put them.
 
-    Bodies, with their poses at the start, are built for objects drawn over one, unless they are given. Raises BadInput.
+    Bodies, with their poses at the start, are built for objects drawn over one, unless they are given; all of them lie
+    where they have `rested`, if they have. Raises BadInput.
     """
-    return arrange(loaded, _build_models(loaded, geometry, poses))
-
-
-def _build_models(loaded: Loaded, geometry: Geometry | None, poses: Poses | None) -> list[Fabric]:
-    check_memory(loaded)
-    over = [drawn_over(model) for model in loaded.models]
-    if geometry is None and loaded.colliders and any(over):
+    arranging = loaded.scene.met_bodies and any(arranges(one.plugin) for one in loaded.operations)
+    if geometry is None and loaded.colliders and (arranging or any(map(drawn_over, loaded.models))):
         bodies = build_bodies(loaded)
         geometry, poses = bodies.geometry, bodies.poses(0.0)
+    fabrics = _build_models(loaded, geometry, poses, rested)
+    if not arranging or geometry is None or poses is None:
+        return arrange(loaded, fabrics, None)
+    met = surface(geometry.of_bodies(loaded.scene.met_bodies))
+    return arrange(loaded, fabrics, Surface(met.at(poses), met.faces))
+
+
+def _build_models(
+    loaded: Loaded, geometry: Geometry | None, poses: Poses | None, rested: Sequence[Rested]
+) -> list[Fabric]:
+    check_memory(loaded)
+    over = [drawn_over(model) for model in loaded.models]
     fabrics: list[Fabric] = []
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
@@ -115,7 +130,8 @@ def _build_models(loaded: Loaded, geometry: Geometry | None, poses: Poses | None
                 fabric = model.plugin.build(*given)
             else:
                 worn = [one for one, body in zip(fabrics, over, strict=False) if body == name and len(one.faces)]
-                fabric = model.plugin.build_over(*given, *mesh_of(name, geometry, poses), worn)
+                lain = {"rested": rested[i]} if rested and rested[i].config is not model.config else {}
+                fabric = model.plugin.build_over(*given, *mesh_of(name, geometry, poses), worn, **lain)
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:
@@ -125,6 +141,8 @@ def _build_models(loaded: Loaded, geometry: Geometry | None, poses: Poses | None
                 fabric = roughen(fabric, spec.roughness, loaded.scene.seed + i)
             except BadInput as error:
                 raise loaded.at(f"objects[{i}].roughness", error) from None
+        if rested and rested[i].config is model.config:
+            fabric = replace(fabric, position=rested[i].x)
         fabrics.append(fabric)
     return fabrics
 
