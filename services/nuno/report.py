@@ -249,6 +249,10 @@ def _physics(report: Report) -> list[tuple[str, str]]:
 
 def _arranged(facts: dict[str, float]) -> str:
     """What an operation did to the cloth before the first frame."""
+    if "rested" in facts:
+        rest = "came to rest" if facts["rested"] else "were let settle"
+        took = f"in {facts['frames']:,.0f} frames ({facts['seconds']:.2g} s)"
+        return f"{facts['vertices']:,.0f} vertices {rest} {took}, from which the cloth goes on"
     if not facts.get("crossings"):
         return "nothing crossed at the start"
     far = f"{_millimetres(facts['largest'])} at most, {_millimetres(facts['mean'])} on average of all"

@@ -20,6 +20,7 @@ from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.layers import enclose
+from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
 from nuno_cloth.sewing.texture import lay_out
@@ -30,7 +31,7 @@ from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
-from nuno_schemas.plugin import Config, Files
+from nuno_schemas.plugin import Config, Files, Rested
 from nuno_schemas.units import quantity
 
 SHORTEST, SHARE = 3e-3, 0.2
@@ -65,6 +66,11 @@ class PatternConfig(Config):
     over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")
     edge: Annotated[float, quantity("m", ge=1e-3, le=0.2)] = Field(
         default=0.02, description="length of triangles' sides [m]"
+    )
+    coarse: Annotated[float, quantity("m", ge=1e-3, le=0.2)] | None = Field(
+        default=None,
+        description="length of triangles' sides on which it comes to rest on its body before the first frame, where "
+        "that is longer than edge [m]; none: it begins as it is drawn together",
     )
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
     fabrics: dict[str, FabricChoice] = Field(
@@ -110,10 +116,18 @@ class Pattern:
             raise BadInput(problem, field="elastics", remedy=remedy)
         return self._fabric(config, texture, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
+    def coarser(self, config: PatternConfig) -> PatternConfig | None:
+        """See nuno_schemas.plugin.Refined."""
+        if config.over is None or config.coarse is None or config.coarse <= config.edge:
+            return None
+        return config.model_copy(update={"edge": config.coarse, "coarse": None})
+
     def build_over(
-        self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
-    ) -> Fabric:
-        """The garment on a body's mesh x (v, 3) [m], faces (f, 3), over what it has `worn` since before.
+        self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = (),
+        rested: Rested | None = None,
+    ) -> Fabric:  # fmt: skip
+        """The garment on a body's mesh x (v, 3) [m], faces (f, 3), over what it has `worn` since before, or where
+        it has `rested` on fewer vertices.
 
         Raises BadInput, as `build`, and for a body of no one's size, or one that the garment does not close round: with
         the panel and the place.
@@ -124,6 +138,9 @@ class Pattern:
         texture = find_texture(config.texture, files)
         sewn, body = _sewn(config, files), build_tree(x, faces)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
+        if rested is not None:
+            start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
+            return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
         if worn:
             position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
         else:

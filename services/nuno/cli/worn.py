@@ -41,7 +41,7 @@ more room to be stopped in."""
 GARMENT = """\
   - name: {name}
     colour: {colour}
-    model: {{plugin: pattern, file: {pattern}, edge: {edge}, fabric: {fabric}, over: {{body: wearer}}}}
+    model: {{plugin: pattern, file: {pattern}, edge: {edge}, coarse: 2 cm, fabric: {fabric}, over: {{body: wearer}}}}
 """
 COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
 """In turn, the innermost first."""

@@ -15,8 +15,11 @@ from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import CHECKPOINTS, EVENT, REPORT, Event, Header
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
 
+RESTED = "rested_from", "rested"
+"""Arrays of `sim/fabric` that are `Loaded.rested`."""
 CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
 """Events of the services that answer control."""
 
@@ -53,7 +56,17 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
             target.write_bytes(recording.attachment(name))
         scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
         scene.write_text(json.dumps(data))
-        yield scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
+        loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
+        loaded.rested = rested_cloth(recording)
+        yield loaded
+
+
+def rested_cloth(recording: Recording) -> tuple[Float, Float] | None:
+    """See Loaded.rested."""
+    if not recording.counts.get(FABRIC.name):
+        return None
+    arrays, _ = recording.fabric(0.0)
+    return (arrays[RESTED[0]], arrays[RESTED[1]]) if RESTED[0] in arrays else None
 
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:

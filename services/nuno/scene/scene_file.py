@@ -17,6 +17,7 @@ from nuno.scene.override import apply_override, item_at, number_or_name, overrid
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float
 from nuno_schemas.operation import arranges
 from nuno_schemas.parts import Choice
 from nuno_schemas.scene import Applied, ClothContact, Scene
@@ -83,6 +84,8 @@ class Loaded:
     overrides: tuple[str, ...] = ()
     path: Path = Path()
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
+    rested: tuple[Float, Float] | None = None
+    """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""
 

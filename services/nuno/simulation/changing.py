@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from abc import abstractmethod
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any, Self
@@ -24,6 +25,7 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.operation import Outcome, arranges
+from nuno_schemas.plugin import Rested
 from nuno_schemas.system import StepReport
 
 NUMBERS = "numbers"
@@ -41,6 +43,8 @@ class Changing(Stepper):
     state: State
     numbers: Int | None
     """(n,) the vertex in each place of what is stepped, None where that is the fabric as it is."""
+    rested: Sequence[Rested]
+    """What each object has come to rest as on fewer vertices before, if anything has."""
     stillness: Stillness
     balanced: bool
 
@@ -119,7 +123,7 @@ class Changing(Stepper):
         if len(self.pieces) == 1:
             return [self.fabric]
         if self._fabrics is None:  # joined fabrics are copies: parts are kept only where one changes
-            self._fabrics = build.build_fabrics(self.loaded, self.geometry, self.start_poses)
+            self._fabrics = build.build_fabrics(self.loaded, self.geometry, self.start_poses, self.rested)
         return self._fabrics
 
     def _alter(self, index: int, chosen: Chosen) -> None:

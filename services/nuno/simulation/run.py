@@ -25,6 +25,7 @@ from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Stage
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
+from nuno.simulation.settle import settle
 from nuno.stepping.stepped import Stepped, copy_into, hash_of
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
@@ -53,7 +54,10 @@ class Simulation(Changing):
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        self.fabric, self.pieces, self.arranged = build.build_told(loaded, geometry, poses)
+        settled = settle(self.loaded, lambda coarse: Simulation(coarse, geometry, poses, threads))
+        self.rested = settled.objects
+        self.fabric, self.pieces, arranged = build.build_told(loaded, geometry, poses, self.rested)
+        self.arranged = [*settled.told, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))

@@ -18,6 +18,8 @@ from nuno.cloth.tension import tension_arrays
 from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
+from nuno.recording.reader import open_recording
+from nuno.recording.restore import RESTED, rested_cloth
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
@@ -123,8 +125,11 @@ class ClothDriver(Driver):
 
     def publish_fabric(self, frame: int) -> None:
         """What viewers and recordings need to know about the cloth, from `frame` on."""
-        payload = encode_arrays(*self.describe_fabric())
-        self.context.bus.publisher(FABRIC).put(payload, frame, frame / self.scene.frame_rate)
+        arrays, text = self.describe_fabric()
+        if frame == 0 and (rested := self.simulation.rested):
+            both = [one.start for one in rested], [one.x for one in rested]
+            arrays |= dict(zip(RESTED, map(np.concatenate, both), strict=True))
+        self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), frame, frame / self.scene.frame_rate)
 
     def encode_now(self) -> bytes:
         """What `sim/fabric` says, and x (n, 3) [m], frame and t [s]."""
@@ -239,6 +244,9 @@ def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
     poses = ask_poses(context, 0)() if geometry is not None else None
+    if context.options.resume is not None:
+        with open_recording(context.options.resume) as recording:
+            context.loaded.rested = rested_cloth(recording)
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
     if geometry is not None:
         simulation.find_poses = lambda frame: ask_poses(context, frame)()

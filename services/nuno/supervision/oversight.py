@@ -12,6 +12,7 @@ import zenoh
 from nuno.premises import check_premises
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
+from nuno.simulation.settle import coarser
 from nuno.supervision import log
 from nuno.supervision.launch import FINISH_TIMEOUT
 from nuno.supervision.plan import Plan
@@ -41,6 +42,7 @@ LAST_WORDS = 1.0
 COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
+SETTLING = "the cloth comes to rest on coarser triangles first"
 GONE = "its process ended or the connection broke"
 UNSAID = "does not say which scene it has read: it, or the router's rights, are of an older version (see nuno certs)"
 
@@ -106,7 +108,7 @@ class Supervisor:
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
-                self.say(COMPILING, progress)
+                self.say(SETTLING if coarser(self.loaded) else COMPILING, progress)
             if waited > self.patience:
                 raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
