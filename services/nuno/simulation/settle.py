@@ -23,9 +23,6 @@ from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import arranges
 from nuno_schemas.plugin import Rested
 
-LONGEST = 2.0
-"""What does not rest after this time [s] goes on as it is then."""
-
 
 class Settling(Protocol):
     """What is used of a simulation."""
@@ -47,8 +44,9 @@ class Settled:
 
 
 def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
-    """Let a scene come to rest on fewer vertices, its bodies standing where they start. Raises BadInput where these are
-    too few, and RunFailed where a step fails.
+    """Let a scene come to rest on fewer vertices, within its duration, while its bodies stand where they start.
+
+    Raises BadInput where these vertices are too few, and RunFailed where a step fails.
     """
     coarse = coarser(loaded)
     if coarse is None:
@@ -64,7 +62,7 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
         remedy, value = "make their sides shorter, or leave it out", loaded.models[changed].given.get("coarse")
         problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
         raise loaded.at(f"objects[{changed}].model.coarse", problem) from error
-    while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
+    while not simulation.stillness.rests and simulation.frame < loaded.scene.frames:
         report = simulation.step().report
         if report.status != "ok":
             raise RunFailed(f"on coarser triangles, frame {simulation.frame}: {report.message or report.status}")
