@@ -224,7 +224,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("energy", text or "0 J"))
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
-    rows += [(done["operation"], _arranged(done["facts"])) for done in report["arranged"]]
+    rows += [(done["operation"], describe_start(done["facts"])) for done in report["arranged"]]
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
     if rest := report["rest"]:
@@ -247,8 +247,8 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     return rows
 
 
-def _arranged(facts: dict[str, float]) -> str:
-    """What an operation did to the cloth before the first frame."""
+def describe_start(facts: dict[str, float]) -> str:
+    """What was done to the cloth before the first frame: by an operation, or as it came to rest on fewer vertices."""
     if "rested" in facts:
         rest = "came to rest" if facts["rested"] else "were let settle"
         took = f"in {facts['frames']:,.0f} frames ({facts['seconds']:.2g} s)"

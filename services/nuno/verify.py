@@ -89,7 +89,7 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
     `progress` is told each time [s]. Raises BadInput for a recording without scene or digests.
     """
     with restored_scene(recording) as loaded:
-        loaded.rested = None  # from the scene alone
+        loaded.settled = None  # from the scene alone
         found = Verification(0)
         for part, make in steppers(loaded, threads).items():
             now = compare(recording, Again(recording, make()), progress)

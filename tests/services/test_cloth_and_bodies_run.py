@@ -114,6 +114,10 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
         "cloth_contact.bodies", "meets bodies of triangles",
     ),
     "through it": ({"height": 0.01}, "cloth_contact.bodies", "sheet passes through cube where it starts"),
+    "through it for good": (
+        {"height": 0.01, "operations": [{"plugin": "untangle", "iterations": 5}]}, "operations[0]",
+        "cloth still passes through a body after 5 iterations",
+    ),
     "inside": ({"height": 0.0, "size": 0.02}, "cloth_contact.bodies", "starts inside of cube (49 of 49 vertices)"),
     "touching": ({"height": 0.02 + 5e-9}, "cloth_contact", "sheet touches cube where it starts"),
 }  # fmt: skip

@@ -26,10 +26,12 @@ SHEET = {"plugin": "sheet", "size": [0.06, 0.06], "resolution": [4, 4], "plane":
          "fabric": "interlock"}  # fmt: skip
 
 
-def write(folder: Path, *models: dict[str, object], **fields: object) -> Path:
-    """Tubes of 60 cm on a column of 44 at the top that grows to 64 at its foot; other objects by their models."""
+def write(folder: Path, *models: dict[str, object], around: int = 64, **fields: object) -> Path:
+    """Tubes of 60 cm on a column of 44 at the top that grows to 64 at its foot, with so many sides; other objects by
+    their models.
+    """
     (folder / "tube.json").write_text(json.dumps(tube()))
-    x, faces = column((0.08, 0.06), (0.9, 1.4))
+    x, faces = column((0.08, 0.06), (0.9, 1.4), around)
     x[:, [0, 2]] *= (1.0 + GROWTH * (1.4 - x[:, 1]))[:, None]
     trimesh.Trimesh(x, faces, process=False).export(folder / "column.obj")
     worn = {"plugin": "pattern", "file": "tube.json", "edge": FINE, "coarse": COARSE, "over": {"body": "wearer"}}
@@ -137,12 +139,34 @@ def test_what_is_wrong_with_the_coarser_triangles_is_told_by_their_field(tmp_pat
 
 
 def test_what_cuts_the_body_between_coarser_triangles_is_untangled_from_it(tmp_path: Path) -> None:
-    run = begin(write(tmp_path, {"coarse": "15 cm"}))
+    """A column with six sharp edges."""
+    run = begin(write(tmp_path, {"coarse": "5 cm"}, around=6))
     told = {one["operation"]: one["facts"] for one in run.arranged}
     assert told["untangle"]["crossings"] > 0.0 and not crossed(run)
     with pytest.raises(BadInput, match=r"one-0 passes through (itself|wearer)") as refused:
-        begin(write(tmp_path, {"coarse": "15 cm"}, operations=[]))
+        begin(write(tmp_path, {"coarse": "5 cm"}, around=6, operations=[]))
     assert "plugin: untangle" in str(refused.value.remedy)
+
+
+def test_objects_that_change_keep_where_they_came_to_rest(tmp_path: Path) -> None:
+    """Also after a change of the scene, from which their fabrics are built again."""
+    run = begin(write(tmp_path, {}, SHEET))
+    run.set("gravity=[0, -5, 0]")
+    for fabric, piece in zip(run.parts(), run.pieces, strict=True):
+        np.testing.assert_allclose(fabric.position, run.state.x[piece.start : piece.stop], atol=1e-12)
+
+
+def test_what_a_recording_has_of_other_triangles_is_not_taken(tmp_path: Path) -> None:
+    scene = write(tmp_path, {})
+    loaded = scene_file.read(scene)
+    loaded.settled = np.zeros((3, 3)), np.zeros((3, 3))
+    np.testing.assert_array_equal(Simulation.with_bodies(loaded).state.x, begin(scene).state.x)
+
+
+def test_what_is_wrong_with_the_step_is_told_as_without_coarser_triangles(tmp_path: Path) -> None:
+    with pytest.raises(BadInput) as told:
+        begin(write(tmp_path, {}, solver={"plugin": "respa", "dt": "10 ms"}))
+    assert told.value.field == "solver.dt"
 
 
 def test_what_is_wrong_on_any_triangles_is_told_as_without_coarser_ones(tmp_path: Path) -> None:

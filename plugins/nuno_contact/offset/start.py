@@ -20,8 +20,8 @@ from nuno_schemas.fabric import Fabric
 from nuno_schemas.vectors import norm
 
 NEAREST = 1e-8
-"""Cloth that starts nearer to itself than this [m] touches: in the digits that there are no plane is known to keep it
-apart, and layers in one plane pass for apart where edges are looked for that go through triangles."""
+"""Cloth that starts nearer to cloth or a body than this [m] touches it: in the digits that there are no plane is known
+to keep it apart, and layers in one plane pass for apart where edges are looked for that go through triangles."""
 
 
 def check_thickness(fabric: Fabric, thickness: float) -> None:

@@ -68,7 +68,7 @@ class Untangle:
         gone = norm(found.moved) > JITTER * cloth.edge
         whole = np.where(gone[:, None], whole + found.moved, whole)
         edge, face = find_crossings(cloth.tree, whole, cloth.piece, cloth.meets, cloth.bodies >= 0)
-        check_loose(cloth, whole, edge, face, found.iterations, before, [*objects, "a body"])
+        check_loose(cloth, whole, edge, face, found.iterations, before, list(objects))
         x = whole[: fabric.number]
         return Arranged(x, facts_of(before, found.iterations, x - fabric.position))
 
@@ -92,11 +92,12 @@ def check_loose(cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int,
     ends, corners = cloth.tree.edges[edge], cloth.tree.faces[face]
     held = (cloth.free[np.concatenate([ends, corners], axis=1), 0] == 0.0).any(axis=1)
     i, j = ends[0]
-    one, two = names[cloth.piece[i]], names[cloth.piece[corners[0, 0]]]
+    one, two, place = cloth.piece[i], cloth.piece[corners[0, 0]], place_of(x[[i, j]].mean(axis=0))
+    of_body = cloth.bodies in (one, two)
     raise BadInput(
-        f"cloth still passes through cloth after {iterations:,} iterations ({len(edge):,} edges through triangles of "
-        f"{before:,}, {int(held.sum()):,} with vertices that are held)",
-        value=f"edge {i}-{j} of {one} through triangle {face[0]} of {two}, {place_of(x[[i, j]].mean(axis=0))}",
+        f"cloth still passes through {'a body' if of_body else 'cloth'} after {iterations:,} iterations "
+        f"({len(edge):,} edges through triangles of {before:,}, {int(held.sum()):,} with vertices that are held)",
+        value=place if of_body else f"edge {i}-{j} of {names[one]} through triangle {face[0]} of {names[two]}, {place}",
         limit="none",
         remedy="place the objects so that less of them crosses, hold less of them, or allow more iterations",
     )  # fmt: skip

@@ -10,6 +10,7 @@ from nuno.choose.cloth import decide
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.cloth.worn import start_warnings
+from nuno.report import describe_start
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
@@ -51,6 +52,7 @@ def _show(rows: list[tuple[str, str]]) -> None:
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     simulation = Simulation.with_bodies(loaded)
     rows = _size(simulation) + _meetings(loaded)
+    rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _worn(simulation, simulation.geometry, simulation.poses)
     seconds = simulation.time_frame()  # from here on the cloth has moved

@@ -7,6 +7,8 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from nuno_schemas.units import to_si
+
 WORN = """\
 nuno: 1
 name: {name}
@@ -41,8 +43,10 @@ more room to be stopped in."""
 GARMENT = """\
   - name: {name}
     colour: {colour}
-    model: {{plugin: pattern, file: {pattern}, edge: {edge}, coarse: 2 cm, fabric: {fabric}, over: {{body: wearer}}}}
+    model: {{plugin: pattern, file: {pattern}, edge: {edge}{coarse}, fabric: {fabric}, over: {{body: wearer}}}}
 """
+COARSE = 0.02
+"""Garments of shorter sides than this [m] come to rest on sides as long first."""
 COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
 """In turn, the innermost first."""
 
@@ -69,9 +73,10 @@ def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, 
     """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
     beside the scene, which may go by the file `motion`.
     """
+    coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
     each = [
         GARMENT.format(name=one.name, colour=_quoted(COLOURS[i % len(COLOURS)]), pattern=_quoted(one.pattern),
-                       edge=_quoted(edge), fabric=_quoted(one.fabric))
+                       edge=_quoted(edge), coarse=coarse, fabric=_quoted(one.fabric))
         for i, one in enumerate(garments)
     ]  # fmt: skip
     given = {"name": _quoted(name_garments([name])[0]), "body": _quoted(body), "motion": _quoted(motion)}
@@ -80,7 +85,7 @@ def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, 
 
 def is_own(text: str) -> bool:
     """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
-    of_garment, of_scene = ("name", "colour", "pattern", "edge", "fabric"), ("name", "body", "motion")
+    of_garment, of_scene = ("name", "colour", "pattern", "edge", "coarse", "fabric"), ("name", "body", "motion")
     garments = f"(?:{_pattern_of(GARMENT, dict.fromkeys(of_garment, '.*'))})+"
     values = dict.fromkeys(of_scene, ".*") | {"garments": garments}
     return any(re.fullmatch(_pattern_of(one, values), text) for one in (WORN, WALKED))
@@ -93,6 +98,14 @@ def _pattern_of(template: str, values: dict[str, str]) -> str:
     for name, mark in marks.items():
         text = text.replace(re.escape(mark), values[name])
     return text
+
+
+def _is_shorter(length: str, than: float) -> bool:
+    """Whether it is one [m] and is; what is none, the run refuses."""
+    try:
+        return to_si(length, "m") < than
+    except ValueError:
+        return False
 
 
 def _quoted(value: str | None) -> str:

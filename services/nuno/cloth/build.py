@@ -130,18 +130,18 @@ def _build_models(
                 fabric = model.plugin.build(*given)
             else:
                 worn = [one for one, body in zip(fabrics, over, strict=False) if body == name and len(one.faces)]
-                lain = {"rested": rested[i]} if rested and rested[i].config is not model.config else {}
+                lain = {"rested": rested[i]} if rested and hasattr(model.plugin, "coarser") else {}
                 fabric = model.plugin.build_over(*given, *mesh_of(name, geometry, poses), worn, **lain)
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None
-        if spec.roughness:
+        if spec.roughness and not rested:
             try:
                 fabric = roughen(fabric, spec.roughness, loaded.scene.seed + i)
             except BadInput as error:
                 raise loaded.at(f"objects[{i}].roughness", error) from None
-        if rested and rested[i].config is model.config:
+        if rested and not hasattr(model.plugin, "coarser"):
             fabric = replace(fabric, position=rested[i].x)
         fabrics.append(fabric)
     return fabrics

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
@@ -18,8 +19,8 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
 
-RESTED = "rested_from", "rested"
-"""Arrays of `sim/fabric` that are `Loaded.rested`."""
+SETTLED = "settled_from", "settled"
+"""Arrays of `sim/fabric` that are `Loaded.settled`."""
 CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
 """Events of the services that answer control."""
 
@@ -57,16 +58,17 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
         scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
         scene.write_text(json.dumps(data))
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
-        loaded.rested = rested_cloth(recording)
+        loaded.settled = settled_cloth(recording)
         yield loaded
 
 
-def rested_cloth(recording: Recording) -> tuple[Float, Float] | None:
-    """See Loaded.rested."""
+def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
+    """See Loaded.settled."""
     if not recording.counts.get(FABRIC.name):
         return None
     arrays, _ = recording.fabric(0.0)
-    return (arrays[RESTED[0]], arrays[RESTED[1]]) if RESTED[0] in arrays else None
+    start, x = (arrays.get(name, np.zeros(0)) for name in SETTLED)
+    return (start, x) if start.shape == x.shape and x.ndim == 2 and x.shape[1] == 3 else None
 
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:

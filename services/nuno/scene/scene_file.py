@@ -84,7 +84,7 @@ class Loaded:
     overrides: tuple[str, ...] = ()
     path: Path = Path()
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
-    rested: tuple[Float, Float] | None = None
+    settled: tuple[Float, Float] | None = None
     """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""

@@ -52,11 +52,15 @@ class Simulation(Changing):
     status, published, kept = STATUS, STATE, CHECKPOINT
     quantities = MappingProxyType({"x": "position", "v": "velocity"})
 
-    def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
+    def __init__(
+        self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int,
+        watch: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        """`watch` is called now and then where the start takes long, and may raise."""
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        settled = settle(self.loaded, lambda coarse: Simulation(coarse, geometry, poses, threads))
+        settled = settle(self.loaded, lambda coarse: Simulation(coarse, geometry, poses, threads), watch)
         self.rested = settled.objects
-        self.fabric, self.pieces, arranged = build.build_told(loaded, geometry, poses, self.rested)
+        self.fabric, self.pieces, arranged = build.build_told(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled.told, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"

@@ -19,7 +19,7 @@ from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import RESTED, rested_cloth
+from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
@@ -128,7 +128,7 @@ class ClothDriver(Driver):
         arrays, text = self.describe_fabric()
         if frame == 0 and (rested := self.simulation.rested):
             both = [one.start for one in rested], [one.x for one in rested]
-            arrays |= dict(zip(RESTED, map(np.concatenate, both), strict=True))
+            arrays |= dict(zip(SETTLED, map(np.concatenate, both), strict=True))
         self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), frame, frame / self.scene.frame_rate)
 
     def encode_now(self) -> bytes:
@@ -244,10 +244,15 @@ def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
     poses = ask_poses(context, 0)() if geometry is not None else None
-    if context.options.resume is not None:
+    if context.options.resume is not None:  # a process of its own has read the scene alone
         with open_recording(context.options.resume) as recording:
-            context.loaded.rested = rested_cloth(recording)
-    simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
+            context.loaded.settled = settled_cloth(recording)
+
+    def watch() -> None:
+        if context.orphaned():
+            raise RunFailed("the supervisor has gone")
+
+    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch)
     if geometry is not None:
         simulation.find_poses = lambda frame: ask_poses(context, frame)()
     if context.options.resume is not None:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from nuno.cloth.build import build_fabric
+from nuno.cloth.numbering import takes_any_numbering
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.relax import Stillness
 from nuno.stepping.stepped import Stepped
@@ -22,6 +23,12 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import arranges
 from nuno_schemas.plugin import Rested
+
+LONGEST = 6.0
+"""What does not rest within this time [s] goes on as it is then: whatever the scene's duration is, so that a run that
+is resumed for longer has begun in the same place."""
+SPEED = 2e-3
+"""What moves slower than this [m/s] rests, where the scene does not say."""
 
 
 class Settling(Protocol):
@@ -43,26 +50,36 @@ class Settled:
     told: tuple[dict[str, Any], ...] = ()
 
 
-def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
-    """Let a scene come to rest on fewer vertices, within its duration, while its bodies stand where they start.
+def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling], watch: Callable[[], None]) -> Settled:
+    """Let a scene come to rest on fewer vertices, while its bodies stand where they start. `watch` is called each
+    frame, and may raise.
 
-    Raises BadInput where these vertices are too few, and RunFailed where a step fails.
+    Raises BadInput where these vertices are too few, or a force knows vertices by number, and RunFailed where a step
+    fails.
     """
     coarse = coarser(loaded)
     if coarse is None:
         return Settled()
-    if loaded.rested is not None:
-        return Settled(_split(coarse, *loaded.rested))
+    stops = np.cumsum([model.plugin.count(model.config, coarse.files) for model in coarse.models]).tolist()
+    if loaded.settled is not None and len(loaded.settled[0]) == stops[-1]:
+        return Settled(_split(coarse, stops, *loaded.settled))
+    first = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
+    if not takes_any_numbering(loaded):
+        numbered = BadInput("a force knows vertices by number: on coarser triangles they are others",
+                            remedy="leave it out")  # fmt: skip
+        raise loaded.at(f"objects[{first}].model.coarse", numbered)
     begin = time.perf_counter()
     try:
         simulation = simulate(coarse)
     except BadInput as error:
+        if not (error.field or "").startswith(("objects", "cloth_contact")):
+            raise
         build_fabric(loaded)  # which also refuses what is wrong at any size of triangles
-        changed = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
-        remedy, value = "make their sides shorter, or leave it out", loaded.models[changed].given.get("coarse")
+        remedy, value = "make their sides shorter, or leave it out", loaded.models[first].given.get("coarse")
         problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
-        raise loaded.at(f"objects[{changed}].model.coarse", problem) from error
-    while not simulation.stillness.rests and simulation.frame < loaded.scene.frames:
+        raise loaded.at(f"objects[{first}].model.coarse", problem) from error
+    while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
+        watch()
         report = simulation.step().report
         if report.status != "ok":
             raise RunFailed(f"on coarser triangles, frame {simulation.frame}: {report.message or report.status}")
@@ -70,13 +87,12 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
         "vertices": float(simulation.fabric.number), "frames": float(simulation.frame),
         "rested": float(simulation.stillness.rests), "seconds": time.perf_counter() - begin,
     }  # fmt: skip
-    objects = _split(coarse, simulation.fabric.position, simulation.state.x)
+    objects = _split(coarse, stops, simulation.fabric.position, simulation.state.x)
     return Settled(objects, ({"operation": "coarse", "object": "", "facts": facts},))
 
 
-def _split(coarse: Loaded, start: Float, x: Float) -> tuple[Rested, ...]:
+def _split(coarse: Loaded, stops: list[int], start: Float, x: Float) -> tuple[Rested, ...]:
     """Each object's part of where vertices (n, 3) of them all began and came to lie."""
-    stops = np.cumsum([model.plugin.count(model.config, coarse.files) for model in coarse.models]).tolist()
     bounds = zip(coarse.models, [0, *stops[:-1]], stops, strict=True)
     return tuple(Rested(model.config, start[a:b].copy(), x[a:b].copy()) for model, a, b in bounds)
 
@@ -92,5 +108,7 @@ def coarser(loaded: Loaded) -> Loaded | None:
         return None
     kept = [i for i, one in enumerate(loaded.operations) if arranges(one.plugin)]
     operations = [loaded.scene.operations[i] for i in kept]
-    scene = loaded.scene.model_copy(update={"until": "rest", "operations": operations, "dye": None})
+    speed = loaded.scene.rest_speed or SPEED
+    update = {"until": "rest", "rest_speed": speed, "operations": operations, "dye": None}
+    scene = loaded.scene.model_copy(update=update)
     return replace(loaded, scene=scene, models=models, operations=[loaded.operations[i] for i in kept], dye=None)

@@ -88,6 +88,8 @@ class Supervisor:
     def wait_until_ready(self, progress: Progress | None) -> None:
         """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
         begin, told = time.monotonic(), progress is None
+        settles = coarser(self.loaded) is not None and self.options.resume is None
+        patience = max(self.patience, COMPILE_TIMEOUT) if settles else self.patience
         while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
             self._drain(progress)
             if self.bad_input is not None:
@@ -108,9 +110,9 @@ class Supervisor:
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
-                self.say(SETTLING if coarser(self.loaded) else COMPILING, progress)
-            if waited > self.patience:
-                raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
+                self.say(SETTLING if settles else COMPILING, progress)
+            if waited > patience:
+                raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
 
     def check_premises(self, progress: Progress | None) -> None:
