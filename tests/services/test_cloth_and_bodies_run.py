@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from nuno.collision.primitives import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
+from nuno_bench.problem import piles
 from nuno_bench.problem.irregular import write_obj
 from nuno_bench.problem.oracle import Oracle
 from nuno_contact.offset.plugin import Offset
+from nuno_contact.offset.start import check_thickness
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import PENETRATION
 
@@ -179,3 +183,21 @@ def test_cloth_without_triangles_cannot_meet_them(tmp_path: Path, capfd: pytest.
     )  # fmt: skip
     code, _ = run(tmp_path, objects=[{"name": "net", "model": {"plugin": "net", "file": "net.npz"}}])
     assert code == 2 and "only cloth of triangles" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("size", [0.1, 0.005])
+def test_cloth_is_no_thicker_than_its_edges_are_cut(size: float, tmp_path: Path) -> None:
+    """Edges of 17 mm that start pressed to 0.8 may be; of 0.8 mm they may not."""
+    sheet = piles.sheet(7, size)
+    write_obj(tmp_path / "sheet.obj", sheet.position, sheet.faces)
+    objects = [{"name": "sheet", "model": {"plugin": "mesh", "file": "sheet.obj", "fabric": "denim"}}]
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(scene(objects=objects, bodies=[], cloth_contact="none")))
+    fabric = build_start(scene_file.read(tmp_path / "small.yaml")).fabrics[0]
+    assert fabric.membrane is not None
+    middle = fabric.position.mean(axis=0)
+    pressed = replace(fabric, position=middle + 0.005 / size * (fabric.position - middle))
+    if size == 0.1:
+        check_thickness(pressed, 1e-3)
+        return
+    with pytest.raises(BadInput, match="thicker than its shortest edge is long"):
+        check_thickness(pressed, 1e-3)

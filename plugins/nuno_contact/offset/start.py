@@ -25,9 +25,12 @@ to keep it apart, and layers in one plane pass for apart where edges are looked 
 
 
 def check_thickness(fabric: Fabric, thickness: float) -> None:
-    """Raises BadInput for cloth that is thicker than its edges are long."""
-    x, faces = fabric.position, fabric.faces
-    shortest = float(norm(x[faces] - x[np.roll(faces, -1, axis=1)]).min())
+    """Raises BadInput for cloth that is thicker than its edges are long: as they are cut, where that is known."""
+    x, faces, cut = fabric.position, fabric.faces, fabric.membrane
+    lengths = norm(x[faces] - x[np.roll(faces, -1, axis=1)])
+    if cut is not None and len(cut.faces) == len(faces):
+        lengths = cut.sides()
+    shortest = float(lengths.min())
     if thickness > shortest:
         raise BadInput(
             "cloth is thicker than its shortest edge is long", field="thickness", value=f"{thickness:g} m",
