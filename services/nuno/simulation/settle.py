@@ -9,26 +9,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from nuno.cloth.build import build_fabric
 from nuno.cloth.numbering import takes_any_numbering
+from nuno.scene.coarser import coarser
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.relax import Stillness
 from nuno.stepping.stepped import Stepped
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.operation import arranges
 from nuno_schemas.plugin import Rested
 
 LONGEST = 6.0
 """What does not rest within this time [s] goes on as it is then: whatever the scene's duration is, so that a run that
 is resumed for longer has begun in the same place."""
-SPEED = 2e-3
-"""What moves slower than this [m/s] rests, where the scene does not say."""
 
 
 class Settling(Protocol):
@@ -95,20 +93,3 @@ def _split(coarse: Loaded, stops: list[int], start: Float, x: Float) -> tuple[Re
     """Each object's part of where vertices (n, 3) of them all began and came to lie."""
     bounds = zip(coarse.models, [0, *stops[:-1]], stops, strict=True)
     return tuple(Rested(model.config, start[a:b].copy(), x[a:b].copy()) for model, a, b in bounds)
-
-
-def coarser(loaded: Loaded) -> Loaded | None:
-    """The scene with its models on fewer vertices, until it rests; None where no model has any."""
-    models = list(loaded.models)
-    for i, model in enumerate(models):
-        fewer = getattr(model.plugin, "coarser", None)
-        config = fewer(model.config) if fewer else None
-        models[i] = model if config is None else replace(model, config=config)
-    if models == loaded.models:
-        return None
-    kept = [i for i, one in enumerate(loaded.operations) if arranges(one.plugin)]
-    operations = [loaded.scene.operations[i] for i in kept]
-    speed = loaded.scene.rest_speed or SPEED
-    update = {"until": "rest", "rest_speed": speed, "operations": operations, "dye": None}
-    scene = loaded.scene.model_copy(update=update)
-    return replace(loaded, scene=scene, models=models, operations=[loaded.operations[i] for i in kept], dye=None)

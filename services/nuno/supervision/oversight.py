@@ -10,9 +10,9 @@ from typing import Any
 import zenoh
 
 from nuno.premises import check_premises
+from nuno.scene.coarser import coarser
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
-from nuno.simulation.settle import coarser
 from nuno.supervision import log
 from nuno.supervision.launch import FINISH_TIMEOUT
 from nuno.supervision.plan import Plan
