@@ -254,7 +254,7 @@ def test_the_last_word_of_a_service_that_failed_is_waited_for(
         def declare_subscriber(self, key: str, take: Callable[[zenoh.Sample], None]) -> Any:
             def later(sample: zenoh.Sample) -> None:
                 if b"on fire" in sample.payload.to_bytes():
-                    threading.Timer(0.5, take, [sample]).start()
+                    threading.Timer(0.2, take, [sample]).start()
                 else:
                     take(sample)
 
