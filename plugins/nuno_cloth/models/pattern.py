@@ -136,11 +136,12 @@ class Pattern:
             raise BadInput("the garment has no body to be put on", field="over")
         check_size(x, config.over.body, "a garment")
         texture = find_texture(config.texture, files)
-        sewn, body = _sewn(config, files), build_tree(x, faces)
+        sewn = _sewn(config, files)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
+        body = build_tree(x, faces)
         if worn:
             position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
         else:

@@ -68,13 +68,6 @@ def measure(m: Meeting, p: int) -> None:
 
 
 @block_kernel
-def gaps_at_start(m: Meeting, gap: Float) -> None:
-    """How far apart each of the listed pairs starts (p,) [m]."""
-    for p in range(gap.shape[0]):
-        gap[p] = begun_apart(m, p)
-
-
-@block_kernel
 def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
     """Into ways (n, 8), for each vertex in one line of the cache: where it is, where it goes, and its spread."""
     for i in range(x.shape[1]):

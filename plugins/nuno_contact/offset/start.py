@@ -7,16 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from nuno_contact.offset.bodies import Solids
-from nuno_contact.offset.lists import gaps_at_start, make_list
+from nuno_contact.offset.lists import begun_apart, make_list
 from nuno_contact.offset.meeting import Meeting, tree_of
 from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
+from nuno_kernels import block_kernel
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric
+from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.vectors import norm
 
 NEAREST = 1e-8
@@ -87,6 +88,13 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
                 + place_of(fabric.position[deepest]),
                 remedy=f"place or size the cloth, or move the body, otherwise, or leave {name} out here",
             )  # fmt: skip
+
+
+@block_kernel
+def gaps_at_start(m: Meeting, gap: Float) -> None:
+    """How far apart each of the listed pairs starts (p,) [m]."""
+    for p in range(gap.shape[0]):
+        gap[p] = begun_apart(m, p)
 
 
 def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
