@@ -45,12 +45,13 @@ from nuno_contact.offset.proximity import (
     unit,
     weigh,
 )
+from nuno_contact.offset.sharing import share_out
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import EVERY, lanes_up_to
 from nuno_kernels.lanes.simd import WIDTH, magnitude
 from nuno_kernels.lanes.triples import dot, minus, read_triple
-from nuno_kernels.step.blocks import BLOCK, PADDING
+from nuno_kernels.step.blocks import PADDING
 from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float, Int
 
@@ -169,36 +170,6 @@ def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E7
 
 
 @block_kernel
-def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> None:
-    """Which of `number` chosen pairs each block of vertices has a part in, in their order: bounds of each block's, and
-    the pairs.
-    """
-    blocks = start.shape[0] - 1
-    start[:] = 0
-    for fill in range(2):
-        for q in range(number):
-            p = chosen[q]
-            for corner in range(4):
-                block = pair[p, corner] // BLOCK
-                seen = False
-                for other in range(corner):
-                    seen = seen or pair[p, other] // BLOCK == block
-                if not seen:
-                    if fill == 1:
-                        shared[start[block]] = p
-                    start[block] += 1
-        if fill == 0:
-            total = 0
-            for block in range(blocks):
-                count = start[block]
-                start[block] = total
-                total += count
-    for block in range(blocks, 0, -1):
-        start[block] = start[block - 1]
-    start[0] = 0
-
-
-@block_kernel
 def in_place(x: Float, last: Float, mass: Float) -> bool:
     """Whether x (3, n) are as in `last`, but for those without mass."""
     for i in range(0, x.shape[1], WIDTH):
@@ -225,7 +196,7 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     elif m.step[0] > 0.0:
         copy_rows(v, m.velocity)
     if (not m.fresh[0] or m.step[0] > 0.0) and m.number[SHARED] != m.number[CHOICES]:
-        share_out(m.pair, m.near, m.number[NEAR], m.block_start, m.block_pair)
+        share_out(m.pair, m.near, m.number[NEAR], m.block_start, m.block_pair, None)
         m.number[SHARED] = m.number[CHOICES]
 
 

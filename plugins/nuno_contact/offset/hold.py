@@ -174,7 +174,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     dt = (s - m.clock[NOW]) * m.span[0]
     if m.local.shape[0] == 0:
         if hold_whole(m, x, v, s, threads) and m.swept[0] == 0:
-            brake(m, v, dt, SWEEPS[0])
+            brake(m, v, dt, SWEEPS[0], threads)
         m.swept[0] = 0
         return
     n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
@@ -188,7 +188,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
             pose_solids(m, s)
             find_behind(m, n)
             catch_up(m, n, dt)
-        brake(m, velocity, dt, SWEEPS[1])
+        brake(m, velocity, dt, SWEEPS[1], threads)
         copy_part(velocity, v, 0, n)
     m.swept[0] = 0
 
@@ -219,7 +219,7 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     for _ in range(3 if m.local.shape[0] > 0 else 0):
         passes = m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
         if m.number[LACKING] == 0 and not passes:
-            push_on(m, x, v, dt)
+            push_on(m, x, v, dt, threads)
         lists = m.number[CHOICES]
         if not list_for(m, x, s, threads):
             return False

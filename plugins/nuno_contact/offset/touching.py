@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, share_out, touch
+from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, touch
 from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
+from nuno_contact.offset.sharing import share_out
 from nuno_kernels import block_kernel
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.terms import over_blocks
@@ -84,7 +85,7 @@ def find_touching(m: Meeting, threads: int | None) -> None:
     number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
     touch_parts(m, number, PARTS, m.number[CLOSE], threads)
     m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
-    share_out(m.pair, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair)
+    share_out(m.pair, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair, threads)
     if dt > 0.0:
         rate_blocks(m, m.touch_start.shape[0] - 1, m.number[TOUCHING], threads)
     ease_parts(m, dt, PARTS, m.number[TOUCHING], threads)

@@ -42,7 +42,7 @@ class Parts:
             "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
-            "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0]),
+            "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
