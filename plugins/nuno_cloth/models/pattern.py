@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -172,7 +174,13 @@ class Pattern:
 
 
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
-    return close_short(sew(read_pattern(files, config.file), config.edge), min(SHORTEST, SHARE * config.edge))
+    return _cut(pickle.dumps(read_pattern(files, config.file)), config.edge)
+
+
+@lru_cache(maxsize=8)
+def _cut(pattern: bytes, edge: float) -> Sewn:
+    """A pickled Pattern in triangles: a scene asks three times for the same, and for a coarser one as often."""
+    return close_short(sew(pickle.loads(pattern), edge), min(SHORTEST, SHARE * edge))
 
 
 def _materials(config: PatternConfig, sewn: Sewn) -> Materials:

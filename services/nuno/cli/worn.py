@@ -18,7 +18,7 @@ until: rest
 rest_speed: 2 mm/s
 frame_rate: 60 Hz
 solver: {{plugin: respa, dt: auto}}
-damping: {{first: 400, over: 50 ms, last: 8}}
+damping: {{first: 400, over: 50 ms, last: 4}}
 objects:
 {garments}bodies:
   - name: wearer
