@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, ClassVar
 
@@ -26,6 +27,7 @@ from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
 from nuno_cloth.sewing.texture import lay_out
+from nuno_cloth.sewing.wrap import wrap
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree, build_tree
@@ -143,7 +145,7 @@ class Pattern:
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
-        body = build_tree(x, faces)
+        sewn, body = replace(sewn, placed=wrap(sewn, x, faces, clearance)), build_tree(x, faces)
         if worn:
             position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
         else:

@@ -1,0 +1,126 @@
+"""Panels that are sewn to themselves: tubes go round the limb that they lie beside, whatever way it points."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sewing_patterns import Body, column, panel, pattern, read, stitch
+
+from nuno.scene.files import SceneFiles
+from nuno_cloth.models.pattern import Pattern, PatternConfig
+from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.sewing.sew import sew
+from nuno_cloth.sewing.wrap import tubes, wrap
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.vectors import dot
+
+ONE_PIECE = "one[1]", "one[3]"
+
+
+def tube(width: float, height: float, **fields: Any) -> dict[str, Any]:
+    """A rectangle [cm] about its own middle, its two sides sewn to each other."""
+    w, h = 0.5 * width, 0.5 * height
+    return pattern({"one": panel((-w, -h), (w, -h), (w, h), (-w, h), **fields)}, stitch(*ONE_PIECE))
+
+
+def put_on(folder: Path, cut: dict[str, Any], body: Body, edge: float = 0.02) -> Fabric:
+    (folder / "one.json").write_text(json.dumps(cut))
+    config = PatternConfig(file="one.json", edge=edge, over={"body": "wearer", "clearance": 0.01})  # type: ignore[arg-type]
+    return Pattern().build_over(config, SceneFiles(folder), 0, *body)
+
+
+def together(*bodies: Body) -> Body:
+    first = np.cumsum([0, *(len(x) for x, _ in bodies)])
+    faces = [faces + np.int32(at) for (_, faces), at in zip(bodies, first, strict=False)]
+    return np.concatenate([x for x, _ in bodies]), np.concatenate(faces)
+
+
+def moved(body: Body, turn: Float, shift: Any) -> Body:
+    return np.ascontiguousarray(body[0] @ turn.T + np.asarray(shift)), body[1]
+
+
+def turns(cloth: Fabric, origin: Float, axis: Float) -> list[int]:
+    """How often each opening goes round a line through a point."""
+    edges = find_edges(cloth.faces)
+    ways = {
+        (int(a), int(b)) for k in range(3) for a, b in zip(cloth.faces[:, k], cloth.faces[:, (k + 1) % 3], strict=True)
+    }
+    after = {a: b for a, b in ways if (b, a) not in ways}
+    assert len(after) == (edges.count == 1).sum()
+    across = np.linalg.svd(axis[None])[2][1:]
+    flat = (cloth.position - origin) @ across.T
+    angle, found = np.arctan2(flat[:, 1], flat[:, 0]), []
+    while after:
+        here, whole = next(iter(after)), 0.0
+        while here in after:
+            there = after.pop(here)
+            whole += (angle[there] - angle[here] + np.pi) % (2.0 * np.pi) - np.pi
+            here = there
+        found.append(round(whole / (2.0 * np.pi)))
+    return sorted(found)
+
+
+def require_round(cloth: Fabric, body: Body, origin: Any, axis: Any) -> None:
+    """Both ends go once round a line, in opposite ways; its outside is outside, and nothing of it in the body."""
+    origin, axis = np.asarray(origin, float), np.asarray(axis, float)
+    assert turns(cloth, origin, axis) == [-1, 1]
+    a, b, c = (cloth.position[cloth.faces[:, k]] for k in range(3))
+    out = 0.5 * (a + b) - origin
+    out -= dot(out, axis)[:, None] * axis
+    assert (dot(np.cross(b - a, c - a), out) > 0.0).mean() > 0.99
+    points = np.concatenate([(1.0 - s) * a + s * b for s in np.linspace(0.0, 1.0, 5)])
+    assert np.asarray(closest_points(build_tree(*body), points).distance).min() > 0.0
+
+
+@pytest.mark.parametrize("edge", [0.01, 0.03])
+@pytest.mark.parametrize("turn", [0.0, 90.0, 180.0])
+def test_a_tube_goes_round_the_trunk_from_wherever_it_is_placed(tmp_path: Path, turn: float, edge: float) -> None:
+    """Before, beside and behind it: it is placed with its outside away from the body."""
+    body, angle = column((0.1, 0.08), (0.9, 1.4)), np.radians(turn)
+    at = [25.0 * np.sin(angle), 115.0, 25.0 * np.cos(angle)]
+    cloth = put_on(tmp_path, tube(70.0, 30.0, translation=at, rotation=[0, turn, 0]), body, edge)
+    require_round(cloth, body, [0, 1, 0], [0, 1, 0])
+
+
+@pytest.mark.parametrize("angle", [0.0, 40.0, 90.0])
+def test_a_sleeve_goes_round_its_arm_and_a_leg_round_its_own(tmp_path: Path, angle: float) -> None:
+    """The tube lies before one of two limbs, which point any way; the other is left alone."""
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+    limb = column((0.045, 0.05), (-0.3, 0.3))
+    body = together(moved(limb, turn, [0.25, 1.2, 0.0]), moved(limb, turn.T, [-0.25, 1.2, 0.0]))
+    cloth = put_on(tmp_path, tube(40.0, 25.0, translation=[25, 120, 20], rotation=[0, 0, angle]), body)
+    require_round(cloth, body, [0.25, 1.2, 0.0], turn @ [0, 1, 0])
+
+
+def test_a_skirt_of_one_piece_goes_round_both_legs_and_no_arm(tmp_path: Path) -> None:
+    legs = (moved(column((0.06, 0.06), (0.0, 0.9)), np.eye(3), [x, 0, 0]) for x in (-0.08, 0.08))
+    arms = (moved(column((0.04, 0.04), (0.6, 1.3)), np.eye(3), [x, 0, 0]) for x in (-0.35, 0.35))
+    body = together(column((0.14, 0.1), (0.85, 1.4)), *legs, *arms)
+    flared = panel((-55, -30), (55, -30), (45, 30), (-45, 30), translation=[0, 75, 30])
+    cloth = put_on(tmp_path, pattern({"one": flared}, stitch(*ONE_PIECE)), body)
+    for x in (-0.08, 0.0, 0.08):
+        require_round(cloth, body, [x, 1, 0], [0, 1, 0])
+    assert turns(cloth, np.array([0.35, 1.0, 0.0]), np.array([0.0, 1.0, 0.0])) == [0, 0]
+
+
+def test_darts_are_no_tubes_and_stay_where_they_are_placed(tmp_path: Path) -> None:
+    """A dart in two parts has edges that do not meet, and a tip; a side seam in two parts has none, in any order."""
+    dart = panel((0, 0), (30, 0), (30, 20), (20, 20), (17, 12), (15, 5), (13, 12), (10, 20), (0, 20))
+    body = column((0.1, 0.08), (0.9, 1.4))
+    darted = sew(read(tmp_path, pattern({"one": dart}, stitch("one[3]", "one[6]"), stitch("one[4]", "one[5]"))), 0.02)
+    assert tubes(darted, 0) == []
+    np.testing.assert_array_equal(wrap(darted, *body, 0.01), darted.placed)
+    sides = panel((-15, 0), (15, 0), (15, 10), (15, 20), (-15, 20), (-15, 10))
+    for stitches in (
+        (stitch("one[1]", "one[5]"), stitch("one[2]", "one[4]")),
+        (stitch("one[4]", "one[2]"), stitch("one[1]", "one[5]")),
+    ):
+        (pairs,) = tubes(sew(read(tmp_path, pattern({"one": sides}, *stitches)), 0.02), 0)
+        assert len(pairs) == 12
