@@ -12,8 +12,9 @@ from nets import make_fabric, make_system
 from pydantic import ValidationError
 
 from nuno import registry
+from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_integrators.explicit.fixed_step import NoConfig
-from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, steps_a_kick
+from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, divide, steps_a_kick
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_schemas.fabric import Float, Hinges, Springs, State
 from nuno_schemas.system import System, Term
@@ -146,6 +147,59 @@ def test_what_rests_on_a_damped_support_does_not_stir() -> None:
     x, v = end(system, Respa(), RespaConfig(every=4), 400, 0.04)
     assert np.abs(v).max() < 1e-9
     assert np.abs(x - start).max() < 1e-12
+
+
+def folded(bend: float, thickness: float = 4e-3) -> System:
+    """The strip above itself, half as far as cloth contact reaches; without gravity and undamped, but for springs."""
+    one = strip(damping=0.05, bend=bend, gravity=0.0)
+    n, fabric = one.fabric.number, one.fabric
+    assert fabric.springs is not None and fabric.hinges is not None
+    pairs, quads = fabric.springs.pairs(), fabric.hinges.quads()
+    pairs, quads = np.concatenate([pairs, pairs + np.int32(n)]), np.concatenate([quads, quads + np.int32(n)])
+    alike, rest = np.ones(len(quads), np.int32), np.tile(fabric.springs.rest, 2)
+    faces = np.unique(np.sort(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 1, 3]]]), axis=1), axis=0)
+    both = make_fabric(
+        np.concatenate([fabric.position, fabric.position + np.array([0.0, 0.5 * thickness, 0.0])]),
+        Springs.from_pairs(pairs, 0.0 * rest + STIFF, rest, 0.0 * rest + 0.05),
+        Hinges(quads, alike, alike, np.full(len(quads), bend), np.zeros(len(quads))),
+        MASS,
+        np.tile(fabric.pinned, 2),
+    )
+    both = replace(both, faces=faces.astype(np.int32))
+    objects = {"under": np.arange(n, dtype=np.int32), "over": np.arange(n, 2 * n, dtype=np.int32)}
+    config = OffsetConfig(thickness=thickness, friction=0.0, damping=0.0)
+    contact = Offset().prepare(config, both, objects, True, one.gravity)
+    return replace(make_system(both, one.gravity, 0.0), terms=(contact,))
+
+
+def test_bending_that_is_faster_than_contact_acts_in_every_step() -> None:
+    """Contact is then found as seldom as by itself; where it is slower, or there is none, bending is a kick."""
+    for bend, always in ((2e-2, True), (1e-5, False)):
+        system = folded(bend)
+        (contact,) = system.terms
+        division, alone = divide(system), divide(replace(system, terms=()))
+        assert ("hinges" in division.always) is always and "hinges" not in alone.always
+        assert not always or division.slow[0] == pytest.approx(np.sqrt(contact.omega_squared), rel=1e-6)
+        fast, slow = both_rates(system, State(system.fabric.position, system.fabric.velocity))
+        dt = 0.7 * Respa().limit(RespaConfig(), system, State(system.fabric.position, system.fabric.velocity)).dt
+        kicks = division.steps_a_kick(dt)
+        assert kicks > steps_a_kick(fast, slow, dt) if always else kicks == steps_a_kick(fast, slow, dt)
+
+
+@pytest.mark.parametrize("bend", [1e-3, 1e-2, 3e-2])
+def test_kicks_of_contact_feed_no_bending(bend: float) -> None:
+    """Of two strips that contact pushes apart, and keeps apart where they are held: bending has no damping."""
+    system = folded(bend)
+    state, plugin = State(system.fabric.position.copy(), system.fabric.velocity.copy()), Respa()
+    dt = 0.7 * plugin.limit(RespaConfig(), system, state).dt
+    assert plugin.steps_a_kick(RespaConfig(), system, dt) > 1
+    memory = plugin.prepare(RespaConfig(), system, state)
+    energy = []
+    for _ in range(40):
+        report = plugin.advance(system, state, memory, None, 250, dt)
+        assert report.status == "ok"
+        energy.append(sum(report.energy.values()))
+    assert max(energy) < 1.001 * energy[0], energy
 
 
 @pytest.mark.parametrize("every", [0, -1, 1.5, "often"])

@@ -18,6 +18,11 @@ Kicks go by the velocity just before them. The mean velocity since the last kick
 cause themselves, but comes too late for modes that swing within that time, which it drives: half as many steps a kick.
 Gravity is a kick for this reason: what rests on a body feels one force of contact and weight, and does not stir.
 
+Bending grows with the fourth power of how small triangles are: beside gathers and short edges it may be faster than
+contact, which then would be found in every step for its sake. Where it is, it acts with tension in every step, for a
+twentieth of what contact takes. It is not damped, so that kicks may meet none of its modes: they stay so near to each
+other that what they meet is twice as fast as it, and its stiffness a quarter of that mode's.
+
 Not chosen: kicks filtered by the fast motion (mollified impulses, Izaguirre et al. 1999), which bear longer times
 between kicks, but need the derivatives of positions that they average over.
 """
@@ -45,8 +50,8 @@ from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
-TENSION = ("springs", "membrane", "yarns")
-"""Kinds of force that act in every step."""
+TENSION, BENDING = ("springs", "membrane", "yarns"), ("hinges", "bending")
+"""Kinds of force that act in every step, and that do where they are faster than contact."""
 SAFE, SMOOTH = 0.7, 0.75
 """Shares of what is stable, and of a radian."""
 MOST, MODES = 64, 200
@@ -104,15 +109,28 @@ def advance_respa(
         copy_rows(here_v, v)
 
 
-@dataclass
-class RespaWork(Work):
-    """What is known of a system beforehand: steps for each kick where they are given, and rates [1/s], the greatest
-    angular frequency and damping, of tension and of the other forces.
+@dataclass(frozen=True)
+class Division:
+    """Which kinds of force act in every step; rates [1/s], the greatest angular frequency and damping, of these and of
+    the others; and how far apart kicks of the others may be in any case [s].
     """
 
-    every: int | None
+    always: tuple[str, ...]
     fast: tuple[float, float]
     slow: tuple[float, float]
+    longest: float = math.inf
+
+    def steps_a_kick(self, dt: float) -> int:
+        """For how many steps of dt [s] one kick may stand."""
+        return max(1, min(steps_a_kick(self.fast, self.slow, dt), int(min(MOST, self.longest / dt))))
+
+
+@dataclass
+class RespaWork(Work):
+    """What is known of a system beforehand: steps for each kick where they are given, and how its forces divide."""
+
+    every: int | None
+    division: Division
     kicks: int = 1
     dt: float = 0.0
     """Steps for each kick, and the step [s], of the last steps that were taken."""
@@ -131,7 +149,7 @@ class Respa(Compiled):
         n = system.fabric.number
         x, v = np.empty((2, 3, n))
         every = None if config.every == "auto" else config.every
-        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, *kick_rates(system))
+        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, divide(system))
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Of all forces with the damping of tension, and of the other forces alone."""
@@ -141,18 +159,18 @@ class Respa(Compiled):
         whole = math.hypot(fast[0], slow[0]), fast[1] + system.damping
         step = min(stable_step(self.amplification, *rates, system.damping) for rates in (whole, slow))
         if config.every != "auto" and math.isfinite(step) and step > 0.0:
-            step *= min(1.0, steps_a_kick(*kick_rates(system), step) / config.every)
+            step *= min(1.0, divide(system).steps_a_kick(step) / config.every)
         return StepLimit(step, whole[0], max(whole[1], slow[1]))
 
     def steps_a_kick(self, config: RespaConfig, system: System, dt: float) -> int:
         """Steps of dt [s] for each kick in this system."""
         if has_sliding(system.terms):
             return 1
-        return steps_a_kick(*kick_rates(system), dt) if config.every == "auto" else config.every
+        return divide(system).steps_a_kick(dt) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         if dt != work.dt:
-            work.kicks = steps_a_kick(work.fast, work.slow, dt) if work.every is None else work.every
+            work.kicks = work.division.steps_a_kick(dt) if work.every is None else work.every
             work.dt = dt
         self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         return Told(steps)
@@ -167,14 +185,15 @@ class Respa(Compiled):
         """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing is,
         or vertices slide on bodies: what holds them there changes their velocities in each step.
         """
-        alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(TENSION)
+        always = work.division.always
+        alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(always)
         if alone or any(kernels_of(term).slow is not None for term in work.packed.bodies):
             return source_of(SymplecticEuler().loop_for(work.packed), extra)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
-            others = [name for name in parts(p) if name not in TENSION]
+            others = [name for name in parts(p) if name not in always]
             fast = silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=np.zeros(3))
-            slow = silence(p, *TENSION)
+            slow = silence(p, *always)
             source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
 
         return loop
@@ -190,7 +209,7 @@ class Respa(Compiled):
 
 def has_sliding(terms: Sequence[Term]) -> bool:
     """Whether vertices slide on bodies."""
-    return any(kernels_of(part).slow is not None for term in terms if not callable(term.data) for part in term.data)
+    return any(kernels_of(part).slow is not None for term in terms for part in _parts(term))
 
 
 def at_start(system: System) -> State:
@@ -198,19 +217,35 @@ def at_start(system: System) -> State:
     return State(system.fabric.position, np.zeros_like(system.fabric.position))
 
 
-def kick_rates(system: System) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Those by which kicks are chosen: of tension the damping that it has at least."""
-    (omega, damping), slow = both_rates(system, at_start(system))
-    return (omega, min(damping, least_damping(system.fabric, omega))), slow
+def divide(system: System) -> Division:
+    """How the forces divide, by rates at the start; of tension's damping it is the least that any mode has."""
+    fast, slow = both_rates(system, at_start(system))
+    always: tuple[str, ...]
+    always, longest = TENSION, math.inf
+    dear = sum(term.omega_squared for term in system.terms if any(kernels_of(part).lists for part in _parts(term)))
+    bending = max(0.0, slow[0] ** 2 - sum(term.omega_squared for term in system.terms))
+    if 0.0 < dear < bending:
+        always, longest = TENSION + BENDING, 0.5 * math.pi / math.sqrt(bending)
+        fast, slow = both_rates(system, at_start(system), always)
+    return Division(always, (fast[0], min(fast[1], least_damping(system.fabric, fast[0]))), slow, longest)
 
 
-def both_rates(system: System, state: State) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds on angular frequency and damping rate [1/s] of tension, and of all other forces."""
-    fabric = system.fabric
-    tension = replace(fabric, hinges=None, bending=None, friction=None)
-    others = replace(fabric, springs=None, membrane=None, yarns=None)
-    omega, damping = measure_rates(replace(system, fabric=tension, terms=(), damping=0.0), state)
-    return (omega, damping), measure_rates(replace(system, fabric=others), state)
+def _parts(term: Term) -> Sequence[Any]:
+    return () if callable(term.data) else term.data
+
+
+def both_rates(
+    system: System, state: State, always: tuple[str, ...] = TENSION
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds on angular frequency and damping rate [1/s] of what acts in every step, and of all other forces."""
+    fabric, kicks = system.fabric, [name for name in (*BENDING, "friction") if name not in always]
+    fast = replace(system, fabric=_without(fabric, kicks), terms=(), damping=0.0)
+    return measure_rates(fast, state), measure_rates(replace(system, fabric=_without(fabric, always)), state)
+
+
+def _without(fabric: Fabric, names: Sequence[str]) -> Fabric:
+    nothing: dict[str, Any] = dict.fromkeys(names)
+    return replace(fabric, **nothing)
 
 
 def least_damping(fabric: Fabric, omega: float) -> float:
