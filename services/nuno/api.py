@@ -20,7 +20,7 @@ import numpy as np
 from nuno.choose.cloth import decide
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import per_dye
-from nuno.report import Report, make_report
+from nuno.report.make import Report, make_report
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options

@@ -12,7 +12,7 @@ from typing import Any
 
 from scenes import BALL, write_scene
 
-from nuno.report import Report, make_report
+from nuno.report.make import Report, make_report
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options

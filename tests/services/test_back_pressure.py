@@ -18,7 +18,8 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
-from nuno.report import lines, make_report
+from nuno.report.make import make_report
+from nuno.report.show import lines
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation

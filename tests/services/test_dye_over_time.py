@@ -15,7 +15,7 @@ import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step, give
-from nuno.report import lines
+from nuno.report.show import lines
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor

@@ -15,7 +15,7 @@ from nuno.cli import main
 from nuno.recording.gaps import count_gaps, missing, shortcoming
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter, part_of
-from nuno.report import lines
+from nuno.report.show import lines
 from nuno.wire.bus import Publisher
 from nuno_schemas.messages import STATE, STATUS
 

@@ -16,7 +16,7 @@ from nuno.export.paint import SIDES
 from nuno.export.pictures import Painter
 from nuno.export.tables import export_npz
 from nuno.recording.reader import open_recording
-from nuno.report import lines
+from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput

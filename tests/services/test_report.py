@@ -10,8 +10,9 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.report import Report, lines
-from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
+from nuno.report.make import Report
+from nuno.report.show import lines
+from nuno.report.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
 @pytest.fixture(scope="module")

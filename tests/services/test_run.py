@@ -139,7 +139,7 @@ def test_of_services_that_are_gone_the_one_that_said_why_is_named() -> None:
         cut_off=str, errors=errors, bus=SimpleNamespace(ask_json=lambda *question: {}),
         watch=SimpleNamespace(alive=set), _drain=lambda *arguments, **patience: False,
         say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), laggards=None,
-        _last_words=lambda dead, progress: False, _why=lambda name: errors.get(name, oversight.GONE),
+        _hear=lambda names, progress: False, _why=lambda name: errors.get(name, oversight.GONE),
     )  # fmt: skip
     said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched), None)
     assert said == "the collision service died: the sensor is on fire"

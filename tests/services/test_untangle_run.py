@@ -11,8 +11,8 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno import report
 from nuno.cloth import build
+from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_kernels.meshes.normals import edge_numbers
@@ -72,7 +72,7 @@ def test_the_report_tells_what_was_moved(tmp_path: Path) -> None:
     assert [(one["operation"], one["object"]) for one in told] == [("untangle", "")]
     assert told[0]["facts"]["crossings"] > 20 and 0.0 < told[0]["facts"]["mean"] < told[0]["facts"]["largest"] < 0.02
     assert whole.report["cloth_contact"]["crossed"] == 0
-    rows = dict(report.lines(whole.report))
+    rows = dict(lines(whole.report))
     assert "edges went through triangles at the start" in rows["untangle"]
 
 

@@ -16,7 +16,8 @@ from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import check_unfinished, restored_scene
 from nuno.recording.writer import part_of
-from nuno.report import make_report, show_report
+from nuno.report.make import make_report
+from nuno.report.show import show_report
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import log, runs, supervisor

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
 
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import State
+from nuno_schemas.system import StepLimit, System
 
 ROUNDING = 1e-6
 """Relative: a step that is a limit, or a part of a frame, and written in seven digits may differ from it by this."""
@@ -15,6 +20,22 @@ SAFE, SAFE_DYE = 0.7, 0.9
 """Share of the limit that `dt: auto` takes. Cloth that stretches or folds is somewhat stiffer than at its start, where
 the limit is measured. Of dye it is exact, but at it the finest checkerboard of amounts swaps for ever and does not
 fade."""
+
+
+def find_limit(loaded: Loaded, solver: Any, system: System, start: State) -> StepLimit:
+    """How long a step of the cloth can be, by its solver. Raises BadInput where that is not to be found."""
+    try:
+        with np.errstate(all="ignore"):
+            found: StepLimit = solver.limit(loaded.integrator.config, system, start)
+    except (np.linalg.LinAlgError, ArithmeticError):
+        found = StepLimit(np.nan, np.nan, np.nan)
+    if np.isnan(found.dt):
+        error = BadInput(
+            "no stable step can be found: numbers of the scene are too large or too small for float64",
+            remedy="look for a stiffness, mass or length that is off by many orders of magnitude",
+        )
+        raise loaded.at("objects", error)
+    return found
 
 
 def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: bool = False) -> tuple[int, float]:

@@ -20,7 +20,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
-from nuno.scene.step import choose_step
+from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Stage
@@ -100,7 +100,8 @@ class Simulation(Changing):
         self._still = False
         self.system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
-        self.limit = self._find_limit()
+        start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
+        self.limit = find_limit(self.loaded, self.solver.plugin, self.system, start)
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
         self.costs.begin(self.loaded.integrator.plugin.making_lists(self.memory))
@@ -118,22 +119,6 @@ class Simulation(Changing):
             known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
             arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
         copy_into(self.memory.arrays, arrays, some=True)
-
-    def _find_limit(self) -> StepLimit:
-        config = self.loaded.integrator.config
-        try:
-            with np.errstate(all="ignore"):
-                start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
-                found: StepLimit = self.solver.plugin.limit(config, self.system, start)
-        except (np.linalg.LinAlgError, ArithmeticError):
-            found = StepLimit(np.nan, np.nan, np.nan)
-        if np.isnan(found.dt):
-            error = BadInput(
-                "no stable step can be found: numbers of the scene are too large or too small for float64",
-                remedy="look for a stiffness, mass or length that is off by many orders of magnitude",
-            )
-            raise self.loaded.at("objects", error)
-        return found
 
     def arrays(self) -> Arrays:
         """See `Stepper`: x (n, 3) [m] and v (n, 3) [m/s]."""

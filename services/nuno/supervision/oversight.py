@@ -99,7 +99,7 @@ class Supervisor:
             over = self.exited()
             if gone := {name for name in missing if name in over or self.watch.gone(name)}:
                 name = min(gone)
-                self._hear(name, progress)
+                self._hear({name}, progress)
                 if self.bad_input is not None:
                     raise self.bad_input
                 why = self.errors.get(name) or f"the {name} service ended before it was ready: {over.get(name) or GONE}"
@@ -122,7 +122,7 @@ class Supervisor:
                 alive = services & self.watch.alive()
                 notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
             except RunFailed as error:
-                self._hear(error.peer, progress)
+                self._hear({error.peer}, progress)
                 if broken := self.cut_off():
                     raise RunFailed(broken) from None
                 if error.peer in self.watch.alive():
@@ -137,11 +137,16 @@ class Supervisor:
         """Why a service is over."""
         return self.errors.get(name) or self.exited().get(name) or GONE
 
-    def _hear(self, name: str, progress: Progress | None) -> None:
-        """Wait for the last words of a service that is over: they may still be on the way."""
-        end = time.monotonic() + 0.5
-        while name not in self.errors and time.monotonic() < end:
-            self._drain(progress, timeout=0.05)
+    def _hear(self, names: set[str], progress: Progress | None) -> bool:
+        """Wait for the last words of services that are over, which may still be on the way; whether the run ends
+        meanwhile.
+        """
+        end, over = time.monotonic() + LAST_WORDS, self.ended is not None
+        while True:
+            if self._drain(progress, timeout=0.05) and not over:
+                return True
+            if names & self.errors.keys() or time.monotonic() >= end:
+                return False
 
     def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
         """Take in what services say; whether the run has ended."""
@@ -195,10 +200,10 @@ class Supervisor:
             if broken := self.cut_off():
                 return broken
             for name in self.dispensable - self.watch.alive() - self.without.keys():
-                self._hear(name, progress)
+                self._hear({name}, progress)
                 self._miss(name, self.exited().get(name) or GONE, progress)
             if dead := [name for name in self.needed if name not in self.watch.alive()]:
-                if self._last_words(set(dead), progress):
+                if self._drain(progress) or self._hear(set(dead), progress):
                     break
                 if self.blamed in self.watch.alive():
                     return f"the run gave up: {self.errors[dead[0]]}"
@@ -218,14 +223,6 @@ class Supervisor:
         if name not in self.without:
             self.without[name] = self.errors.get(name) or why
             self.say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
-
-    def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
-        """Hear why services died, which may come after it is known that they did; whether the run was over."""
-        end = time.monotonic() + LAST_WORDS
-        while not self._drain(progress, timeout=0.1) and time.monotonic() < end:
-            if any(self.errors.get(name) for name in dead):
-                break
-        return self.ended is not None
 
     def finish(
         self, error: str, report: Summarise, discard: bool = False, progress: Progress | None = None
@@ -287,7 +284,7 @@ class Supervisor:
 
     def _lose(self, name: str, why: str, progress: Progress | None) -> None:
         """Note a service that has not finished."""
-        self._hear(name, progress)
+        self._hear({name}, progress)
         why = self.exited().get(name) or why or GONE
         if name in self.dispensable:
             self._miss(name, why, progress)
