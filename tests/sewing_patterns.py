@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,18 @@ def column(radii: tuple[float, float], height: tuple[float, float], around: int 
     ]
     ends = np.stack([j, i, 0 * i + len(x) - 2], axis=1), np.stack([last + i, last + j, 0 * i + len(x) - 1], axis=1)
     return x, np.concatenate([*sides, *ends]).astype(np.int32)
+
+
+def together(*bodies: Body) -> Body:
+    """One mesh, whose parts may stand in each other."""
+    first = np.cumsum([0, *(len(x) for x, _ in bodies)])
+    faces = [faces + np.int32(at) for (_, faces), at in zip(bodies, first, strict=False)]
+    return np.concatenate([x for x, _ in bodies]), np.concatenate(faces)
+
+
+def moved(body: Body, turn: Float, shift: Sequence[float]) -> Body:
+    """Turned (3, 3) about the origin, then shifted (3,) [m]."""
+    return np.ascontiguousarray(body[0] @ turn.T + np.asarray(shift)), body[1]
 
 
 def panel(*corners: tuple[float, float], curves: Mapping[int, Any] | None = None, **fields: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sewing_patterns import Body, column, panel, pattern, read, stitch
+from sewing_patterns import Body, column, moved, panel, pattern, read, stitch, together
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
@@ -34,16 +34,6 @@ def put_on(folder: Path, cut: dict[str, Any], body: Body, edge: float = 0.02) ->
     (folder / "one.json").write_text(json.dumps(cut))
     config = PatternConfig(file="one.json", edge=edge, over={"body": "wearer", "clearance": 0.01})  # type: ignore[arg-type]
     return Pattern().build_over(config, SceneFiles(folder), 0, *body)
-
-
-def together(*bodies: Body) -> Body:
-    first = np.cumsum([0, *(len(x) for x, _ in bodies)])
-    faces = [faces + np.int32(at) for (_, faces), at in zip(bodies, first, strict=False)]
-    return np.concatenate([x for x, _ in bodies]), np.concatenate(faces)
-
-
-def moved(body: Body, turn: Float, shift: Any) -> Body:
-    return np.ascontiguousarray(body[0] @ turn.T + np.asarray(shift)), body[1]
 
 
 def turns(cloth: Fabric, origin: Float, axis: Float) -> list[int]:
@@ -94,7 +84,8 @@ def test_a_sleeve_goes_round_its_arm_and_a_leg_round_its_own(tmp_path: Path, ang
     """The tube lies before one of two limbs, which point any way; the other is left alone."""
     turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
     limb = column((0.045, 0.05), (-0.3, 0.3))
-    body = together(moved(limb, turn, [0.25, 1.2, 0.0]), moved(limb, turn.T, [-0.25, 1.2, 0.0]))
+    limbs = moved(limb, turn, [0.25, 1.2, 0.0]), moved(limb, turn.T, [-0.25, 1.2, 0.0])
+    body = together(column((0.1, 0.08), (0.0, 1.0)), *limbs)
     cloth = put_on(tmp_path, tube(40.0, 25.0, translation=[25, 120, 20], rotation=[0, 0, angle]), body)
     require_round(cloth, body, [0.25, 1.2, 0.0], turn @ [0, 1, 0])
 

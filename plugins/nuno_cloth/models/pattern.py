@@ -16,6 +16,7 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import find_texture
+from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import read_pattern
@@ -139,6 +140,7 @@ class Pattern:
         if config.over is None:
             raise BadInput("the garment has no body to be put on", field="over")
         check_size(x, config.over.body, "a garment")
+        check_stance(x, faces, config.over.body)
         texture = find_texture(config.texture, files)
         sewn = _sewn(config, files)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance

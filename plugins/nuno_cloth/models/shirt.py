@@ -15,6 +15,7 @@ from nuno_cloth.models.dress import Fit, dress
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, find_texture
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
+from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import STANDS, TURN, Wearer, find_wearer
 from nuno_cloth.quantities import Angle, Length
@@ -92,6 +93,7 @@ class Shirt:
             raise BadInput("a shirt is put on a bare body, and this one wears cloth already", field="over.body",
                            value=config.over.body, remedy="let the shirt come first among the objects")  # fmt: skip
         check_size(x, config.over.body, "a shirt")
+        check_stance(x, faces, config.over.body)
         wearer = find_wearer(x, faces)
         sizes, fit = take_measures(wearer, config)
         cut, sewn = sewn_for(sizes, config)
