@@ -24,7 +24,7 @@ TURN = "turn it by the collider's `up: z` or `rotate`"
 def check_stance(x: Float, faces: Int, body: str) -> None:
     """Raises BadInput for a body x (v, 3) [m], faces (f, 3) of this name that lies, or whose feet point another way."""
     width, height, depth = np.ptp(x, axis=0).tolist()
-    if depth > height or width > WIDEST * height:
+    if max(width, depth) > WIDEST * height:
         value = f"{body}, {width:.2f} m wide, {height:.2f} m high, {depth:.2f} m deep"
         raise BadInput("the body lies", field="over.body", value=value, limit="upright, y up", remedy=TURN)
     low = float(x[:, 1].min())
