@@ -30,14 +30,17 @@ operations:
 view: {{azimuth: 20 deg, elevation: 5 deg}}
 """
 """The scene of patterns on a body: the guarantee of cloth contact begins once `untangle` is done."""
-WALKED = (
-    WORN.replace("and comes to rest there", "comes to rest there, and goes along as the body moves")
-    .replace("duration: 6 s\nuntil: rest\nrest_speed: 2 mm/s\n", "duration: 4 s\n")
-    .replace("last: 8", "last: 1")
-    .replace("thickness: 1.5 mm", "thickness: 2 mm")
-    .replace("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
-             "    motion: {{plugin: bvh, file: {motion}}}")
-)  # fmt: skip
+WALKED = WORN
+for _standing, _walking in (
+    ("and comes to rest there", "comes to rest there, and goes along as the body moves"),
+    ("duration: 6 s\nuntil: rest\nrest_speed: 2 mm/s\n", "duration: 4 s\n"),
+    ("last: 4", "last: 1"),
+    ("thickness: 1.5 mm", "thickness: 2 mm"),
+    ("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
+     "    motion: {{plugin: bvh, file: {motion}}}"),
+):  # fmt: skip
+    assert _standing in WALKED
+    WALKED = WALKED.replace(_standing, _walking)
 """The same on a body that stands for a second and sets out: what moves is held back less than what is to rest, and has
 more room to be stopped in."""
 GARMENT = """\
