@@ -12,7 +12,7 @@ import nuno
 from nuno.cli import main
 from nuno.report.make import Report
 from nuno.report.show import lines
-from nuno.report.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
+from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
 from nuno.report.show import lines
-from nuno.report.warnings import scene_warnings
 from nuno.scene import shipped
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import load, read
+from nuno.warnings import scene_warnings
 from nuno_schemas.messages import EVENT
 
 

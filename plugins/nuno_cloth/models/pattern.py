@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, ClassVar
 
@@ -19,11 +18,13 @@ from nuno_cloth.models.placement import find_texture
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
-from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.assemble import sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
+from nuno_cloth.sewing.fields import PatternFile
 from nuno_cloth.sewing.layers import enclose
+from nuno_cloth.sewing.pattern import Pattern as Drawn
 from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
@@ -177,26 +178,35 @@ class Pattern:
         return check_pattern(files, name, gather)
 
 
+@dataclass(frozen=True)
+class _Drawing:
+    """A pattern by what its file says."""
+
+    said: str
+    pattern: Drawn = field(compare=False)
+
+
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
-    return _cut(pickle.dumps(read_pattern(files, config.file)), config.edge)
+    written = files.read(config.file, PatternFile)
+    return _cut(_Drawing(written.said.model_dump_json(), sound(written)), config.edge)
 
 
 @lru_cache(maxsize=8)
-def _cut(pattern: bytes, edge: float) -> Sewn:
-    """A pickled Pattern in triangles: a scene asks three times for the same, and for a coarser one as often."""
-    return close_short(sew(pickle.loads(pattern), edge), min(SHORTEST, SHARE * edge))
+def _cut(drawing: _Drawing, edge: float) -> Sewn:
+    """In triangles: a scene asks three times for the same, and for coarser ones as often."""
+    return close_short(sew(drawing.pattern, edge), min(SHORTEST, SHARE * edge))
 
 
 def _materials(config: PatternConfig, sewn: Sewn) -> Materials:
     """Which fabric each triangle is of. Raises BadInput."""
     each: list[Material] = []
-    for field, choice in {
+    for place, choice in {
         "fabric": config.fabric,
         **{f"fabrics.{k}": one for k, one in config.fabrics.items()},
     }.items():
         if isinstance(material := resolve(choice), HandSet):
             remedy = "give a preset or measured values"
-            raise BadInput("constants per spring make no membrane", field=field, remedy=remedy)
+            raise BadInput("constants per spring make no membrane", field=place, remedy=remedy)
         each.append(material)
     of = np.zeros(len(sewn.names), np.int32)
     for k, panel in enumerate(config.fabrics, 1):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from nuno_cloth.models.wearer import TURN
 from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -18,7 +19,6 @@ TOES = 0.012
 """Feet reach forward of the ankles by more than this share of the height; with less there is nothing to tell by."""
 SIDEWAYS = 45.0
 """Farther off +z than this a body faces another way [deg]."""
-TURN = "turn it by the collider's `up: z` or `rotate`"
 
 
 def check_stance(x: Float, faces: Int, body: str) -> None:

@@ -33,7 +33,11 @@ class Wrong(Exception):
 
 def read_pattern(files: Files, name: str) -> Pattern:
     """The pattern of a file. Raises BadInput for the first thing in it that cannot be sewn."""
-    written = files.read(name, PatternFile)
+    return sound(files.read(name, PatternFile))
+
+
+def sound(written: Written[PatternFile]) -> Pattern:
+    """The pattern of what is written. Raises BadInput for the first thing in it that cannot be sewn."""
     pattern, remarks = assemble(written)
     for remark in remarks:
         raise BadInput(f"{remark.where}: {remark.text}", written.file, remark.line, remark.field, remedy=remark.remedy)

@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from nuno.crossed import find_nearest, find_spells, spell_rows
 from nuno.recording.gaps import missing, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.report.crossed import find_nearest, find_spells, spell_rows
 from nuno.report.show import lines
 from nuno.supervision import runs
 

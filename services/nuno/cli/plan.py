@@ -11,11 +11,11 @@ from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.cloth.worn import start_warnings
 from nuno.report.show import describe_start
-from nuno.report.warnings import scene_warnings
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
+from nuno.warnings import scene_warnings
 from nuno_schemas.bodies import Geometry, Poses
 
 

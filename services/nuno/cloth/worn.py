@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno.collision.distance import penetration, signed_distance
-from nuno.report.warnings import SEEN_DEPTH
+from nuno.warnings import SEEN_DEPTH
 from nuno_schemas.bodies import BOX, OF_TRIANGLES, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

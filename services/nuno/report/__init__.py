@@ -1,1 +1,1 @@
-"""What is said of a run at its end: made from what services counted, shown to a person, and what makes it doubtful."""
+"""What is said of a run at its end: made from what services counted, and shown to a person."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from nuno.report import crossed
+from nuno import crossed
 from nuno.report.make import Report
-from nuno.report.warnings import result_warnings
+from nuno.warnings import result_warnings
 from nuno.words import counted, duration, factor
 
 ENDS = (("min", "shortest"), ("max", "longest"))

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from nuno import crossed
 from nuno.process import Terminated
-from nuno.report import crossed
-from nuno.report.warnings import scene_warnings
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import launch, log, runs
 from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.supervision.plan import Plan, make_plan
+from nuno.warnings import scene_warnings
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import cut_off, hub_at, identity, spoke
 from nuno.words import counted
