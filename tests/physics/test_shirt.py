@@ -191,7 +191,10 @@ def test_bodies_that_lie_tilted_are_refused_with_what_turns_them(body: Body) -> 
     """About 60 degrees: something like armpits is found, and no arm that goes on from them."""
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -np.sqrt(0.75)], [0.0, np.sqrt(0.75), 0.5]])
     tilted = np.ascontiguousarray(body[0] @ turn.T), body[1]
-    for put_on, problem in ((shirt, "the body lies"), (lambda body: find_wearer(*body), "no trunk and arms")):
+    for put_on, problem in (
+        (shirt, "the body lies"),
+        (lambda b: take_measures(find_wearer(*b), config()), "no trunk and arms"),
+    ):
         with pytest.raises(BadInput, match=problem) as refused:
             put_on(tilted)
         assert refused.value.remedy is not None and "up: z" in refused.value.remedy and "scale" in refused.value.remedy
