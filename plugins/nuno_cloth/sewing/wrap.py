@@ -74,13 +74,9 @@ def _frame(sewn: Sewn, own: Int, pairs: Int) -> Frame:
 
 def _bend(sewn: Sewn, own: Int, pairs: Int, frame: Frame, body: Float, faces: Int, clearance: float) -> Float:
     """(k, 3) where the panel's own vertices (k,) are when it is bent round its limb [m]."""
-    ends = frame.across(sewn.flat[pairs])
-    order = frame.along(sewn.flat[pairs].mean(axis=1)).argsort()
-    height, left, right = (
-        frame.along(sewn.flat[pairs].mean(axis=1))[order],
-        ends.min(axis=1)[order],
-        ends.max(axis=1)[order],
-    )
+    heights, ends = frame.along(sewn.flat[pairs].mean(axis=1)), frame.across(sewn.flat[pairs])
+    order = heights.argsort()
+    height, left, right = heights[order], ends.min(axis=1)[order], ends.max(axis=1)[order]
     along, across = frame.along(sewn.flat[own]), frame.across(sewn.flat[own])
     low, high = np.interp(along, height, left), np.interp(along, height, right)
     angle = np.pi * (2.0 * across - low - high) / (high - low)

@@ -138,9 +138,7 @@ class Supervisor:
         return self.errors.get(name) or self.exited().get(name) or GONE
 
     def _hear(self, names: set[str], progress: Progress | None) -> bool:
-        """Wait for the last words of services that are over, which may still be on the way; whether the run ends
-        meanwhile.
-        """
+        """Wait for last words of services that are over, which may be on the way; whether the run ends meanwhile."""
         end, over = time.monotonic() + LAST_WORDS, self.ended is not None
         while True:
             if self._drain(progress, timeout=0.05) and not over:
