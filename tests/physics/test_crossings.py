@@ -11,7 +11,7 @@ import pytest
 from nuno.collision import crossings, pairs
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import cross, find_crossings
-from nuno.collision.pairs import Mesh, mesh_of, near_pairs
+from nuno.collision.pairs import Mesh, NearPairs, mesh_of, near_pairs
 from nuno_bench.problem import piles
 from nuno_schemas.fabric import Float
 
@@ -93,6 +93,25 @@ def test_what_is_found_of_near_pairs_has_the_bits_of_all_pairs(seed: int) -> Non
     edge, face = near_pairs(x, mesh, 1.1 * least)
     kept = ~cross(x[mesh.edges[edge]], x[mesh.faces[face]])
     assert least_distance(x, mesh, (edge[kept], face[kept]), 1.1 * least) == least
+
+
+@pytest.mark.parametrize("within", [0.0, 0.01])
+def test_pairs_of_frame_after_frame_are_those_of_each_alone(within: float) -> None:
+    """Of a sheet that lies still askew in another, creeps on in it, leaps, and creeps on."""
+    across, along = np.meshgrid(np.arange(12.0), np.arange(12.0))
+    sheet = np.stack([across.ravel(), along.ravel(), np.zeros(144)], axis=1)
+    low = (np.arange(11)[:, None] * 12 + np.arange(11)).ravel()
+    faces = np.stack([low, low + 1, low + 12], axis=1)
+    x = np.concatenate([sheet, sheet @ np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.1], [0.0, 0.0, 1.0]]) - [3.0, 3.0, 0.7]])
+    mesh, way = mesh_of(np.concatenate([faces, faces + 144]).astype(np.int32)), np.repeat([0.0, 1.0], 144)[:, None]
+    kept, looked = NearPairs(mesh, within), 0
+    for pace in [0.0, 0.0, *[0.05] * 40, 1.5, *[0.05] * 40, *[0.3] * 5]:
+        x = x + pace * way * [0.8, 0.6, 0.0]
+        before = kept.found_at
+        for found, expected in zip(kept.at(x), near_pairs(x, mesh, within), strict=True):
+            np.testing.assert_array_equal(found, expected)
+        looked += kept.found_at is not before
+    assert looked < 30
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 100])

@@ -10,8 +10,8 @@ import numpy as np
 
 from nuno.collision.bodies import Bodies
 from nuno.collision.clearance import least_distance
-from nuno.collision.crossings import Crossings, find_crossings
-from nuno.collision.pairs import Mesh, mesh_of, near_pairs
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import Mesh, NearPairs, mesh_of
 from nuno.collision.surfaces import NO_SURFACES, surface
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage, decode_arrays
@@ -41,7 +41,10 @@ class ClothCheck:
         self.meet, self.objects = loaded.scene.meet(), [part.name for part in loaded.scene.objects]
         self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
         """Distances are looked for up to this [m]; 0 of contact that has none."""
-        self.mesh: Mesh | None = None
+        self.near: NearPairs | None = None
+        self.through: list[NearPairs] = []
+        """Of cloth with cloth; and of its edges with bodies' triangles, and of theirs with its triangles, these
+        bodies' vertices numbered behind the cloth's."""
         self.names: list[str] = []
         self.piece = np.zeros(0, np.int64)
         """(n,) number of the object that each vertex is of."""
@@ -60,7 +63,10 @@ class ClothCheck:
             check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
             number = [piece["stop"] - piece["start"] for piece in text["objects"]]
             self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
-            self.mesh, self.piece = mesh_of(faces), np.repeat(np.arange(len(self.meet)), number)
+            mesh, n, none = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
+            self.near, self.piece = NearPairs(mesh, self.thickness), np.repeat(np.arange(len(self.meet)), number)
+            both = Mesh(self.solid.faces + n, mesh.edges, none), Mesh(mesh.faces, self.solid.edges + n, none)
+            self.through = [NearPairs(one, 0.0) for one in both]
         except (LookupError, TypeError, ValueError) as error:
             raise BadMessage(f"a fabric without {error}") from None
         except Wrong as error:
@@ -70,19 +76,20 @@ class ClothCheck:
         """What a frame's report says of points (n, 3), with bodies where they are then. Raises BadMessage for points of
         another cloth.
         """
-        if self.mesh is None or not np.isfinite(points).all():
+        if self.near is None or not np.isfinite(points).all():
             return {}
         if len(points) != len(self.piece):
             raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
         self.looked += 1
-        edge, face = near_pairs(points, self.mesh, self.thickness)
-        one, other = self.piece[self.mesh.edges[edge, 0]], self.piece[self.mesh.faces[face, 0]]
+        mesh, (edge, face) = self.near.mesh, self.near.at(points)
+        one, other = self.piece[mesh.edges[edge, 0]], self.piece[mesh.faces[face, 0]]
         meeting = self.meet[one, other]
         pairs = edge[meeting], face[meeting]
-        found = [find_crossings(points, self.mesh, pairs)]
-        distance = 0.0 if len(found[0].places) else least_distance(points, self.mesh, pairs, self.thickness)
+        found = [find_crossings(points, mesh, pairs)]
+        distance = 0.0 if len(found[0].places) else least_distance(points, mesh, pairs, self.thickness)
         if poses is not None and self.bodies:
-            found += self._through_bodies(points, poses)
+            whole = np.concatenate([points, self.surface.at(poses)])
+            found += [find_crossings(whole, near.mesh, near.at(whole)) for near in self.through]
         edges, triangles, crossed = (
             np.concatenate([getattr(one, name) for one in found]) for name in ("edges", "triangles", "places")
         )
@@ -98,18 +105,6 @@ class ClothCheck:
             self.crossed, self.most = self.crossed + 1, max(self.most, number)
             self.first = self.first or {"frame": header.frame, "t": header.t, "place": places[0], "objects": objects[0]}
         return {"crossings": number, "places": places, "objects": objects, "distance": distance}
-
-    def _through_bodies(self, points: Float, poses: Poses) -> list[Crossings]:
-        """Where edges of cloth go through triangles of bodies, and edges of bodies through triangles of cloth; vertices
-        of bodies are numbered behind the cloth's.
-        """
-        assert self.mesh is not None
-        x, n = np.concatenate([points, self.surface.at(poses)]), len(points)
-        faces, edges, none = self.solid.faces + n, self.solid.edges + n, np.zeros((0, 3), np.int64)
-        return [
-            find_crossings(x, Mesh(faces, self.mesh.edges, none)),
-            find_crossings(x, Mesh(self.mesh.faces, edges, none)),
-        ]
 
     def summary(self) -> dict[str, Any]:
         """What the report says of a run."""

@@ -37,6 +37,8 @@ WIDE = 8
 """Boxes of a cell that one box is held against at once."""
 AT_ONCE = 1 << 12
 """How often that is done together: as many as stay in the core's cache."""
+ROOM, FRAMES = 0.5, 3.0
+"""In how much more room pairs are kept, as a share of the triangles' width, where they last so many frames then."""
 BITS = 9
 """Of a box' side in units of the whole cloth, for the first look: six of them and a bit each above fill a number."""
 
@@ -79,7 +81,48 @@ def near_pairs(x: Float, mesh: Mesh, within: float) -> tuple[Long, Long]:
         found.append(overlap(edge.take(left), edges, face.take(left), faces))
     edge, face = (np.concatenate(each) for each in zip(*found, strict=True))
     # A pair that is in several cells was found in each.
-    edge, face = once(edge, face, len(mesh.faces))
+    return _along_diagonals(x, mesh, once(edge, face, len(mesh.faces)), within)
+
+
+class NearPairs:
+    """What `near_pairs` finds of a mesh in frame after frame, in less time where little moves: of the pairs that are
+    near within more room, until a vertex has gone half of that.
+    """
+
+    def __init__(self, mesh: Mesh, within: float) -> None:
+        self.mesh, self.within = mesh, within
+        self.found_at, self.last, self.room, self.wide = np.zeros((0, 3)), np.zeros((0, 3)), 0.0, np.nan
+        self.pairs = np.zeros(0, np.int64), np.zeros(0, np.int64)
+
+    def at(self, x: Float) -> tuple[Long, Long]:
+        """See `near_pairs`."""
+        if len(x) != len(self.found_at) or 2.0 * _farthest(x, self.found_at) > self.room:
+            if np.isnan(self.wide):
+                low, high = boxes_of(x.T, self.mesh.faces)
+                self.wide = ROOM * float((high - low).max(axis=0).mean()) if len(self.mesh.faces) else 0.0
+            pace = _farthest(x, self.last) if len(x) == len(self.last) else np.inf
+            self.room = self.wide if 2.0 * FRAMES * pace <= self.wide else 0.0
+            self.found_at, self.pairs = x.copy(), near_pairs(x, self.mesh, self.within + self.room)
+        self.last = x.copy()
+        return self.pairs if self.room == 0.0 else _nearer(x, self.mesh, self.pairs, self.within)
+
+
+def _farthest(x: Float, from_there: Float) -> float:
+    """How far any vertex has gone [m], rounding included."""
+    way = x - from_there
+    return sqrt(float(np.einsum("ki,ki->k", way, way).max(initial=0.0))) + ROUNDING * float(np.abs(x).max(initial=0.0))
+
+
+def _nearer(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> tuple[Long, Long]:
+    """Those of the pairs that are no farther apart than `within` along any axis."""
+    edges, faces = boxes_of(x.T, mesh.edges), boxes_of(x.T, mesh.faces)
+    near = overlap(pairs[0], (edges[0] - within, edges[1] + within), pairs[1], faces)
+    return _along_diagonals(x, mesh, near, within)
+
+
+def _along_diagonals(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> tuple[Long, Long]:
+    """Those of them that are no farther apart along any of DIAGONALS."""
+    edge, face = pairs
     room = sqrt(2.0) * within + ROUNDING * float(np.abs(x).max())
     for axis in DIAGONALS:
         along = (x @ axis)[None]
