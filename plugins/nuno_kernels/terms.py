@@ -215,16 +215,17 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
     return _overloaded(head, build)
 
 
-def over_blocks(one: Any, parameters: str, worth: int = 0) -> Any:
+def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block") -> Any:
     """A function f(<parameters>, blocks, threads) for kernels: calls one(block, <parameters>) for every block, in their
     order where `threads` is None, else on several threads.
 
     Which of the two it is, is known when a kernel is compiled, and only that is compiled. With `worth` f takes what
     there is to do before `threads`; less than that is done in order by one thread, since others have to be woken for
-    it and waited for, which takes some microseconds.
+    it and waited for, which takes some microseconds. Each of several threads takes consecutive ones; with `order`, an
+    expression in `block`, those that it gives for them.
     """
     head, call = f"{parameters}, blocks{', work' if worth else ''}, threads", f"one(block, {parameters})"
-    body = f"    for block in prange(blocks):\n        {call}"
+    body = f"    for block in prange(blocks):\n        one({order}, {parameters})"
     loop = numba.njit(parallel=True, **FLAGS)(_define("loop", f"{parameters}, blocks", body, one=one, prange=prange))
     alone = _define("alone", head, f"    for block in range(blocks):\n        {call}", one=one)
     body = f"    loop({parameters}, blocks)"

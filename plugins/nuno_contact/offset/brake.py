@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.places import CLOSE
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
@@ -61,7 +61,7 @@ def fast_part(part: int, m: Meeting, v: Float, dt: float, fast: Int, number: Lon
     number[part] = at - first
 
 
-fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH)
+fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
 
 
 @block_kernel

@@ -196,7 +196,7 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     elif m.step[0] > 0.0:
         copy_rows(v, m.velocity)
     if (not m.fresh[0] or m.step[0] > 0.0) and m.number[SHARED] != m.number[CHOICES]:
-        share_out(m.pair, m.near, m.number[NEAR], m.block_start, m.block_pair, None)
+        share_out(m, m.near, m.number[NEAR], m.block_start, m.block_pair, None)
         m.number[SHARED] = m.number[CHOICES]
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
 from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, farthest_way, push_on
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.parting import give_way, on_the_way, plane_along
 from nuno_contact.offset.places import (
     CHOICES,
@@ -100,7 +100,7 @@ def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: L
     number[part], lost[part] = at - first, fails
 
 
-pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH)
+pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
 
 
 @block_kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.meeting import EDGES, PARTS, Meeting, close_up, tree_of
+from nuno_contact.offset.meeting import EDGES, IN_TURN, PARTS, Meeting, close_up, tree_of
 from nuno_contact.offset.places import CHOICES, LACKING, LISTED, LISTS_MADE, NEAR
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_near, near_leaves
@@ -180,8 +180,8 @@ def enlist_part(part: int, m: Meeting, found: Long, normal: Float, number: Long)
                 m.normal[at, row] = normal[of, row]
 
 
-search_parts = over_blocks(search_part, "m, leaves, found, normal, number")
-enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
+search_parts = over_blocks(search_part, "m, leaves, found, normal, number", order=IN_TURN)
+enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TURN)
 
 
 @block_kernel
@@ -231,7 +231,7 @@ def choose_part(part: int, m: Meeting, number: Long) -> None:
     number[part] = chosen - first
 
 
-choose_parts = over_blocks(choose_part, "m, number")
+choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
 
 
 @block_kernel

@@ -21,6 +21,10 @@ PARTS = 16
 """Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
 WORTH = 256
 """Pairs from which on that is worth it."""
+IN_TURN = "block % 4 * 4 + block // 4"
+"""The order in which threads take parts, each some from everywhere: pairs of vertices and triangles, which stand first,
+take longer than those of edges.
+"""
 
 
 class Meeting(NamedTuple):
@@ -84,7 +88,7 @@ class Meeting(NamedTuple):
     number: NDArray[np.int64]
     """(8,) counts: see LISTED"""
     block_start: Int
-    """(B + 1,) bounds of each block's pairs, of those near, in"""
+    """(B + 1,) bounds of the pairs of each block of cloth, of those near, in"""
     block_pair: Int
     """(4 P,)"""
     close: Int
@@ -263,8 +267,8 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
         law=law,
         number=np.zeros(8, np.int64),
-        block_start=np.zeros(block_count(n) + 1, np.int32),
-        touch_start=np.zeros(block_count(n) + 1, np.int32),
+        block_start=np.zeros(block_count(fabric.number) + 1, np.int32),
+        touch_start=np.zeros(block_count(fabric.number) + 1, np.int32),
         fresh=np.zeros(1, np.bool_),
         reference=np.full((6, n), np.nan),
         motion=np.zeros((6, n)),

@@ -1,11 +1,11 @@
-"""Which pairs each block of vertices has a part in: blocks add forces to their own vertices, on any thread."""
+"""Which pairs each block of cloth's vertices has a part in: blocks add forces to their own vertices, on any thread."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.meeting import PARTS, WORTH
+from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
@@ -13,48 +13,48 @@ from nuno_schemas.fabric import Int
 
 
 @forced_inline
-def block_of(pair: Int, p: int, corner: int) -> int:
-    """The block of a pair's corner, -1 where that of one before is the same."""
-    block = pair[p, corner] // BLOCK
+def block_of(pair: Int, p: int, corner: int, cloth: int) -> int:
+    """The block of a pair's corner, -1 where that of one before is the same, and of bodies, behind the cloth."""
+    block = pair[p, corner] // BLOCK if pair[p, corner] < cloth else -1
     for other in range(corner):
-        if pair[p, other] // BLOCK == block:
+        if pair[p, other] < cloth and pair[p, other] // BLOCK == block:
             return -1
     return int(block)
 
 
 @block_kernel
-def count_part(part: int, pair: Int, chosen: Int, number: int, at: NDArray[np.int64]) -> None:
+def count_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64]) -> None:
     """Into at[part] how many of a part of the chosen pairs each block has."""
     for q in range(part * number // PARTS, (part + 1) * number // PARTS):
         for corner in range(4):
-            block = block_of(pair, chosen[q], corner)
+            block = block_of(pair, chosen[q], corner, cloth)
             if block >= 0:
                 at[part, block] += 1
 
 
 @block_kernel
-def fill_part(part: int, pair: Int, chosen: Int, number: int, at: NDArray[np.int64], shared: Int) -> None:
+def fill_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64], shared: Int) -> None:
     """A part of the chosen pairs to where at[part] says for each block, and on."""
     for q in range(part * number // PARTS, (part + 1) * number // PARTS):
         for corner in range(4):
-            block = block_of(pair, chosen[q], corner)
+            block = block_of(pair, chosen[q], corner, cloth)
             if block >= 0:
                 shared[at[part, block]] = chosen[q]
                 at[part, block] += 1
 
 
-count_parts = over_blocks(count_part, "pair, chosen, number, at", WORTH)
-fill_parts = over_blocks(fill_part, "pair, chosen, number, at, shared", WORTH)
+count_parts = over_blocks(count_part, "pair, chosen, number, cloth, at", WORTH, IN_TURN)
+fill_parts = over_blocks(fill_part, "pair, chosen, number, cloth, at, shared", WORTH, IN_TURN)
 
 
 @block_kernel
-def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
-    """Which of `number` chosen pairs each block of vertices has a part in, in their order: bounds of each block's, and
+def share_out(m: Meeting, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
+    """Which of `number` chosen pairs each block of cloth has a part in, in their order: bounds of each block's, and
     the pairs.
     """
-    blocks = start.shape[0] - 1
+    pair, cloth, blocks = m.pair, m.mass.shape[0] - m.local.shape[0], start.shape[0] - 1
     at = np.zeros((PARTS, blocks), np.int64)
-    count_parts(pair, chosen, number, at, PARTS, number, threads)
+    count_parts(pair, chosen, number, cloth, at, PARTS, number, threads)
     total = 0
     for block in range(blocks):
         start[block] = total
@@ -63,4 +63,4 @@ def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int, thre
             at[part, block] = total
             total += count
     start[blocks] = total
-    fill_parts(pair, chosen, number, at, shared, PARTS, number, threads)
+    fill_parts(pair, chosen, number, cloth, at, shared, PARTS, number, threads)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, touch
-from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_contact.offset.sharing import share_out
@@ -74,9 +74,9 @@ def ease_part(part: int, m: Meeting, dt: float) -> None:
         m.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
 
 
-touch_parts = over_blocks(touch_part, "m, number", WORTH)
+touch_parts = over_blocks(touch_part, "m, number", WORTH, IN_TURN)
 rate_blocks = over_blocks(rate_block, "m", WORTH)
-ease_parts = over_blocks(ease_part, "m, dt", WORTH)
+ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
 
 
 @block_kernel
@@ -85,7 +85,7 @@ def find_touching(m: Meeting, threads: int | None) -> None:
     number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
     touch_parts(m, number, PARTS, m.number[CLOSE], threads)
     m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
-    share_out(m.pair, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair, threads)
+    share_out(m, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair, threads)
     if dt > 0.0:
         rate_blocks(m, m.touch_start.shape[0] - 1, m.number[TOUCHING], threads)
     ease_parts(m, dt, PARTS, m.number[TOUCHING], threads)
@@ -119,7 +119,7 @@ def drag_part(part: int, m: Meeting, v: Float) -> None:
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
 
 
-drag_parts = over_blocks(drag_part, "m, v", WORTH)
+drag_parts = over_blocks(drag_part, "m, v", WORTH, IN_TURN)
 
 
 @block_kernel
