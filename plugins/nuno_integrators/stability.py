@@ -127,7 +127,7 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
     if system.fabric.springs is not None:
         # What locks may do so at any time: it counts as if it had.
         system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
-    packed = silence_bodies(pack(system))
+    packed = silence_bodies(pack(system, own=False))
     x, v = to_rows(state.x), to_rows(state.v)
     # What slips now holds again as soon as it turns.
     call_each(packed, "stick", x)
@@ -136,7 +136,7 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
-        packed = silence_bodies(pack(replace(system, fabric=fabric)))
+        packed = silence_bodies(pack(replace(system, fabric=fabric), own=False))
         call_each(packed, "stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)

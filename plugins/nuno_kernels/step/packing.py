@@ -17,8 +17,9 @@ from nuno_kernels.terms import Kernels, kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
-PARALLEL_FROM = 4096
-"""Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
+PARALLEL_FROM, WITH_PAIRS = 4096, 1024
+"""Fewest vertices that run on several threads, two blocks; and of cloth that meets itself or bodies by pairs of
+triangles, of which there are several for each vertex. Whether they do in a frame is found by trying."""
 
 
 def to_rows(array: Float, out: Float | None = None) -> Float:
@@ -34,17 +35,19 @@ def to_rows(array: Float, out: Float | None = None) -> Float:
 
 def thread_count(system: System) -> int:
     """Threads that this system's kernels run on."""
-    if system.fabric.number < PARALLEL_FROM:
+    pairs = any(kernels_of(part).lists for term in system.terms if not callable(term.data) for part in term.data)
+    if system.fabric.number < (WITH_PAIRS if pairs else PARALLEL_FROM):
         return 1
     return max(1, min(system.threads, threads_available()[0]))
 
 
-def pack(system: System) -> Packed:
+def pack(system: System, own: bool = True) -> Packed:
     """Kernel layout of a system. Raises BadInput for a force of a type without kernels; those in Python are left to
-    `python_terms`.
+    `python_terms`. Without `own` its terms' arrays are the system's: for what takes no steps.
     """
     fabric = system.fabric
-    given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
+    given = [part for term in system.terms if not callable(term.data) for part in term.data]
+    given = [own_copy(part) for part in given] if own else given
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),
