@@ -27,8 +27,6 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 
 CLEARANCE = 5e-3
-ARMS_THROUGH = "p01"
-"""Its skirt is so wide, and placed so high, that both arms go through its panels."""
 CLOTH = Material(0.1, 1e3, 1e3, 1e2, 2e-5, 1e-5, bend_poisson=0.2)
 
 
@@ -129,7 +127,7 @@ def test_a_panel_that_reaches_into_the_body_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.quick(name=["shirt", "p09"], edge=[0.03])
 @pytest.mark.parametrize("edge", [0.02, 0.03])
-@pytest.mark.parametrize("name", [name for name in REAL if name != ARMS_THROUGH])
+@pytest.mark.parametrize("name", REAL)
 def test_real_garments_start_clear_of_their_body(shared_data: Path, name: str, edge: float) -> None:
     """No edge of cloth goes through a triangle of the body, nor one of the body through cloth; and none through
     anything once `untangle` has freed what begins in itself.
@@ -140,13 +138,6 @@ def test_real_garments_start_clear_of_their_body(shared_data: Path, name: str, e
     whole = {"garment": np.arange(fabric.number, dtype=np.int32)}
     freed = Untangle().arrange(UntangleConfig(), fabric, whole, np.ones((1, 1), bool), 2e-3)
     assert through(replace(fabric, position=freed.position), body) == (0, 0)
-
-
-@pytest.mark.full
-def test_a_skirt_that_starts_with_arms_through_it_is_refused_by_its_panel(shared_data: Path) -> None:
-    body = read_closed(shared_data / "body-mean.obj")
-    with pytest.raises(BadInput, match=r"panel skirt_\w+ cannot be put round wearer, and starts in it"):
-        put_on(shared_data / "patterns", f"{ARMS_THROUGH}.json", body, 0.02, 0.02)
 
 
 def test_edges_far_longer_than_the_clearance_go_round_a_column_and_not_through_it(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.fields import PatternFile
+from nuno_cloth.sewing.flare import flare
 from nuno_cloth.sewing.layers import enclose
 from nuno_cloth.sewing.pattern import Pattern as Drawn
 from nuno_cloth.sewing.refine import refine
@@ -148,7 +149,8 @@ class Pattern:
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
-        sewn, body = replace(sewn, placed=wrap(sewn, x, faces, clearance)), build_tree(x, faces)
+        placed = flare(sewn, wrap(sewn, x, faces, clearance), x, faces, clearance)
+        sewn, body = replace(sewn, placed=placed), build_tree(x, faces)
         if worn:
             position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
         else:
