@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from sewing_patterns import column, panel, pattern, stitch
+from scipy.spatial.transform import Rotation
+from sewing_patterns import column, moved, panel, pattern, stitch, together
 
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
@@ -82,11 +83,27 @@ def test_ease_is_what_was_cut_less_the_tape(girth: float, radius: float) -> None
     assert (waist.body, waist.cut, waist.worn) == pytest.approx((tape, girth, worn), rel=1e-9)
     assert waist.ease == pytest.approx(girth - tape, rel=1e-9)
     assert neck.body == pytest.approx(tape) and neck.cut is None and neck.ease is None
-    assert [one[2] for one in fit.openings] == pytest.approx([girth, girth])
-    np.testing.assert_allclose([one[:2] for one in fit.openings], [(0.42, 0.42), (0.0, 0.0)], atol=1e-12)
+    assert [one.cut for one in fit.openings] == pytest.approx([girth, girth])
+    np.testing.assert_allclose([(one.low, one.high) for one in fit.openings], [(0.42, 0.42), (0.0, 0.0)], atol=1e-12)
     for name, strain in (("warp", 0.05), ("weft", worn / girth - 1.0)):
         spread = fit.strains[name]
         assert (spread.median, spread.high, spread.most) == pytest.approx((strain, strain, strain), abs=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 40.0, 90.0])
+def test_an_opening_tells_which_parts_of_the_body_go_through_it(angle: float) -> None:
+    """Of two legs and an arm beside the garment, two, by tapes round them; nothing where it has slid off below."""
+    x, membrane = worn_tube(1.4, 0.4, 0.22)
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+    limbs = ((0.06, -0.1, -0.5), (0.08, 0.1, 0.1), (0.05, 0.4, -0.5))
+    body = together(*(moved(column((r, r), (low, 0.9)), np.eye(3), [at, 0, 0]) for r, at, low in limbs))
+    wearer, there = moved(body, turn, [0.3, 0.1, 0.0]), np.array([0.3, 0.1, 0.0])
+    fit = measure("tube", x @ turn.T + there, membrane, wearer, {})
+    tapes = [128 * r * np.sin(np.pi / 64) for r in (0.08, 0.06)]
+    through = sorted((one.through for one in fit.openings), key=len)
+    assert through[0] == pytest.approx(tapes[1:]) and through[1] == pytest.approx(tapes)
+    fit = measure("tube", (x - [0.0, 1.0, 0.0]) @ turn.T + there, membrane, wearer, {})
+    assert [one.through for one in fit.openings] == [(), ()]
 
 
 def test_what_is_open_in_front_has_no_ease() -> None:
@@ -117,8 +134,8 @@ def test_heights_of_a_body_are_where_a_tape_finds_its_girths(shared_data: Path) 
     x, faces = np.array(mesh.vertices), np.array(mesh.faces, np.int32)
     measured = yaml.safe_load((shared_data / "body-mean.yaml").read_text())["body"]
     size, shift = 0.5, np.array([3.0, -2.0, 1.0])
-    for scale, moved in ((1.0, np.zeros(3)), (size, shift)):
-        there = scale * x + moved
+    for scale, shifted in ((1.0, np.zeros(3)), (size, shift)):
+        there = scale * x + shifted
         for name, height in find_heights(there, faces).items():
             found = trunk(cut(there, faces, height))
             assert found is not None

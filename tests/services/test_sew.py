@@ -215,7 +215,7 @@ def test_a_body_wears_a_pattern_and_no_edge_goes_through_anything(
     # It stays where the column is as wide, and is measured there.
     assert main(["fit", str(recording), "--json"]) == 0
     (fit,) = json.loads(capsys.readouterr().out)
-    (_, high, _), (low, _, _) = fit["openings"]
+    high, low = fit["openings"][0]["high"], fit["openings"][1]["low"]
     assert 0.0 < low < high < 0.5 and fit["pressed"]["area"] > 0.0
     middle = 0.5 * (low + high)
     assert main(["fit", str(recording), "--json", "--at", f"middle={middle} m"]) == 0

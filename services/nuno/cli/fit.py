@@ -59,8 +59,10 @@ def describe(fit: Fit) -> str:
     """A table for a person, in centimetres."""
     rows = [["at", "height cm", "body cm", "cut cm", "worn cm", "ease cm"], *map(_row, fit.girths)]
     lines = [f"{fit.name}", "", align(rows)] if fit.girths else [f"{fit.name}"]
-    rows = [["opening", "from cm", "to cm", "cut cm"]]
-    rows += [[f"{i}", *(f"{1e2 * value:.1f}" for value in one)] for i, one in enumerate(fit.openings, 1)]
+    rows = [["opening", "from cm", "to cm", "cut cm", "round cm"]]
+    rows += [[f"{i}", *(f"{1e2 * value:.1f}" for value in (one.low, one.high, one.cut)),
+              " + ".join(f"{1e2 * girth:.1f}" for girth in one.through) or "-"]
+             for i, one in enumerate(fit.openings, 1)]  # fmt: skip
     lines += ["", align(rows)] if fit.openings else []
     rows = [["strain", "median %", "95 % below", "most %"]]
     rows += [[name, *_percents(spread)] for name, spread in fit.strains.items()]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nuno.fit.openings import Opening, find_openings
 from nuno.fit.places import trunk
 from nuno.fit.seams import Seam
 from nuno.fit.slices import Slice, cut
@@ -66,8 +67,8 @@ class Fit:
 
     name: str
     girths: list[Girth]
-    openings: list[tuple[float, float, float]]
-    """Lowest and highest height of each opening [m], and its length as it was cut, from the top."""
+    openings: list[Opening]
+    """From the top."""
     strains: dict[str, Spread] = field(default_factory=dict)
     pressed: Pressed | None = None
     seams: list[Seam] = field(default_factory=list)
@@ -81,7 +82,7 @@ def measure(name: str, x: Float, membrane: Membrane, body: tuple[Float, Int], he
     """
     corners = _corners(membrane)
     girths = [_girth(place, height, x, membrane, corners, body) for place, height in heights.items()]
-    return Fit(name, girths, _openings(x, membrane, corners), _strains(x, membrane))
+    return Fit(name, girths, find_openings(x, membrane, corners, body), _strains(x, membrane))
 
 
 def measure_pressure(membrane: Membrane, force: Float, normal: Float) -> Pressed:
@@ -126,22 +127,6 @@ def _girth(name: str, height: float, x: Float, membrane: Membrane, corners: Floa
         return Girth(name, height, tape, None, None, None)
     share, flat, worn = min(found, key=lambda one: one[1])
     return Girth(name, height, tape, flat, worn, min(share, 1.0))
-
-
-def _openings(x: Float, membrane: Membrane, corners: Float) -> list[tuple[float, float, float]]:
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    sides = np.stack([membrane.faces, np.roll(membrane.faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).reshape(-1)
-    _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
-    free = sides[first[count == 1]]
-    graph = coo_matrix((np.ones(len(free)), (free[:, 0], free[:, 1])), shape=(len(x), len(x)))
-    of = connected_components(graph, directed=False)[1][free[:, 0]]
-    heights, cut_length = x[free, 1], length[first[count == 1]]
-    found = [(h.min(), h.max(), part.sum()) for i in np.unique(of)
-             for h, part in [(heights[of == i], cut_length[of == i])]]  # fmt: skip
-    return sorted(((float(a), float(b), float(c)) for a, b, c in found), key=lambda one: -one[1])
 
 
 def _strains(x: Float, membrane: Membrane) -> dict[str, Spread]:

@@ -52,7 +52,8 @@ def read_fits(
         problem, remedy = "no garment of a measured fabric, whose triangles were cut", "give its model a preset fabric"
         raise BadInput(problem, str(recording.path), remedy=remedy)
     return [replace(fit, girths=[replace(one, height=one.height - floor) for one in fit.girths],
-                    openings=[(a - floor, b - floor, c) for a, b, c in fit.openings]) for fit in fits]  # fmt: skip
+                    openings=[replace(one, low=one.low - floor, high=one.high - floor) for one in fit.openings])
+            for fit in fits]  # fmt: skip
 
 
 def _fit(piece: ShownPiece, moment: Moment, mesh: Mesh, at: dict[str, float], normals: Float) -> Fit | None:
