@@ -8,9 +8,11 @@ what they keep up with.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import json
 import socket
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
@@ -29,6 +31,9 @@ shorter time would take a service that is stopped for a while, or pages to a slo
 """
 QUEUED_BATCHES = 16
 """Batches of 64 KiB that wait for a session, at most (16 is zenoh's most): what a slow reader may lag behind."""
+
+LINGER = 0.1
+"""So long [s] Python waits when it ends: see `_closing`."""
 
 ATTEMPTS = 20
 """Free ports that are tried: between finding one and listening there another run may take it."""
@@ -160,11 +165,19 @@ def _open(config: zenoh.Config) -> zenoh.Session:
 @contextmanager
 def _closing(session: zenoh.Session) -> Iterator[None]:
     """Close a session at the end; zenoh gives up after 10 s where somebody who is connected does not read."""
+    # zenoh's threads outlive their session, and take the interpreter's lock to let go of what they sent. One that meets
+    # the interpreter as it shuts down aborts the process: so it has a moment before that. Commands end by `leave`.
+    atexit.unregister(_give_way)
+    atexit.register(_give_way)
     try:
         yield
     finally:
         with suppress(zenoh.ZError):
             session.close()
+
+
+def _give_way() -> None:
+    time.sleep(LINGER)
 
 
 def cut_off(session: zenoh.Session, endpoint: str) -> str:
