@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.problem.oracle import Oracle
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.system import StepReport
 
 FINE, COARSE = "1.6 cm", "3 cm"
 GROWTH = 0.9
@@ -167,6 +169,19 @@ def test_what_is_wrong_with_the_step_is_told_as_without_coarser_triangles(tmp_pa
     with pytest.raises(BadInput) as told:
         begin(write(tmp_path, {}, solver={"plugin": "respa", "dt": "10 ms"}))
     assert told.value.field == "solver.dt"
+
+
+def test_a_force_that_knows_vertices_by_number_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno.simulation.settle.takes_any_numbering", lambda loaded: False)
+    with pytest.raises(BadInput, match=r"objects\[0\]\.model\.coarse: a force knows vertices by number"):
+        begin(write(tmp_path, {}))
+
+
+def test_a_step_that_fails_on_coarser_triangles_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = SimpleNamespace(report=StepReport("diverged", 1, "all is lost"))
+    monkeypatch.setattr(Simulation, "step", lambda self: lost)
+    with pytest.raises(RunFailed, match=r"on coarser triangles, frame 0: all is lost"):
+        begin(write(tmp_path, {}))
 
 
 def test_what_is_wrong_on_any_triangles_is_told_as_without_coarser_ones(tmp_path: Path) -> None:
