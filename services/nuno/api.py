@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from nuno.choose.cloth import decide
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import per_dye
 from nuno.report.make import Report, make_report
 from nuno.scene import scene_file, shipped
+from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import runs, supervisor
@@ -83,34 +85,52 @@ class Result:
 
 def run(
     scene: str | os.PathLike[str] | Mapping[str, Any],
-    *overrides: str,
+    *overrides: str | Mapping[str, Any],
     record: str | os.PathLike[str] | None = None,
     roots: Sequence[str | os.PathLike[str]] = (),
     processes: bool = False,
     threads: int = 0,
+    **fields: Any,
 ) -> Result:
     """Simulate a scene: a file, the name of a shipped scene, or a mapping of its fields.
 
-    `overrides` are "key=value" as after --set; `record` is the recording's file (default: a
-    temporary one, which goes with the result). Warns (UserWarning) of what makes the scene or its start doubtful.
+    `overrides` change it: "key=value" as after --set, or mappings of such keys to values; `fields` are the scene's own
+    but `record`, by keyword: nuno.run("hanging-sheet", {"solver.dt": 1e-3}, duration="2 s"). `record` is the
+    recording's file (default: a temporary one, which goes with the result).
+
+    Warns (UserWarning) of what makes the scene or its start doubtful.
     Raises BadInput for a bad scene, RunFailed for a run that failed or diverged, and KeyboardInterrupt for one that a
     signal ended; the recording of both is kept.
     """
     with contextlib.ExitStack() as stack:
         try:
-            _check_overrides(overrides)
-            loaded = stack.enter_context(_loaded(scene, overrides, tuple(Path(root) for root in roots)))
+            texts = _as_texts([*overrides, fields])
+            loaded = stack.enter_context(_loaded(scene, texts, tuple(Path(root) for root in roots)))
             return _run(decide(loaded), record, processes, threads)
         except BadInput as error:
             raise _in_python(error) from None
 
 
-def _check_overrides(overrides: Sequence[object]) -> None:
-    """Raises BadInput for an override that is no text, as a mapping of fields is none."""
+def _as_texts(overrides: Sequence[object]) -> list[str]:
+    """Overrides as they are written after --set. Raises BadInput for what is neither text nor a mapping, or holds what
+    a scene cannot say.
+    """
+    texts = list[str]()
     for item in overrides:
-        if not isinstance(item, str):
-            remedy = 'give each as text after the scene: nuno.run("hanging-sheet", "duration=1", "solver.dt=1ms")'
-            raise BadInput("an override is no text", "overrides", value=item, limit='"key=value"', remedy=remedy)
+        if isinstance(item, str):
+            texts.append(item)
+            continue
+        if not isinstance(item, Mapping):
+            remedy = 'give each after the scene: nuno.run("hanging-sheet", "duration=1", {"solver.dt": "1 ms"})'
+            problem, limit = "an override is neither text nor a mapping", '"key=value", or a mapping of keys to values'
+            raise BadInput(problem, "overrides", value=item, limit=limit, remedy=remedy)
+        for key, value in item.items():
+            try:
+                texts.append(as_override(key, value))
+            except yaml.YAMLError:
+                problem, remedy = "holds what a scene cannot say", "use numbers, text, lists and mappings"
+                raise BadInput(problem, "overrides", field=str(key), value=value, remedy=remedy) from None
+    return texts
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import tempfile
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from nuno.recording.restore import restored_scene
 from nuno.supervision.oversight import Progress
 from nuno.supervision.supervisor import Supervisor
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.scene import Scene
 
 
 def test_the_module_lists_what_it_offers() -> None:
@@ -34,7 +36,10 @@ CHAIN = {
 REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
     "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
     "an override's form": (lambda _: nuno.run(CHAIN, "solver"), 'for example "solver.dt=1ms"'),
-    "an override's kind": (lambda _: nuno.run(CHAIN, {"duration": 1}), '"duration=1"'),  # type: ignore[arg-type]
+    "an override's kind": (lambda _: nuno.run(CHAIN, 1), '"duration=1"'),  # type: ignore[arg-type]
+    "an override's value": (lambda _: nuno.run(CHAIN, {"solver.dt": object()}), "overrides: solver.dt: holds what"),
+    "a mapping's field": (lambda _: nuno.run(CHAIN, {"solver.dtt": 1}), "overrides: solver.dtt: no such field"),
+    "a keyword": (lambda _: nuno.run(CHAIN, durration=1), "did you mean 'duration'"),
     "a folder": (lambda _: nuno.run(CHAIN, roots=["nowhere"]), "roots: no such folder"),
     "a file": (lambda _: nuno.run(CHAIN), "name its folder with roots=[DIR]"),
     "a record": (lambda to: nuno.run(CHAIN, record=to / "a.txt", roots=[to]), "record: a recording's name ends in"),
@@ -51,6 +56,23 @@ REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_a_mapping_runs_wherever_its_services_are(processes: bool, tmp_path: Path) -> None:
     write_chain(tmp_path)
     assert nuno.run(CHAIN, roots=[tmp_path], processes=processes).t == pytest.approx(0.1)
+
+
+def test_overrides_are_texts_mappings_and_keywords(tmp_path: Path) -> None:
+    """All to the same bits; the last one counts. `record` is the file's, of the scene only in a mapping."""
+    write_chain(tmp_path)
+    found = [
+        nuno.run(CHAIN, *overrides, roots=[tmp_path], **fields)
+        for overrides, fields in (
+            (("duration=0.06", "solver.dt=5e-4", "solver.plugin=rk4"), {}),
+            (({"solver.dt": 5e-4, "solver.plugin": "rk4"},), {"duration": 0.06}),
+            (({"duration": "1 s"}, "objects.chain.model.file=chain.npz"),
+             {"duration": "60 ms", "solver": {"plugin": "rk4", "dt": "0.5 ms"}}),
+        )
+    ]  # fmt: skip
+    assert [one.t for one in found] == pytest.approx([0.06] * 3)
+    assert len({one.digest for one in found}) == 1
+    assert set(Scene.model_fields) & set(inspect.signature(nuno.run).parameters) == {"record"}
 
 
 @pytest.mark.parametrize("fault", REFUSALS)

@@ -39,8 +39,11 @@ def item_at(data: Any, path: yaml_lines.Path) -> Any:
 
 
 def as_override(key: str, value: object) -> str:
-    """`key=value` that is read as just that mapping: of numbers written otherwise, YAML takes 1e-05 for a text."""
-    return f"{key}={yaml.safe_dump(value, default_flow_style=True, width=math.inf).strip()}"
+    """`key=value` that is read as just that value: of numbers written otherwise, YAML takes 1e-05 for a text. Raises
+    yaml.YAMLError for what YAML cannot say.
+    """
+    # In a list: what stands alone ends in a mark of its own.
+    return f"{key}={yaml.safe_dump([value], default_flow_style=True, width=math.inf).strip()[1:-1]}"
 
 
 def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:
