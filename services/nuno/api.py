@@ -95,7 +95,7 @@ def run(
     """Simulate a scene: a file, the name of a shipped scene, or a mapping of its fields.
 
     `overrides` change it: "key=value" as after --set, or mappings of such keys to values; `fields` are the scene's own
-    but `record`, by keyword: nuno.run("hanging-sheet", {"solver.dt": 1e-3}, duration="2 s"). `record` is the
+    but `record`, by keyword: nuno.run("hanging-sheet", {"solver.plugin": "rk4"}, duration="2 s"). `record` is the
     recording's file (default: a temporary one, which goes with the result).
 
     Warns (UserWarning) of what makes the scene or its start doubtful.
@@ -121,7 +121,7 @@ def _as_texts(overrides: Sequence[object]) -> list[str]:
             texts.append(item)
             continue
         if not isinstance(item, Mapping):
-            remedy = 'give each after the scene: nuno.run("hanging-sheet", "duration=1", {"solver.dt": "1 ms"})'
+            remedy = 'give each after the scene: nuno.run("hanging-sheet", "duration=1", {"solver.plugin": "rk4"})'
             problem, limit = "an override is neither text nor a mapping", '"key=value", or a mapping of keys to values'
             raise BadInput(problem, "overrides", value=item, limit=limit, remedy=remedy)
         for key, value in item.items():
