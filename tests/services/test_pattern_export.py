@@ -214,11 +214,22 @@ def test_the_print_lies_on_each_panel_as_it_is_cut(printed: Path, tmp_path: Path
         found = np.stack([(points[:, 0] - x) / wide, 1.0 - (points[:, 1] - y) / high], axis=1)
         own = corners.points[np.unique(corners.faces[corners.panels.of == k])]
         assert np.linalg.norm(found[:, None] - own[None], axis=2).min(axis=1).max() < 1e-5
-    assert {rect.attrib["fill"] for rect in plain.iter(f"{SVG}rect")} == {"#204060"}
-    assert len({clip.attrib["id"] for one in (garment, plain) for clip in one.iter(f"{SVG}clipPath")}) == 4
+    for panel in plain.findall(f"{SVG}g[@class='panel']"):
+        fill, outline = panel.find(f"{SVG}path[@class='cloth']"), panel.find(f"{SVG}path[@class='outline']")
+        assert fill is not None and outline is not None
+        assert (fill.attrib["fill"], fill.attrib["d"]) == ("#204060", outline.attrib["d"])
+    assert len({clip.attrib["id"] for clip in garment.iter(f"{SVG}clipPath")}) == 2
+    assert not list(plain.iter(f"{SVG}clipPath"))
 
 
-@pytest.mark.parametrize("colour", ["auto", "cloth", "stretch"])
+def test_a_print_is_refused_as_a_pdf(printed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("fpdf")
+    with pytest.raises(BadInput, match=r"PDF cannot show a print[\s\S]*\.svg"):
+        export_pattern(printed, tmp_path / "flat.pdf", None, "cloth")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("colour", ["auto", "stretch"])
 def test_a_pdf_is_one_page_as_large_as_the_drawing(printed: Path, tmp_path: Path, colour: str) -> None:
     pytest.importorskip("fpdf")
     root = ElementTree.parse(export_pattern(printed, tmp_path / "flat.svg", None, colour)).getroot()

@@ -34,7 +34,8 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
 
     colour "stretch", "warp" or "weft" paints triangles by the strain of a frame (default: the last), "cloth" shows the
     print that panels are cut of, or the garment's colour; any other draws outlines. Raises BadInput for another ending,
-    a frame that is not there, a recording without a sewn garment, and a .pdf where fpdf2 is not installed.
+    a frame that is not there, a recording without a sewn garment, a .pdf of a print, and one where fpdf2 is not
+    installed.
     """
     suffix = ".pdf" if path.suffix.lower() == ".pdf" else ".svg"
     check_target(path, suffix)
@@ -51,6 +52,10 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
                 "give an object the model pattern: see docs/sewing.md",
             )
             raise BadInput(problem, str(recording.path), field="--pattern", value=str(path), remedy=remedy)
+        if suffix == ".pdf" and colour == "cloth" and any(piece.image is not None for piece, _, _ in garments):
+            # fpdf2 clips no images: each panel would show all of it.
+            raise BadInput("a PDF cannot show a print within its panels", field="--pattern", value=str(path),
+                           remedy="export an .svg, which browsers print at true size")  # fmt: skip
         drawn, start, height = list[str](), MARGIN, 0.0
         for piece, corners, panels in garments:
             flat, width = _lay(corners, panels)
@@ -102,11 +107,9 @@ def _write_pdf(svg: str, path: Path) -> None:
 
 
 def _cloth(piece: ShownPiece, flat: Float, corners: Corners, panels: Panels) -> list[str]:
-    """Of each panel what its outline is filled with, given that as a clip: its part of the print, else the colour."""
+    """Of each panel what its outline is filled with: the print as an element, else the colour."""
     if piece.image is None:
-        fill = piece.colour or PLAIN
-        return [f'<rect x="0" y="{-float(flat[:, 1].max()):.3f}" width="{float(flat[:, 0].max()):.3f}" '
-                f'height="{float(flat[:, 1].max()):.3f}" fill="{fill}"/>'] * len(panels.names)  # fmt: skip
+        return [piece.colour or PLAIN] * len(panels.names)
     stream = io.BytesIO()
     Image.fromarray(piece.image).save(stream, "PNG")
     data = base64.b64encode(stream.getvalue()).decode()
@@ -171,9 +174,7 @@ def _garment(
         loops = [_without_slits(loop, corners.vertex, panels.pairs) for loop in outlines(faces)]
         path = " ".join(f"M{points(flat[loop])}Z" for loop in loops)
         if cloth is not None:
-            clip = f"cut-{piece}-{k}"
-            lines.append(f'<clipPath id="{clip}"><path d="{path}"/></clipPath>')
-            lines.append(f'<g clip-path="url(#{clip})">{cloth[k]}</g>')
+            lines += _filled(cloth[k], path, f"cut-{piece}-{k}")
         lines += [f'<path class="outline" d="{path}" fill="none" stroke="{INK}" stroke-width="0.6"/>']
         lines += [*_grain(name, flat[faces]), "</g>"]
     # Of a short side that was closed an end may be in no triangle.
@@ -183,6 +184,13 @@ def _garment(
         for side in pairs.T if len(pairs) > 1 else ():
             lines += _seam(panels.letters(number), flat, side, corners.faces)
     return lines
+
+
+def _filled(cloth: str, path: str, clip: str) -> list[str]:
+    """A panel's outline filled with a colour, or with an element, for which it is the clip of this name."""
+    if not cloth.startswith("<"):
+        return [f'<path class="cloth" d="{path}" fill="{cloth}"/>']
+    return [f'<clipPath id="{clip}"><path d="{path}"/></clipPath>', f'<g clip-path="url(#{clip})">{cloth}</g>']
 
 
 def _triangle(corners: Float, colour: str) -> str:
