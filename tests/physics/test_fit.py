@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from sewing_patterns import column, moved, panel, pattern, stitch, together
 
+from nuno.cli.fit import describe, is_off
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
 from nuno.fit.seams import measure_seams
@@ -88,6 +90,15 @@ def test_ease_is_what_was_cut_less_the_tape(girth: float, radius: float) -> None
     for name, strain in (("warp", 0.05), ("weft", worn / girth - 1.0)):
         spread = fit.strains[name]
         assert (spread.median, spread.high, spread.most) == pytest.approx((strain, strain, strain), abs=1e-9)
+
+
+def test_what_touches_the_body_nowhere_is_not_worn() -> None:
+    x, membrane = worn_tube(1.3, 0.4, 0.2)
+    fit = measure("tube", x, membrane, column((0.18, 0.18), (-0.5, 0.9)), {})
+    for force, off in ((0.0, True), (1e-3, False)):
+        normal = np.repeat([[1.0, 0.0, 0.0]], len(x), axis=0)
+        pressed = replace(fit, pressed=measure_pressure(membrane, force * np.ones_like(x), normal))
+        assert is_off(pressed) is off and ("touches the body nowhere" in describe(pressed)) is off
 
 
 @pytest.mark.parametrize("angle", [0.0, 40.0, 90.0])

@@ -13,6 +13,7 @@ import yaml
 from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 
 from nuno.cli import main
+from nuno.cli.sew import _remind
 from nuno.scene import scene_file
 
 GROWTH = 0.9
@@ -186,14 +187,33 @@ def test_a_scene_has_a_name_whatever_its_file_is_called(
     assert scene_file.read(tmp_path / file).scene.objects[0].name == "tube"
 
 
-def test_layers_are_objects_in_their_order_each_of_its_fabric(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_what_looks_wrong_is_told_before_it_is_put_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In a line, by kinds; nothing of a pattern that looks right."""
+    for name, stitches in (("whole", tube()["pattern"]["stitches"]), ("loose", [])):
+        data = tube()
+        data["pattern"]["stitches"] = stitches
+        (tmp_path / f"{name}.json").write_text(json.dumps(data))
+        _remind(tmp_path / f"{name}.json")
+        said = capsys.readouterr().out
+        assert ("loose panel" in said and "--check" in said) if name == "loose" else not said
+
+
+@pytest.mark.parametrize("edge", ["3", "0.5 mm", "2 km", "two"])
+def test_an_edge_that_is_none_is_refused_before_a_scene_is_written(
+    edge: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a scene of several is written again for other flags, as one of one is; the run itself is refused here."""
-    for edge in ("2 km", "3 km"):
+    assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--edge", edge) == 2
+    said = capsys.readouterr().err
+    assert "--edge" in said and edge in said and "2 cm" in said
+    assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And a scene of several is written again for other flags, as one of one is; the run itself is left out here."""
+    monkeypatch.setattr("nuno.cli.main", lambda words: 2)
+    for edge in ("2 cm", "3 cm"):
         flags = "tube.json", "--body", "column.obj", "--fabric", "denim", "--fabric", "polyester", "--edge", edge
         assert wear(tmp_path, monkeypatch, *flags) == 2
-        assert "edge" in capsys.readouterr().err
     scene = yaml.safe_load((tmp_path / "tube-tube-worn.yaml").read_text())
     told = [(one["name"], one["model"]["file"], one["model"]["fabric"]) for one in scene["objects"]]
     assert told == [("tube", "tube.json", "denim"), ("tube-2", "tube.json", "polyester")]

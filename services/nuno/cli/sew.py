@@ -9,6 +9,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from nuno import registry
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
@@ -16,6 +18,10 @@ from nuno.cli.worn import Garment, describe_worn, is_own, name_garments
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
+from nuno_schemas.units import to_si
+
+FINEST, COARSEST = 1e-3, 0.2
+"""Sides of triangles [m]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +71,7 @@ def wear(args: argparse.Namespace) -> int:
     for what, file in files:
         if not file.is_file():
             raise BadInput("no such file", field=what, value=str(file))
+    _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
     each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
@@ -77,10 +84,35 @@ def wear(args: argparse.Namespace) -> int:
     roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
+    for pattern in args.patterns:
+        _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)
+
+
+def _check_edge(edge: str) -> None:
+    """Before a scene is written. Raises BadInput."""
+    try:
+        fits = FINEST <= to_si(edge, "m") <= COARSEST
+    except ValueError as error:
+        raise BadInput(str(error), field="--edge", value=edge, remedy="for example '2 cm'") from None
+    if not fits:
+        limit = f"{1e3 * FINEST:g} mm to {1e2 * COARSEST:g} cm"
+        remedy = "with its unit, for example '2 cm': a bare number is in metres"
+        raise BadInput("no length for sides of triangles", field="--edge", value=edge, limit=limit, remedy=remedy)
+
+
+def _remind(pattern: Path) -> None:
+    """Tell which kinds of things the check of a pattern would tell of, but for gathers; the run says what is wrong."""
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    try:
+        found: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
+    except BadInput:
+        return
+    if kinds := list(dict.fromkeys(remark.kind for remark in found.remarks if not remark.wrong)):
+        print(f"remarks    {pattern}: {', '.join(kinds)}  (nuno sew --check {shlex.quote(str(pattern))})", flush=True)
 
 
 def check(args: argparse.Namespace) -> int:
