@@ -113,6 +113,8 @@ class Kernels:
     lists: bool = False
     """Whether it makes lists now and then, as far as vertices move: only real steps tell what it costs."""
     reads_velocity: Callable[[Any], bool] = lambda term: False
+    vertices: Callable[[Any], int] = lambda term: 0
+    """How many vertices a term looks at, where others than the cloth's are among them."""
     block: Any = None
     after: Any = None
     place: Any = None

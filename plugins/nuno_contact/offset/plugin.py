@@ -91,6 +91,7 @@ register(
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
     lists=True,
     reads_velocity=lambda term: True,
+    vertices=lambda term: int(term.mass.shape[0]),
     place=place_solids,
     interval=set_solid_poses,
     look=is_fresh,

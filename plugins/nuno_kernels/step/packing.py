@@ -17,9 +17,9 @@ from nuno_kernels.terms import Kernels, kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
-PARALLEL_FROM, WITH_PAIRS = 4096, 1024
-"""Fewest vertices that run on several threads, two blocks; and of cloth that meets itself or bodies by pairs of
-triangles, of which there are several for each vertex. Whether they do in a frame is found by trying."""
+PARALLEL_FROM, OF_CLOTH = 4096, 1024
+"""Fewest vertices that run on several threads, two blocks, and fewest of them that are the cloth's: what meets a fine
+body has far more to do than steps alone. Whether they do in a frame is found by trying."""
 
 
 def to_rows(array: Float, out: Float | None = None) -> Float:
@@ -35,8 +35,9 @@ def to_rows(array: Float, out: Float | None = None) -> Float:
 
 def thread_count(system: System) -> int:
     """Threads that this system's kernels run on."""
-    pairs = any(kernels_of(part).lists for term in system.terms if not callable(term.data) for part in term.data)
-    if system.fabric.number < (WITH_PAIRS if pairs else PARALLEL_FROM):
+    number, terms = system.fabric.number, [term.data for term in system.terms if not callable(term.data)]
+    looked = max([number, *(kernels_of(part).vertices(part) for data in terms for part in data)])
+    if looked < PARALLEL_FROM or number < min(OF_CLOTH, PARALLEL_FROM):
         return 1
     return max(1, min(system.threads, threads_available()[0]))
 
