@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from sewing_patterns import column, moved, panel, pattern, stitch, together
 
 from nuno.cli.fit import describe, is_off
+from nuno.collision.surfaces import outlines
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
 from nuno.fit.seams import measure_seams
@@ -90,6 +91,12 @@ def test_ease_is_what_was_cut_less_the_tape(girth: float, radius: float) -> None
     for name, strain in (("warp", 0.05), ("weft", worn / girth - 1.0)):
         spread = fit.strains[name]
         assert (spread.median, spread.high, spread.most) == pytest.approx((strain, strain, strain), abs=1e-9)
+
+
+def test_openings_that_share_a_vertex_are_told_apart() -> None:
+    """Two squares that meet in a corner: their sides go round each, or round both in one, and none is lost."""
+    faces = np.array([[0, 1, 2], [0, 2, 3], [2, 4, 5], [2, 5, 6]], np.int32)
+    assert sum(map(len, outlines(faces))) == 8
 
 
 def test_what_touches_the_body_nowhere_is_not_worn() -> None:

@@ -17,11 +17,12 @@ PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
 """Most pairs that are listed for each vertex of cloth, of bodies, and besides."""
 EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
-PARTS = 16
+ROWS = 4
+PARTS = ROWS * ROWS
 """Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
 WORTH = 256
 """Pairs from which on that is worth it."""
-IN_TURN = "block % 4 * 4 + block // 4"
+IN_TURN = f"block % {ROWS} * {ROWS} + block // {ROWS}"
 """The order in which threads take parts, each some from everywhere: pairs of vertices and triangles, which stand first,
 take longer than those of edges.
 """

@@ -40,8 +40,8 @@ def main(args: argparse.Namespace) -> int:
         fits = read_fits(recording, args.frame, args.body, heights)
     if args.json:
         print(json.dumps([asdict(fit) | {"ease": {one.name: one.ease for one in fit.girths}} for fit in fits]))
-        return 0
-    print("\n".join(describe(fit) for fit in fits))
+    else:
+        print("\n".join(describe(fit) for fit in fits))
     # In a frame of its own a garment may not lie on the body yet.
     return 1 if args.frame is None and any(map(is_off, fits)) else 0
 

@@ -20,9 +20,6 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
 from nuno_schemas.units import to_si
 
-FINEST, COARSEST = 1e-3, 0.2
-"""Sides of triangles [m]."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -94,12 +91,14 @@ def wear(args: argparse.Namespace) -> int:
 
 def _check_edge(edge: str) -> None:
     """Before a scene is written. Raises BadInput."""
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    limits = model.Config.model_json_schema()["properties"]["edge"]["anyOf"][0]
     try:
-        fits = FINEST <= to_si(edge, "m") <= COARSEST
+        fits = limits["minimum"] <= to_si(edge, "m") <= limits["maximum"]
     except ValueError as error:
         raise BadInput(str(error), field="--edge", value=edge, remedy="for example '2 cm'") from None
     if not fits:
-        limit = f"{1e3 * FINEST:g} mm to {1e2 * COARSEST:g} cm"
+        limit = f"{1e3 * limits['minimum']:g} mm to {1e2 * limits['maximum']:g} cm"
         remedy = "with its unit, for example '2 cm': a bare number is in metres"
         raise BadInput("no length for sides of triangles", field="--edge", value=edge, limit=limit, remedy=remedy)
 

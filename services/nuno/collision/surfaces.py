@@ -80,3 +80,20 @@ def vertex_normals(x: Float, faces: Int) -> Float:
     size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
     unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
     return unit
+
+
+def outlines(faces: Int) -> list[list[int]]:
+    """Points round triangles (f, 3), along their sides, loop by loop."""
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
+    inner = {(b, a) for a, b in sides}
+    after: dict[int, list[int]] = {}
+    for a, b in sides:
+        if (a, b) not in inner:
+            after.setdefault(a, []).append(b)
+    loops = []
+    while any(after.values()):
+        loop = [next(point for point, others in after.items() if others)]
+        while (point := after[loop[-1]].pop()) != loop[0]:
+            loop.append(point)
+        loops.append(loop)
+    return loops

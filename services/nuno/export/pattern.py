@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from nuno.collision.surfaces import outlines
 from nuno.export.cloth import Pieces, ShownPiece, check_size, read_frame
 from nuno.export.paint import paint_stretch
 from nuno.export.pattern_marks import INK, SEAM, legend, points, scale, text
@@ -195,23 +196,6 @@ def _filled(cloth: str, path: str, clip: str) -> list[str]:
 
 def _triangle(corners: Float, colour: str) -> str:
     return f'<polygon points="{points(corners)}" fill="{colour}" stroke="{colour}" stroke-width="0.15"/>'
-
-
-def outlines(faces: Int) -> list[list[int]]:
-    """Points round a panel's triangles (f, 3), loop by loop."""
-    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
-    inner = {(b, a) for a, b in sides}
-    after: dict[int, list[int]] = {}
-    for a, b in sides:
-        if (a, b) not in inner:
-            after.setdefault(a, []).append(b)
-    loops = []
-    while any(after.values()):
-        loop = [next(point for point, others in after.items() if others)]
-        while (point := after[loop[-1]].pop()) != loop[0]:
-            loop.append(point)
-        loops.append(loop)
-    return loops
 
 
 def _without_slits(loop: list[int], vertex: Int, pairs: Int) -> list[int]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nuno.collision.surfaces import outlines
 from nuno.fit.slices import cut
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.triangles import Membrane
@@ -30,19 +31,12 @@ def find_openings(x: Float, membrane: Membrane, corners: Float, body: tuple[Floa
     """A garment's openings, from the top: x (n, 3) [m] its vertices, corners (t, 3, 2) of each triangle as it was cut,
     and the body's mesh.
     """
-    sides = np.stack([membrane.faces, np.roll(membrane.faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).reshape(-1)
-    _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
-    free = first[count == 1]
-    after, found = {int(sides[k, 0]): (int(sides[k, 1]), float(length[k])) for k in free}, list[Opening]()
-    while after:
-        here, way, long = next(iter(after)), list[int](), 0.0
-        while here in after:
-            way.append(here)
-            here, step = after.pop(here)
-            long += step
-        height = x[way, 1]
-        found.append(Opening(float(height.min()), float(height.max()), long, _through(x[way], *body)))
+    sides = np.stack([membrane.faces, np.roll(membrane.faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).reshape(-1).tolist()
+    length, found = dict(zip(map(tuple, sides), lengths, strict=True)), list[Opening]()
+    for loop in outlines(membrane.faces):
+        height, cut_length = x[loop, 1], sum(length[side] for side in zip(loop, [*loop[1:], loop[0]], strict=True))
+        found.append(Opening(float(height.min()), float(height.max()), cut_length, _through(x[loop], *body)))
     return sorted(found, key=lambda one: -one.high)
 
 
