@@ -13,6 +13,7 @@ from met_bodies import Met, Motion, Shape, still
 from sheets import sheet
 
 from nuno_contact.offset.places import HELD_CUT, LEFT_OUT, TOUCHING
+from nuno_kernels.step import packing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -45,6 +46,16 @@ def test_a_coarse_sheet_lies_on_a_body_without_an_edge_through_it(shape: Shape) 
     assert met.meeting.number[TOUCHING] > 5
     x = met.state.x
     assert x[:, 1].min() < 0.01 and np.linalg.norm(x.mean(axis=0)) < 0.05
+
+
+def test_small_cloth_runs_on_several_threads_where_it_meets_a_fine_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    """64 vertices over a ball of hundreds; not where both are few, nor where hardly any are the cloth's."""
+    system = replace(Met(above(0.04), shapes=[BALL]).system, threads=2)
+    monkeypatch.setattr(packing, "threads_available", lambda: (2, "here"))
+    for several, from_, of_cloth in ((True, 200, 60), (False, 10_000, 60), (False, 200, 65)):
+        monkeypatch.setattr(packing, "PARALLEL_FROM", from_)
+        monkeypatch.setattr(packing, "OF_CLOTH", of_cloth)
+        assert (packing.thread_count(system) > 1) is several
 
 
 def test_what_contact_of_vertices_lets_through_is_seen() -> None:
