@@ -24,6 +24,7 @@ from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
 from nuno.scene import scene_file, shipped
+from nuno.scene.provenance import describe_run
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.simulation.run import Simulation
 from nuno.supervision import oversight
@@ -237,16 +238,29 @@ def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
         assert recording.attachment("check.png") == b"picture"
 
 
+@pytest.mark.parametrize("busy", [0.0, 0.3])
 @pytest.mark.parametrize("late", [[service], [oversight], [service, oversight]])
 def test_the_last_word_of_a_service_that_failed_is_waited_for(
-    late: list[ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    late: list[ModuleType], busy: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It answers no more how much it sent; what the supervisor hears of it, the recording must have, though both hear
-    it late.
+    it late, the recorder was the last to be ready, and the supervisor was kept from listening since.
     """
 
+    def describe(*about: Any) -> dict[str, dict[str, str]]:
+        time.sleep(busy)
+        return describe_run(*about)
+
+    ask = Bus.ask_json
+
+    def ask_slowly(bus: Bus, name: str, *more: Any) -> dict[str, Any]:
+        answer = ask(bus, name, *more)
+        if name == "control":
+            time.sleep(busy)
+        return answer
+
     class Slow:
-        """A session over which errors come half a second late."""
+        """A session over which errors come late."""
 
         def __init__(self, session: zenoh.Session) -> None:
             self._session = session
@@ -254,7 +268,7 @@ def test_the_last_word_of_a_service_that_failed_is_waited_for(
         def declare_subscriber(self, key: str, take: Callable[[zenoh.Sample], None]) -> Any:
             def later(sample: zenoh.Sample) -> None:
                 if b"on fire" in sample.payload.to_bytes():
-                    threading.Timer(0.2, take, [sample]).start()
+                    threading.Timer(busy + 0.2, take, [sample]).start()
                 else:
                     take(sample)
 
@@ -272,6 +286,8 @@ def test_the_last_word_of_a_service_that_failed_is_waited_for(
 
     for module in late:
         monkeypatch.setattr(module, "Inbox", listen_slowly)
+    monkeypatch.setattr(service, "describe_run", describe)
+    monkeypatch.setattr(Bus, "ask_json", ask_slowly)
     monkeypatch.setattr(Simulation, "advance", fail)
     path = tmp_path / "run.mcap"
     with pytest.raises(RunFailed, match="on fire"):

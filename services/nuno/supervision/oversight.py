@@ -114,6 +114,7 @@ class Supervisor:
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
+        self._drain(progress)  # what comes from here on, the recorder hears, too
 
     def check_premises(self, progress: Progress | None) -> None:
         """Have all services start from the same scene. Raises BadInput where one does not, RunFailed where one dies."""
