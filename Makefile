@@ -9,6 +9,9 @@ ARGS ?=
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
 
+# Where Python may keep no bytecode, each of the hundreds of processes that tests start compiles all that it imports.
+test test-all: export PYTHONDONTWRITEBYTECODE =
+
 PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: .venv/dev.stamp  ## a test of every law, in minutes; those that need a missing system package skip by name
