@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from pydantic import TypeAdapter
 from scipy.spatial.transform import Rotation
 from sewing_patterns import REAL, front, panel, pattern, read, stitch, tube
 
 from nuno.scene.files import SceneFiles
+from nuno_cloth.sewing import fields
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_schemas.errors import BadInput
+from nuno_schemas.plugin import Config
 
 BOW = panel((0, 0), (10, 10), (10, 0), (0, 10))
 
@@ -45,11 +48,20 @@ FAULTS: dict[str, tuple[Callable[[dict[str, Any]], None], str, str]] = {
     ),
     "control points of another curve": (
         change((*FRONT, "edges", 1, "curvature"), {"type": "cubic", "params": [[0.5, 0.1]]}), "params",
-        "the list is too short",
+        "for example params: [[0.3, 0.1], [0.7, 0.1]]",
+    ),
+    "a control point for a list of them": (
+        change((*FRONT, "edges", 1, "curvature"), {"type": "quadratic", "params": [0.5, 0.1]}), "params",
+        "for example params: [[0.5, 0.1]]",
+    ),
+    "a length with its unit": (
+        change((*FRONT, "vertices", 2), [30, "36 cm"]), "vertices[2][1]",
+        "for example vertices: [[-36, 0], [36, 0], [24, 60]]",
     ),
     "no number": (change((*FRONT, "vertices", 2), [30, "x"]), "vertices[2][1]", "must be a number"),
     "no finite number": (change((*FRONT, "vertices", 2), [30, float("inf")]), "vertices[2][1]", "must be finite"),
-    "no unit": (lambda data: data["properties"].pop("units_in_meter"), "units_in_meter", "the field is missing"),
+    "no unit": (lambda data: data["properties"].pop("units_in_meter"), "units_in_meter",
+                "for example units_in_meter: 100"),
     "a unit of nothing": (change(("properties", "units_in_meter"), 0), "units_in_meter", "more than 0"),
     "unknown coordinates": (change(("properties", "curvature_coords"), "local"), "curvature_coords", "known: absolute"),
     "no panels": (change(("pattern", "panels"), {}), "panels", "list"),
@@ -90,6 +102,16 @@ def test_what_is_wrong_is_told(fault: str, tmp_path: Path) -> None:
     said = str(refusal.value)
     assert place in said and words in said, said
     assert refusal.value.file == str(tmp_path / "pattern.json") and refusal.value.line is not None
+
+
+def test_what_is_said_for_example_may_be_written() -> None:
+    shown = 0
+    for model in (value for value in vars(fields).values() if isinstance(value, type) and issubclass(value, Config)):
+        for field in model.model_fields.values():
+            for example in field.examples or ():
+                TypeAdapter(field.annotation).validate_python(example, strict=False)
+                shown += 1
+    assert shown > 6
 
 
 def test_the_line_is_where_the_field_begins(tmp_path: Path) -> None:

@@ -21,32 +21,39 @@ RIGHT_WRONG = "right_wrong"
 
 class Quadratic(Config):
     type: Literal["quadratic"]
-    params: tuple[Point] = Field(description="the control point")
+    params: tuple[Point] = Field(description="the control point", examples=[[[0.5, 0.1]]])
 
 
 class Cubic(Config):
     type: Literal["cubic"]
-    params: tuple[Point, Point] = Field(description="the two control points")
+    params: tuple[Point, Point] = Field(description="the two control points", examples=[[[0.3, 0.1], [0.7, 0.1]]])
 
 
 class Circle(Config):
     type: Literal["circle"]
     params: tuple[Annotated[float, Field(gt=0, le=LARGEST)], bool, bool] = Field(
-        description="radius, 1 for the longer arc of the circle, 1 if it bulges to the right of the way along the edge"
+        description="radius, 1 for the longer arc of the circle, 1 if it bulges to the right of the way along the edge",
+        examples=[[30, 0, 1]],
     )
 
 
 class EdgeFields(Config):
-    endpoints: tuple[int, int] = Field(description="numbers of the vertices where it starts and ends")
+    endpoints: tuple[int, int] = Field(
+        description="numbers of the vertices where it starts and ends", examples=[[0, 1]]
+    )
     curvature: Annotated[Quadratic | Cubic | Circle, Field(discriminator="type")] | None = None
     label: str | None = None
 
 
 class PanelFields(Config):
-    vertices: tuple[Point, ...] = Field(min_length=2, max_length=400)
+    vertices: tuple[Point, ...] = Field(
+        min_length=2, max_length=400, description="in the file's unit", examples=[[[-36, 0], [36, 0], [24, 60]]]
+    )
     edges: tuple[EdgeFields, ...] = Field(min_length=2, max_length=400, description="in order round the panel")
-    translation: Triple = (0.0, 0.0, 0.0)
-    rotation: Triple = Field(default=(0.0, 0.0, 0.0), description="about x, then the new y, then the new z [deg]")
+    translation: Triple = Field(default=(0.0, 0.0, 0.0), examples=[[0, 45, 20]])
+    rotation: Triple = Field(
+        default=(0.0, 0.0, 0.0), description="about x, then the new y, then the new z [deg]", examples=[[0, 90, 0]]
+    )
     label: str | None = None
     grain: Number = Field(default=0.0, description="angle of the warp from the panel's y, counter-clockwise [deg]")
 
@@ -58,12 +65,16 @@ class SideFields(Config):
 
 class PatternFields(Config):
     panels: dict[str, PanelFields] = Field(min_length=1)
-    stitches: tuple[tuple[SideFields | Literal["right_wrong"], ...], ...] = ()
+    stitches: tuple[tuple[SideFields | Literal["right_wrong"], ...], ...] = Field(
+        default=(), examples=[[[{"panel": "front", "edge": 1}, {"panel": "back", "edge": 2}]]]
+    )
     panel_order: tuple[str, ...] = ()
 
 
 class Properties(Config):
-    units_in_meter: Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+    units_in_meter: Annotated[
+        float, Field(gt=0, le=LARGEST, allow_inf_nan=False, description="100 for centimetres", examples=[100])
+    ]
     curvature_coords: Literal["relative", "absolute"] = "relative"
     normalize_panel_translation: Literal[False] = False
     normalized_edge_loops: Literal[True] = True
@@ -74,7 +85,7 @@ class PatternFile(Config):
     """What only the program needs that drew the pattern, `parameters` and the like, is left aside."""
 
     pattern: PatternFields
-    properties: Properties
+    properties: Properties = Field(examples=[{"units_in_meter": 100}])
     parameters: dict[str, Any] = Field(default_factory=dict)
     parameter_order: tuple[Any, ...] = ()
     constraints: dict[str, Any] = Field(default_factory=dict)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import inspect
 import re
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import yaml
 from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
 
 from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.errors import BadInput, nearest
@@ -21,6 +23,9 @@ GIVEN = "--set"
 
 UNNUMBERED = -1
 """Line of a field whose scene was never a file of the user's."""
+
+ADD = "add it"
+"""Remedy of what is missing."""
 
 Words = tuple[str, object, str | None, str | None]
 """Problem, value, limit and remedy."""
@@ -80,6 +85,8 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     inside = (str(context["discriminator"]).strip("'"),) if first["type"] == "union_tag_invalid" else ()
     full = (*prefix, *place, *context.get("inside", inside))
     problem, value, limit, remedy = words
+    if remedy in (None, ADD):
+        remedy = _example(model, first["loc"]) or remedy
     return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
 
 
@@ -137,7 +144,7 @@ def _words(error: Any) -> Words:
         return "out of range", value, f"{_BOUNDS[kind]} {next(iter(context.values())):g}", None
     if kind == "missing":
         short = isinstance(error["loc"][-1], int)
-        return ("the list is too short" if short else "the field is missing"), None, None, "add it"
+        return ("the list is too short" if short else "the field is missing"), None, None, ADD
     if kind in ("too_short", "too_long"):
         limit = context.get("min_length", context.get("max_length"))
         return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
@@ -156,21 +163,40 @@ def _words(error: Any) -> Words:
     return problem, value, None, remedy or None
 
 
-def _fields_at(model: Any, loc: Path) -> list[str]:
-    """Field names of the model that a location in `model` points at."""
+def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, Any]]:
+    """Each part of a location in `model`, the field that it names, if any, and what it points at."""
     here: Any = model
     for part in loc:
+        field = None
         if not isinstance(part, int):
-            fields = next((m.model_fields for m in _models_in(here) if part in m.model_fields), None)
-            here = fields[part].annotation if fields else _tagged(here, part) or here
+            field = next((m.model_fields[part] for m in _models_in(here) if part in m.model_fields), None)
+            here = field.annotation if field else _tagged(here, part) or here
+        yield part, field, here
+
+
+def _fields_at(model: Any, loc: Path) -> list[str]:
+    """Field names of the model that a location in `model` points at."""
+    *_, here = model, *(there for _, _, there in _walk(model, loc))
     return [name for m in _models_in(here)[:1] for name in m.model_fields]
 
 
+def _example(model: Any, loc: Path) -> str | None:
+    """What may be written in the innermost field of a location that has an example."""
+    found = [(part, field.examples[0]) for part, field, _ in _walk(model, loc) if field and field.examples]
+    if not found:
+        return None
+    written = yaml.safe_dump(dict(found[-1:]), default_flow_style=True, sort_keys=False, width=1000)
+    return f"for example {written.strip()[1:-1]}"
+
+
 def _tagged(annotation: Any, label: str) -> Any:
-    """The branch of a tagged union that pydantic calls `label`."""
+    """The branch of a union that pydantic calls `label`, by its tag or by a field that may say nothing else."""
     arguments = typing.get_args(annotation)
     if any(isinstance(argument, Tag) and argument.tag == label for argument in arguments):
         return annotation
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        kinds = [typing.get_args(field.annotation) for field in annotation.model_fields.values()]
+        return annotation if (label,) in kinds else None
     return next((found for argument in arguments if (found := _tagged(argument, label)) is not None), None)
 
 
