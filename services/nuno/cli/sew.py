@@ -13,12 +13,16 @@ import numpy as np
 
 from nuno import registry
 from nuno.cli.common import add_flags
+from nuno.cli.presets import find_presets
 from nuno.cli.top import align
 from nuno.cli.worn import Garment, describe_worn, is_own, name_garments
 from nuno.scene.files import SceneFiles
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.pattern import Checked, Remark
 from nuno_schemas.units import to_si
+
+MANNEQUIN = Path("mannequin")
+"""What `--body` calls the body that comes with nuno, where there is no file of that name."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,12 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     worn = parser.add_argument_group("put on a body")
     add_flags(worn, {
-        "--body": ("FILE", "the body that wears them, in metres: OBJ, PLY, STL or GLB, upright, facing +z", Path),
+        "--body": ("FILE", "the body that wears them, in metres: OBJ, PLY, STL or GLB, upright, facing +z; or "
+                   "mannequin: the one that comes with nuno", Path),
         "--motion": ("FILE", "a BVH that the body moves by, with its skin (default: it stands)", Path),
         "--fabric": ("NAME...", "a preset (default: interlock; nuno fabrics lists them); again for each pattern", str),
         "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
         "--scene": ("FILE", "the scene that is written and run (default: PATTERN...-worn.yaml, here)", Path),
     })  # fmt: skip
+    worn.add_argument("--write", action="store_true", help="write the scene, and do not run it")
     checked = parser.add_argument_group("or only look at the patterns")
     checked.add_argument(
         "--check", action="store_true",
@@ -63,11 +69,17 @@ def wear(args: argparse.Namespace) -> int:
     if len(fabrics) not in (1, len(args.patterns)):
         raise BadInput("fabrics and patterns do not go together", field="--fabric", value=f"{len(fabrics)} fabrics",
                        limit=f"one, or {len(args.patterns)}, one for each pattern")  # fmt: skip
-    beside = {"body": args.body} | ({"motion": args.motion} if args.motion else {})
+    known = find_presets("fabrics")
+    for fabric in fabrics:
+        if fabric not in known:
+            raise BadInput("no such fabric", field="--fabric", value=fabric, remedy=nearest(fabric, known))
+    own = args.body == MANNEQUIN and not MANNEQUIN.exists()
+    beside = ({} if own else {"body": args.body}) | ({"motion": args.motion} if args.motion else {})
     files = [("pattern", pattern) for pattern in args.patterns] + list(beside.items())
     for what, file in files:
         if not file.is_file():
-            raise BadInput("no such file", field=what, value=str(file))
+            remedy = "or mannequin, the one that comes with nuno" if what == "body" else None
+            raise BadInput("no such file", field=what, value=str(file), remedy=remedy)
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
@@ -76,7 +88,7 @@ def wear(args: argparse.Namespace) -> int:
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    moved = {what: file.name for what, file in beside.items()}
+    moved = {"body": None} | {what: file.name for what, file in beside.items()}
     scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved), encoding="utf-8")
     roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
@@ -84,6 +96,8 @@ def wear(args: argparse.Namespace) -> int:
     for pattern in args.patterns:
         _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
+    if args.write:
+        return 0
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)

@@ -22,7 +22,7 @@ damping: {{first: 400, over: 50 ms, last: 4}}
 objects:
 {garments}bodies:
   - name: wearer
-    collider: {{plugin: mesh, file: {body}}}
+    collider: {{plugin: mesh, {body}}}
     friction: 0.4
 cloth_contact: {{plugin: offset, thickness: 1.5 mm, bodies: [wearer]}}
 operations:
@@ -36,7 +36,7 @@ for _standing, _walking in (
     ("duration: 6 s\nuntil: rest\nrest_speed: 2 mm/s\n", "duration: 4 s\n"),
     ("last: 4", "last: 1"),
     ("thickness: 1.5 mm", "thickness: 2 mm"),
-    ("{{plugin: mesh, file: {body}}}", "{{plugin: skin, file: {body}, stand: 1 s, blend: 1 s}}\n"
+    ("{{plugin: mesh, {body}}}", "{{plugin: skin, {body}, stand: 1 s, blend: 1 s}}\n"
      "    motion: {{plugin: bvh, file: {motion}}}"),
 ):  # fmt: skip
     assert _standing in WALKED
@@ -48,6 +48,8 @@ GARMENT = """\
     colour: {colour}
     model: {{plugin: pattern, file: {pattern}, edge: {edge}{coarse}, fabric: {fabric}, over: {{body: wearer}}}}
 """
+PERSON = "shape: person, resolution: 64"
+"""The body that comes with nuno."""
 COARSE = 0.02
 """Garments of shorter sides than this [m] come to rest on sides as long first."""
 COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
@@ -72,9 +74,11 @@ def name_garments(stems: Sequence[str]) -> list[str]:
     return found
 
 
-def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, motion: str | None = None) -> str:
+def describe_worn(
+    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None
+) -> str:
     """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
-    beside the scene, which may go by the file `motion`.
+    beside the scene, or None for the mannequin, which may go by the file `motion`.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
     each = [
@@ -82,7 +86,11 @@ def describe_worn(name: str, garments: Sequence[Garment], edge: str, body: str, 
                        edge=_quoted(edge), coarse=coarse, fabric=_quoted(one.fabric))
         for i, one in enumerate(garments)
     ]  # fmt: skip
-    given = {"name": _quoted(name_garments([name])[0]), "body": _quoted(body), "motion": _quoted(motion)}
+    given = {
+        "name": _quoted(name_garments([name])[0]),
+        "body": f"file: {_quoted(body)}" if body else PERSON,
+        "motion": _quoted(motion),
+    }
     return (WALKED if motion else WORN).format(garments="".join(each), **given)
 
 
