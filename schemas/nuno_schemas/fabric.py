@@ -169,6 +169,8 @@ class Panels:
 
     names (q,)              of the panels
     of    (f,)   int32      panel of each triangle, -1 where it is of none
+    edge  (f, 3) int32      edge of that panel that each side of a triangle, from one corner to the next, lies along; -1
+                            where it lies along none
     unit  (q,)   float64    [m] per unit of texture coordinates, by panel: rest shapes at their true size
     pairs (k, 2) int32      points of `Corners` that are sewn into one, along the two edges of each seam
     seam  (k,)   int32      of each pair: the number of its seam
@@ -176,6 +178,7 @@ class Panels:
 
     names: Annotated[tuple[str, ...], "q"]
     of: Annotated[Int, "f", Bounds(-1, below="q")]
+    edge: Annotated[Int, "f", 3, Bounds(-1)]
     unit: Annotated[Float, "q", Bounds(above=0.0)]
     pairs: Annotated[Int, "k", 2, Bounds(0, below="p")]
     seam: Annotated[Int, "k", Bounds(0)]

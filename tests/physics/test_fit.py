@@ -11,9 +11,9 @@ import pytest
 import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
-from sewing_patterns import column, moved, panel, pattern, stitch, together
+from sewing_patterns import column, moved, panel, pattern, stitch, together, tube
 
-from nuno.cli.fit import describe, is_off
+from nuno.cli.fit import describe
 from nuno.collision.surfaces import outlines
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
@@ -105,7 +105,7 @@ def test_what_touches_the_body_nowhere_is_not_worn() -> None:
     for force, off in ((0.0, True), (1e-3, False)):
         normal = np.repeat([[1.0, 0.0, 0.0]], len(x), axis=0)
         pressed = replace(fit, pressed=measure_pressure(membrane, force * np.ones_like(x), normal))
-        assert is_off(pressed) is off and ("touches the body nowhere" in describe(pressed)) is off
+        assert pressed.off is off and ("touches the body nowhere" in describe(pressed)) is off
 
 
 @pytest.mark.parametrize("angle", [0.0, 40.0, 90.0])
@@ -122,6 +122,37 @@ def test_an_opening_tells_which_parts_of_the_body_go_through_it(angle: float) ->
     assert through[0] == pytest.approx(tapes[1:]) and through[1] == pytest.approx(tapes)
     fit = measure("tube", (x - [0.0, 1.0, 0.0]) @ turn.T + there, membrane, wearer, {})
     assert [one.through for one in fit.openings] == [(), ()]
+
+
+@pytest.mark.parametrize("angle", [0.0, 40.0, 180.0])
+def test_what_goes_out_through_two_openings_of_a_garment_has_slipped(angle: float) -> None:
+    """Of two cuffs on one arm, each below the other as seen from its own hand. Two on two arms have not."""
+    x, membrane = worn_tube(0.8, 0.2, 0.1)
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+    twice = np.concatenate([np.stack([membrane.faces, membrane.faces + len(x)])]).reshape(-1, 3).astype(np.int32)
+    both = Membrane(twice, *(np.tile(part, 2 if part.ndim == 1 else (2, 1)) for part in
+                             (membrane.along, membrane.across, membrane.area)),
+                    np.tile(membrane.moduli, 2), np.tile(membrane.damping, 2))  # fmt: skip
+    for apart, expected in (([0.0, 0.5, 0.0], [(), (3,), (0,), ()]), ([0.6, 0.0, 0.0], [()] * 4)):
+        arms = [moved(column((0.08, 0.08), (-0.5, 1.5)), np.eye(3), [at, 0.0, 0.0]) for at in (0.0, 0.6)]
+        worn = np.concatenate([x, x + apart]) @ turn.T
+        fit = measure("cuffs", worn, both, moved(together(*arms), turn, [0.0, 0.0, 0.0]), {})
+        assert [one.passed for one in fit.openings] == expected
+        assert fit.on is ("slipped" not in describe(fit)) is not any(expected)
+
+
+def test_an_opening_is_round_the_edges_that_the_check_tells(tmp_path: Path, shared_data: Path) -> None:
+    """Of a tube and a T-shirt, at any size of triangles, whichever way round."""
+    drawn = {"tube": tube(), "shirt": json.loads((shared_data / "patterns" / "shirt.json").read_text())}
+    for name, data in drawn.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(data))
+        said = Pattern().check_pattern(SceneFiles(tmp_path), f"{name}.json", 2.0).openings
+        for edge in ("1.5 cm", "4 cm"):
+            config = PatternConfig.model_validate({"file": f"{name}.json", "edge": edge, "fabric": "denim"})
+            fabric = Pattern().build(config, SceneFiles(tmp_path), 0)
+            assert fabric.membrane is not None and fabric.corners is not None
+            fit = measure(name, fabric.position, fabric.membrane, column((0.1, 0.1), (0, 2)), {}, fabric.corners.panels)
+            assert sorted(sorted(one.edges) for one in fit.openings) == sorted(sorted(one.edges) for one in said)
 
 
 def test_what_is_open_in_front_has_no_ease() -> None:

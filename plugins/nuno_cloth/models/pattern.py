@@ -223,7 +223,7 @@ def _corners(sewn: Sewn) -> Corners:
     points, unit = lay_out(sewn)
     pairs = np.concatenate([np.empty((0, 2), np.int32), *(one.pairs for one in sewn.seams)])
     seam = np.repeat(np.arange(len(sewn.seams), dtype=np.int32), [len(one.pairs) for one in sewn.seams])
-    panels = Panels(sewn.names, sewn.panel, np.full(len(sewn.names), unit), pairs, seam)
+    panels = Panels(sewn.names, sewn.panel, sewn.side_edges(), np.full(len(sewn.names), unit), pairs, seam)
     return Corners(points.astype(np.float32), sewn.merged.astype(np.int32), sewn.faces, panels)
 
 
@@ -272,5 +272,6 @@ def _require_outside(x: Float, edges: Edges, sewn: Sewn, body: Tree, name: str) 
     raise BadInput(
         f"panel {panel} cannot be put round {name}, and starts in it ({np.count_nonzero(distance < 0.0):,} places)",
         field="over.body", value=f"{-1e3 * distance[deepest]:.3g} mm deep, {place_of(there[deepest])}",
-        remedy="place the panel so that with those it is sewn to it encloses the body, or cut it wider",
+        remedy="place the panel so that with those it is sewn to it encloses what it is worn on, and no hand beside "
+        "it, or cut it wider",
     )  # fmt: skip

@@ -79,6 +79,18 @@ class Sewn:
         """(f, 3) lengths of triangles' sides as they are cut [m], in the order of find_edges."""
         return np.asarray(np.linalg.norm(self.flat[np.roll(self.faces, -1, axis=1)] - self.flat[self.faces], axis=2))
 
+    def side_edges(self) -> Int:
+        """(f, 3) which edge of its panel each triangle's side lies along, in the order of find_edges, -1 for none."""
+        runs = [(k, run) for panel in self.edges for k, run in enumerate(panel)]
+        ends = np.concatenate([np.stack([run[:-1], run[1:]], axis=1) for _, run in runs])
+        edge = np.repeat([k for k, _ in runs], [len(run) - 1 for _, run in runs])
+        key = np.sort(ends, axis=1) @ [len(self.flat), 1]
+        order = np.argsort(key)
+        sides = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).astype(np.int64)
+        sought = np.sort(sides, axis=2) @ [len(self.flat), 1]
+        at = order[np.minimum(np.searchsorted(key, sought, sorter=order), len(key) - 1)]
+        return np.where(key[at] == sought, edge[at], -1).astype(np.int32)
+
 
 def sew(pattern: Pattern, spacing: float) -> Sewn:
     """A pattern whose sides agree, in triangles with sides of about `spacing` [m].

@@ -43,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
     else:
         print("\n".join(describe(fit) for fit in fits))
     # In a frame of its own a garment may not lie on the body yet.
-    return 1 if args.frame is None and any(map(is_off, fits)) else 0
+    return 1 if args.frame is None and not all(fit.on for fit in fits) else 0
 
 
 def _height(item: str) -> tuple[str, float]:
@@ -54,11 +54,6 @@ def _height(item: str) -> tuple[str, float]:
         return name, to_si(text, "m")
     except ValueError as error:
         raise BadInput(str(error), field="--at", value=item) from None
-
-
-def is_off(fit: Fit) -> bool:
-    """Whether nothing of a garment lies on the body."""
-    return fit.pressed is not None and fit.pressed.area == 0.0
 
 
 def describe(fit: Fit) -> str:
@@ -77,8 +72,15 @@ def describe(fit: Fit) -> str:
     if (p := fit.pressed) is not None:
         text = f"{p.mean:.0f} Pa on {1e4 * p.area:.0f} cm² of cloth, 95 % of it below {p.high:.0f} Pa"
         lines += ["", f"presses    {text}; {p.force:.2f} N in all"]
-    if is_off(fit):
+    if fit.off:
         lines += ["", "worn       not at all: it touches the body nowhere, and is not on yet, or has slid off"]
+    for i, one in enumerate(fit.openings, 1):
+        if one.passed:
+            inner = " and ".join(f"{k + 1}" for k in one.passed)
+            edges = ", ".join(one.edges) or "of no panel"
+            several = "s" if len(one.passed) > 1 else ""
+            text = f"what goes out through opening{several} {inner} goes out through opening {i} ({edges}), too"
+            lines += ["", f"slipped    {text}: narrow it, or hold it by an elastic"]
     if tight := [one for one in fit.girths if one.ease is not None and one.ease < 0.0]:
         told = ", ".join(f"by {-1e2 * (one.ease or 0.0):.1f} cm at the {one.name}" for one in tight)
         lines += ["", f"smaller    than the body {told}"]

@@ -60,8 +60,9 @@ def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
 
 def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
     """Those of all; triangles of a fabric that has none are of none."""
-    none = np.empty(0, np.int32)
-    plain = [Panels((), np.full(len(c.faces), -1, np.int32), np.empty(0), none.reshape(0, 2), none) for c in parts]
+    none = np.full((max(len(part.faces) for part in parts), 3), -1, np.int32)
+    plain = [Panels((), none[: len(c.faces), 0], none[: len(c.faces)], np.empty(0), none[:0, :2], none[:0, 0])
+             for c in parts]  # fmt: skip
     all_ = [part.panels or empty for part, empty in zip(parts, plain, strict=True)]
     names = np.cumsum([0, *(len(panels.names) for panels in all_)]).tolist()
     seams = np.cumsum([0, *(int(panels.seam.max(initial=-1)) + 1 for panels in all_)]).tolist()
@@ -70,6 +71,7 @@ def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
         np.concatenate([np.where(p.of < 0, -1, p.of + at) for p, at in zip(all_, names, strict=False)]).astype(
             np.int32
         ),
+        np.concatenate([panels.edge for panels in all_]),
         np.concatenate([panels.unit for panels in all_]),
         np.concatenate([p.pairs + at for p, at in zip(all_, before, strict=False)]).astype(np.int32),
         np.concatenate([p.seam + at for p, at in zip(all_, seams, strict=False)]).astype(np.int32),

@@ -28,13 +28,16 @@ def _panels(arrays: Arrays, names: tuple[str, ...], faces: int, points: int) -> 
     """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the corners."""
     if "panel_of" not in arrays:
         return None
-    of, seam, unit = arrays["panel_of"], arrays["panel_seam"], np.asarray(arrays["panel_unit"], np.float64)
+    of, edge, seam = arrays["panel_of"], arrays["panel_edge"], arrays["panel_seam"]
+    unit = np.asarray(arrays["panel_unit"], np.float64)
     pairs = read_indices("panel_pairs", arrays["panel_pairs"], 2, points)
     if of.shape != (faces,) or not (-1 <= of.min(initial=-1) <= of.max(initial=-1) < len(names)):
         raise ValueError("triangles of panels that are not those of the names")
+    if edge.shape != (faces, 3):
+        raise ValueError("edges of panels that are not those of the triangles")
     if unit.shape != (len(names),) or not (unit > 0.0).all() or seam.shape != (len(pairs),):
         raise ValueError("panels without a size, or stitches without a seam")
-    return Panels(names, np.asarray(of, np.int32), unit, pairs, np.asarray(seam, np.int32))
+    return Panels(names, np.asarray(of, np.int32), np.asarray(edge, np.int32), unit, pairs, np.asarray(seam, np.int32))
 
 
 def cut_corners(corners: Corners, own: NDArray[np.bool_], start: int, stop: int) -> Corners:
@@ -56,7 +59,8 @@ def _cut_panels(panels: Panels, own: NDArray[np.bool_], mine: NDArray[np.bool_],
     number[used] = np.arange(len(used))
     seam = np.unique(panels.seam[kept], return_inverse=True)[1].reshape(-1).astype(np.int32)
     names = tuple(panels.names[k] for k in used)
-    return Panels(names, number[of], panels.unit[used], place[panels.pairs[kept]].astype(np.int32), seam)
+    pairs = place[panels.pairs[kept]].astype(np.int32)
+    return Panels(names, number[of], panels.edge[own], panels.unit[used], pairs, seam)
 
 
 def read_indices(name: str, values: NDArray[Any], width: int, number: int) -> Int:

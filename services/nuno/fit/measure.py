@@ -10,7 +10,7 @@ from nuno.fit.openings import Opening, find_openings
 from nuno.fit.places import trunk
 from nuno.fit.seams import Seam
 from nuno.fit.slices import Slice, cut
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float, Int, Panels
 from nuno_schemas.triangles import Membrane
 
 ROUND = 0.5
@@ -73,16 +73,35 @@ class Fit:
     pressed: Pressed | None = None
     seams: list[Seam] = field(default_factory=list)
 
+    @property
+    def off(self) -> bool:
+        """Whether nothing of the garment lies on the body."""
+        return self.pressed is not None and self.pressed.area == 0.0
 
-def measure(name: str, x: Float, membrane: Membrane, body: tuple[Float, Int], heights: dict[str, float]) -> Fit:
+    @property
+    def on(self) -> bool:
+        """Whether it is worn: it lies on the body, and nothing that goes out through one opening goes out through
+        another, too, as an arm does from which a neckline has slipped.
+        """
+        return not self.off and not any(one.passed for one in self.openings)
+
+
+def measure(
+    name: str,
+    x: Float,
+    membrane: Membrane,
+    body: tuple[Float, Int],
+    heights: dict[str, float],
+    panels: Panels | None = None,
+) -> Fit:
     """Girths, openings and strains of a garment.
 
     x (n, 3) [m] its vertices, y up; membrane over them; body its mesh, vertices (m, 3) and faces (g, 3); heights [m] by
-    name.
+    name; panels that the membrane's triangles are of.
     """
     corners = _corners(membrane)
     girths = [_girth(place, height, x, membrane, corners, body) for place, height in heights.items()]
-    return Fit(name, girths, find_openings(x, membrane, corners, body), _strains(x, membrane))
+    return Fit(name, girths, find_openings(x, membrane, corners, body, panels), _strains(x, membrane))
 
 
 def measure_pressure(membrane: Membrane, force: Float, normal: Float) -> Pressed:

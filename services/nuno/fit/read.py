@@ -69,9 +69,12 @@ def _fit(piece: ShownPiece, moment: Moment, mesh: Mesh, at: dict[str, float], no
     membrane = Membrane(faces, whole.along[mine], whole.across[mine], whole.area[mine], whole.moduli[:, mine],
                         whole.damping[:, mine])  # fmt: skip
     x = moment.x[start:stop]
-    fit = measure(piece.name, x, membrane, mesh, at)
+    corners = piece.corners
+    if corners is not None and not np.array_equal(faces, corners.vertex[corners.faces]):
+        corners = None
+    fit = measure(piece.name, x, membrane, mesh, at, None if corners is None else corners.panels)
     force = sum((forces.parts[part][start:stop] for part in CONTACTS if part in forces.parts), 0.0 * x)
-    seams = [] if piece.corners is None else measure_seams(x, membrane, piece.corners)
+    seams = [] if corners is None else measure_seams(x, membrane, corners)
     return replace(fit, pressed=measure_pressure(membrane, force, normals[start:stop]), seams=seams)
 
 

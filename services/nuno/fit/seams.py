@@ -39,7 +39,7 @@ def measure_seams(x: Float, membrane: Membrane, corners: Corners) -> list[Seam]:
     length.
     """
     panels = corners.panels
-    if panels is None or not np.array_equal(membrane.faces, corners.vertex[corners.faces]):
+    if panels is None:
         return []
     ends = np.stack([corners.faces, np.roll(corners.faces, -1, axis=1)], axis=2).reshape(-1, 2).astype(np.int64)
     points = len(corners.points)

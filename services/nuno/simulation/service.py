@@ -153,7 +153,7 @@ class ClothDriver(Driver):
             arrays |= {"corner_uv": corners.points, "corner_vertex": corners.vertex, "corner_faces": corners.faces}
         panels = None if corners is None else corners.panels
         if panels is not None:
-            arrays |= {"panel_of": panels.of, "panel_unit": panels.unit}
+            arrays |= {"panel_of": panels.of, "panel_edge": panels.edge, "panel_unit": panels.unit}
             arrays |= {"panel_pairs": panels.pairs, "panel_seam": panels.seam}
         yarns = edge_yarns(fabric)
         if yarns is not None:

@@ -29,10 +29,11 @@ SIDES = {"from the front": 20, "from the side": 110, "from behind": 200}
 BUST, WAIST = "bust [cm]", "waist [cm]"
 WARP, WEFT = "warp [%]", "weft [%]"
 PRESSURE = "pressure [Pa]"
-IPCTK, RESTED, ALL = "by ipctk", "at rest after [s]", "in all [s]"
-MEASURES = (VERTICES, CROSSED, IPCTK, BUST, WAIST, WARP, WEFT, PRESSURE, RESTED, SECONDS, ALL)
+WORN, IPCTK, RESTED, ALL = "worn", "by ipctk", "at rest after [s]", "in all [s]"
+MEASURES = (VERTICES, WORN, CROSSED, IPCTK, BUST, WAIST, WARP, WEFT, PRESSURE, RESTED, SECONDS, ALL)
 TOLD = (
-    "Each scene at its end. By ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, "
+    "Each scene at its end. Worn: 0 where nothing touches the body, or an opening has slipped (nuno fit names it). By "
+    "ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, "
     "waist: ease. Warp, weft: 95 % of the cloth is strained by less. Pressure: where cloth presses. At rest: -, where "
     "the scene ended before. In all: of the run with all its services. docs/sewing.md says how fit is measured."
 )
@@ -70,6 +71,7 @@ def measure(recording: Recording) -> dict[str, float]:
     strains = {WARP: 100.0 * fit.strains["warp"].high, WEFT: 100.0 * fit.strains["weft"].high}
     pressed = {} if fit.pressed is None else {PRESSURE: fit.pressed.mean}
     nan = float("nan")
+    found[WORN] = float(fit.on)
     return found | {BUST: ease.get("bust", nan), WAIST: ease.get("waist", nan)} | strains | pressed
 
 
