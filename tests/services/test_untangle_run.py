@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import ipctk
 import numpy as np
 import pytest
 from scenes import write_scene
+from sewing_patterns import back, front, pattern, stitch
 
 import nuno
 from nuno.cloth import build
@@ -110,6 +113,25 @@ def test_what_cannot_be_is_said(tmp_path: Path, fields: dict[str, Any], said: st
     with pytest.raises(BadInput) as caught:
         start(two_sheets(tmp_path, **fields))
     assert said in str(caught.value)
+
+
+def test_what_stays_tangled_of_a_sewn_garment_is_named_by_its_panels(tmp_path: Path) -> None:
+    """Two tubes that go through each other, of panels with names of their own."""
+    objects = []
+    for name, aside in (("inner", 0.0), ("outer", 7.0)):
+        parts = {f"{name}-{part['translation'][2]:+d}": part for part in (front(), back())}
+        for part in parts.values():
+            part["translation"][0] += aside
+        one, two = parts
+        sewn = pattern(parts, stitch(f"{one}[1]", f"{two}[2]"), stitch(f"{one}[3]", f"{two}[0]"))
+        (tmp_path / f"{name}.json").write_text(json.dumps(sewn))
+        model = {"plugin": "pattern", "file": f"{name}.json", "edge": "3 cm", "fabric": "denim"}
+        objects.append({"name": name, "model": model})
+    with pytest.raises(BadInput) as caught:
+        start(write_scene(tmp_path, objects=objects, operations=[{"plugin": "untangle", "iterations": 1}]))
+    said, first = str(caught.value.value), ("inner", "outer")
+    assert "cut panels" in (caught.value.remedy or "")
+    assert any(re.match(rf"{i}-[+-]15 of {i} through {j}-[+-]15 of {j}, at ", said) for i, j in (first, first[::-1]))
 
 
 def test_cloth_that_moves_is_not_untangled(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ class Untangle:
         gone = norm(found.moved) > JITTER * cloth.edge
         whole = np.where(gone[:, None], whole + found.moved, whole)
         edge, face = find_crossings(cloth.tree, whole, cloth.piece, cloth.meets, cloth.bodies >= 0)
-        check_loose(cloth, whole, edge, face, found.iterations, before, list(objects))
+        check_loose(cloth, whole, edge, face, found.iterations, before, list(objects), fabric)
         x = whole[: fabric.number]
         return Arranged(x, facts_of(before, found.iterations, x - fabric.position))
 
@@ -85,7 +85,9 @@ def facts_of(crossings: int, iterations: int, moved: Float) -> dict[str, float]:
     }
 
 
-def check_loose(cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int, before: int, names: list[str]) -> None:
+def check_loose(
+    cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int, before: int, names: list[str], fabric: Fabric
+) -> None:
     """Raises BadInput for edges (k,) that still go through triangles (k,)."""
     if not len(edge):
         return
@@ -93,11 +95,25 @@ def check_loose(cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int,
     held = (cloth.free[np.concatenate([ends, corners], axis=1), 0] == 0.0).any(axis=1)
     i, j = ends[0]
     one, two, place = cloth.piece[i], cloth.piece[corners[0, 0]], place_of(x[[i, j]].mean(axis=0))
-    of_body = cloth.bodies in (one, two)
+    of_body, remedy = cloth.bodies in (one, two), "place the objects so that less of them crosses, hold less of them"
+    where = place
+    if not of_body:
+        beside = int(np.flatnonzero(np.isin(fabric.faces, [i, j]).sum(axis=1) == 2)[0])
+        panels = [_panel_of(fabric, int(k)) for k in (beside, face[0])]
+        where = f"edge {i}-{j} of {names[one]} through triangle {face[0]} of {names[two]}, {place}"
+        if all(panels):
+            where = f"{panels[0]} of {names[one]} through {panels[1]} of {names[two]}, {place}"
+            remedy = "cut panels that are too small for the body wider, place panels so that less of them crosses"
     raise BadInput(
         f"cloth still passes through {'a body' if of_body else 'cloth'} after {iterations:,} iterations "
         f"({len(edge):,} edges through triangles of {before:,}, {int(held.sum()):,} with vertices that are held)",
-        value=place if of_body else f"edge {i}-{j} of {names[one]} through triangle {face[0]} of {names[two]}, {place}",
+        value=where,
         limit="none",
-        remedy="place the objects so that less of them crosses, hold less of them, or allow more iterations",
-    )  # fmt: skip
+        remedy=f"{remedy}, or allow more iterations",
+    )
+
+
+def _panel_of(fabric: Fabric, face: int) -> str:
+    """Which panel a triangle of a garment that is sewn is of, "" for none."""
+    panels = None if fabric.corners is None else fabric.corners.panels
+    return "" if panels is None or panels.of[face] < 0 else panels.names[panels.of[face]]
