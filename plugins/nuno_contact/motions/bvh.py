@@ -65,7 +65,8 @@ def read_bvh(path: Path) -> Any:
             warnings.simplefilter("ignore")
             found = pybvh.read_bvh_file(path, world_up="+y")
     except Exception as error:  # whatever a broken file makes of the reader
-        raise BadInput(f"cannot be read as BVH: {error}", file=str(path)) from None
+        remedy = "is it cut off, or not BVH? Write it anew where it comes from"
+        raise BadInput(f"cannot be read as BVH: {error}", file=str(path), remedy=remedy) from None
     offsets = np.array([node.offset for node in found.nodes])
     for what, values in (("offsets", offsets), ("positions", found.root_pos), ("angles", found.joint_angles)):
         if not np.isfinite(values).all():

@@ -7,9 +7,11 @@ from html import escape
 import numpy as np
 
 from nuno.export.paint import STRETCH
-from nuno_schemas.colour import CONTROL
+from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.fabric import Float
 
+STRIPES = 50
+"""Of the bar of strains."""
 INK, SEAM = "#1d2430", "#b5523b"
 
 
@@ -23,12 +25,16 @@ def scale() -> list[str]:
 
 def legend(words: str) -> list[str]:
     """A bar of 100 mm, beside the scale, with the strains at decades."""
-    stops = "".join(f'<stop offset="{k / (len(CONTROL) - 1)}" stop-color="{c}"/>' for k, c in enumerate(CONTROL))
+    # Of stripes: what makes a PDF of the drawing knows no gradients. Each reaches under the next, so that no gap shows.
+    shades = to_srgb(colours(np.arange(STRIPES), 0.0, STRIPES - 1.0))
+    inks = ["#" + bytes(np.rint(255.0 * shade).astype(np.uint8).tolist()).hex() for shade in shades]
+    wide = 100.0 / STRIPES
     decades = np.arange(round(np.log10(STRETCH[0])), round(np.log10(STRETCH[1])) + 1).tolist()
     marks = np.linspace(130.0, 230.0, len(decades)).tolist()
     return [
-        f'<defs><linearGradient id="map">{stops}</linearGradient></defs>',
-        '<rect x="130" y="-3" width="100" height="6" fill="url(#map)"/>', text(words, 130, -5.5, 5),
+        *(f'<rect x="{130 + k * wide:g}" y="-3" width="{100 - k * wide:g}" height="6" fill="{ink}"/>'
+          for k, ink in enumerate(inks)),
+        text(words, 130, -5.5, 5),
         *(text(f"{100.0 * 10.0**k:g} %", x, 9, 5, INK, "middle") for k, x in zip(decades, marks, strict=True)),
     ]  # fmt: skip
 
