@@ -43,6 +43,10 @@ def test_a_sound_pattern_has_its_measures_and_nothing_to_be_said(
     assert [one["area"] for one in found["panels"]] == pytest.approx([0.06, 0.06])
 
 
+def unplaced(one: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in one.items() if name != "translation"}
+
+
 REMARKS: dict[str, tuple[Any, dict[str, str]]] = {
     "gathers": (tube(back=back(height=24.0)), {"unequal seam": "back[0], front[3]"}),
     "a turned seam": (
@@ -65,6 +69,7 @@ REMARKS: dict[str, tuple[Any, dict[str, str]]] = {
         ),
         {"several pieces": "pattern"},
     ),
+    "no place": (tube(front=unplaced(front()), back=unplaced(back())), {"no place": "front, back"}),
     "a short edge": (
         tube(front=panel((0, 0), (30, 0), (30, 20), (0.1, 20), (0, 20), translation=[-15, 100, 15])),
         {"short edge": "front[3]", "unequal seam": "back[0], front[3]"},

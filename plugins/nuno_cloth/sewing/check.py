@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from nuno_cloth.sewing.assemble import STITCHES, assemble
-from nuno_cloth.sewing.fields import PatternFile
+from nuno_cloth.sewing.fields import PanelFields, PatternFile
 from nuno_cloth.sewing.joined import find_openings, find_pieces, find_sides
 from nuno_cloth.sewing.pattern import Panel, Pattern, Side, name_of
 from nuno_schemas.fabric import Float
@@ -47,6 +47,7 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     openings = [] if broken else find_openings(pattern)
     if not broken:
         _note_pieces(pattern, openings, note)
+        _note_places(written.said.pattern.panels, note)
     length = sum(min(pattern.edge(seam.one).length, pattern.edge(seam.other).length) for seam in pattern.seams)
     ordered = sorted(remarks, key=lambda remark: not remark.wrong)
     return Checked(
@@ -129,6 +130,12 @@ def _note_edges(pattern: Pattern, note: Note) -> None:
             note(
                 "size", "pattern", text, ("properties", "units_in_meter"), "is the unit right? 100 for cm, 1000 for mm"
             )
+
+
+def _note_places(panels: Mapping[str, PanelFields], note: Note) -> None:
+    if bare := [name for name, one in panels.items() if "translation" not in one.model_fields_set]:
+        remedy = "give it a translation: in front of or behind the part of the body that it is worn on"
+        note("no place", ", ".join(bare), "begins at the drawing's origin", ("pattern", "panels", bare[0]), remedy)
 
 
 def _note_pieces(pattern: Pattern, openings: list[list[Side]], note: Note) -> None:
