@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from nuno.choose.cloth import decide
 from nuno.scene.scene_file import Loaded
-from nuno.verify import steppers
+from nuno.verification import steppers
 
 
 @dataclass

@@ -13,7 +13,7 @@ from nuno.recording.recorded import Recorded
 from nuno.recording.restore import control_events, restored_scene
 from nuno.stepping.again import Again
 from nuno.stepping.stepped import Stepper
-from nuno.verify import steppers
+from nuno.verification import steppers
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import Forces

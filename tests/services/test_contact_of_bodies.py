@@ -18,7 +18,7 @@ from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import Verification, verify
+from nuno.verification import Verification, verify
 
 G = 9.81
 CUBE = """v -1 -1 -1

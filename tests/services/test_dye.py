@@ -24,7 +24,7 @@ from nuno.scene import scene_file
 from nuno.scene.json_schema import scene_schema
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 

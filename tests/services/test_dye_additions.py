@@ -20,7 +20,7 @@ from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
 

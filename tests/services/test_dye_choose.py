@@ -17,7 +17,7 @@ from nuno.choose.found import PROMISE
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -15,7 +15,7 @@ from nuno.recording.reader import Recording
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS
 
 

@@ -19,7 +19,7 @@ from nuno.report.show import lines
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeSystem
 from nuno_schemas.errors import BadInput

@@ -21,7 +21,7 @@ from nuno.replay import Replay
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
 

@@ -16,9 +16,9 @@ from PIL import Image
 import nuno
 from nuno.cli import main
 from nuno.dye.painter import DyePainter
-from nuno.export.cloth import read_pieces
-from nuno.export.dyed_pictures import Changes, read_dyed_object
-from nuno.export.pictures import Painter
+from nuno.exports.cloth import read_pieces
+from nuno.exports.dyed_pictures import Changes, read_dyed_object
+from nuno.exports.pictures import Painter
 from nuno.scene import scene_file
 from nuno_schemas.messages import CLOTH, CONCENTRATION, STATE
 

@@ -15,9 +15,9 @@ import trimesh
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
-from nuno.export.cloth import body_vertices, read_bodies, read_pieces
-from nuno.export.meshes import export_mesh, export_meshes
-from nuno.export.tables import export_csv, export_npz
+from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
+from nuno.exports.meshes import export_mesh, export_meshes
+from nuno.exports.tables import export_csv, export_npz
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno_schemas.errors import BadInput

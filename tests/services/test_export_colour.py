@@ -11,10 +11,10 @@ from PIL import Image
 from recorded_sheet import Sheet, write
 
 from nuno.cli import main
-from nuno.export.animations import export_animation
-from nuno.export.cloth import ShownPiece
-from nuno.export.paint import PLAIN, paint_stretch
-from nuno.export.pictures import Colour, Painter, _cloth_mesh
+from nuno.exports.animations import export_animation
+from nuno.exports.cloth import ShownPiece
+from nuno.exports.paint import PLAIN, paint_stretch
+from nuno.exports.pictures import Colour, Painter, _cloth_mesh
 from nuno.recording.reader import open_recording
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput

@@ -12,10 +12,10 @@ import trimesh
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
-from nuno.export.cloth import cut_pieces
-from nuno.export.meshes import export_mesh, export_meshes
-from nuno.export.pictures import export_picture
-from nuno.export.tables import export_csv, export_npz
+from nuno.exports.cloth import cut_pieces
+from nuno.exports.meshes import export_mesh, export_meshes
+from nuno.exports.pictures import export_picture
+from nuno.exports.tables import export_csv, export_npz
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno_schemas.fabric import Float

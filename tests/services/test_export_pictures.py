@@ -12,10 +12,10 @@ from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 
 from nuno.cli import main
-from nuno.export import paint
-from nuno.export.animations import _choose_palette, _write_gif, export_animation
-from nuno.export.paint import SIDES, tubes
-from nuno.export.pictures import Painter, choose_frames, export_picture
+from nuno.exports import paint
+from nuno.exports.animations import _choose_palette, _write_gif, export_animation
+from nuno.exports.paint import SIDES, tubes
+from nuno.exports.pictures import Painter, choose_frames, export_picture
 from nuno.recording.reader import open_recording
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput

@@ -16,8 +16,8 @@ import nuno
 from nuno.cloth.build import build_fabric
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import renumber
-from nuno.export.cloth import cut_pieces, read_pieces
-from nuno.export.meshes import export_mesh
+from nuno.exports.cloth import cut_pieces, read_pieces
+from nuno.exports.meshes import export_mesh
 from nuno.handed import check_fabric
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles

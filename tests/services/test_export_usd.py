@@ -17,8 +17,8 @@ from test_export import picture, png, seen
 
 import nuno
 from nuno.cli import main
-from nuno.export.cloth import body_vertices, read_bodies, read_pieces
-from nuno.export.usd import export_usd
+from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
+from nuno.exports.usd import export_usd
 from nuno.recording.reader import open_recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

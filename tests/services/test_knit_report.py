@@ -12,9 +12,9 @@ from nuno import api
 from nuno.cli import main
 from nuno.cloth import build
 from nuno.cloth.yarns import measure_courses
-from nuno.export.paint import SIDES
-from nuno.export.pictures import Painter
-from nuno.export.tables import export_npz
+from nuno.exports.paint import SIDES
+from nuno.exports.pictures import Painter
+from nuno.exports.tables import export_npz
 from nuno.recording.reader import open_recording
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped

@@ -11,7 +11,7 @@ from scenes import write_scene
 
 import nuno
 from nuno.cloth import build
-from nuno.export.cloth import read_pieces
+from nuno.exports.cloth import read_pieces
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor

@@ -18,10 +18,10 @@ import nuno
 from nuno.cli import main
 from nuno.cloth.build import build_fabric
 from nuno.cloth.join import join_fabrics
-from nuno.export.cloth import read_frame, read_pieces
-from nuno.export.meshes import export_mesh
-from nuno.export.paint import paint_stretch
-from nuno.export.pattern import export_pattern, strains
+from nuno.exports.cloth import read_frame, read_pieces
+from nuno.exports.meshes import export_mesh
+from nuno.exports.paint import paint_stretch
+from nuno.exports.pattern import export_pattern, strains
 from nuno.fit.measure import measure
 from nuno.handed import check_fabric
 from nuno.recording.reader import open_recording

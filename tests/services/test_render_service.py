@@ -16,7 +16,7 @@ from PIL import Image
 from refusals import Refused
 
 from nuno.cli import main
-from nuno.export.yarns import export_yarn_picture
+from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist

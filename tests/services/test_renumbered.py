@@ -16,12 +16,12 @@ from scenes import write_scene
 import nuno
 from nuno.cloth import numbering
 from nuno.cloth.numbering import invert
-from nuno.export.meshes import export_mesh
+from nuno.exports.meshes import export_mesh
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import supervisor
-from nuno.verify import Verification, verify
+from nuno.verification import Verification, verify
 from nuno_cloth.wind.plugin import Wind
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

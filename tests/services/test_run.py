@@ -27,7 +27,7 @@ from nuno.simulation.service import ask_poses
 from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno.wire.sessions import hub_at
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed

@@ -14,7 +14,7 @@ from viewer_run import messages
 
 from nuno.cli import main
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
-from nuno.export.cloth import body_vertices, read_bodies
+from nuno.exports.cloth import body_vertices, read_bodies
 from nuno.recording.reader import open_recording
 from nuno_bench.problem.oracle import Oracle
 from nuno_schemas.bodies import SKIN, Poses

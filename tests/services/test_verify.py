@@ -14,7 +14,7 @@ import nuno
 from nuno.cli import main
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter
-from nuno.verify import Verification, verify
+from nuno.verification import Verification, verify
 from nuno.wire.arrays import decode_arrays, encode_arrays, encode_points
 from nuno_schemas.messages import Header
 

@@ -15,8 +15,8 @@ from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
 from nuno.collision.surfaces import surface, vertex_normals
-from nuno.export.cloth import ShownPiece
-from nuno.export.paint import INSET, paint_yarns
+from nuno.exports.cloth import ShownPiece
+from nuno.exports.paint import INSET, paint_yarns
 from nuno.recording.writer import part_of
 from nuno.viewer.cloth import pack
 from nuno.viewer.file import PIPES, RerunFile

@@ -9,7 +9,7 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno.export.tables import export_csv
+from nuno.exports.tables import export_csv
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation

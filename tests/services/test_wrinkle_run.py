@@ -12,13 +12,13 @@ from scenes import write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.export.cloth import Pieces
+from nuno.exports.cloth import Pieces
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_contact.offset.places import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 

@@ -10,9 +10,9 @@ import pytest
 from nuno import api
 from nuno.cloth import build
 from nuno.cloth.yarns import edge_yarns
-from nuno.export.cloth import read_pieces
-from nuno.export.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
-from nuno.export.pictures import Painter
+from nuno.exports.cloth import read_pieces
+from nuno.exports.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
+from nuno.exports.pictures import Painter
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file, shipped
 from nuno_schemas.colour import parse_hex

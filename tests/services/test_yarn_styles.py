@@ -11,8 +11,8 @@ from PIL import Image
 
 from nuno import api
 from nuno.cli import main
-from nuno.export.cloth import read_frame, read_pressure
-from nuno.export.yarns import export_yarn_picture, find_camera, read_worn, styled
+from nuno.exports.cloth import read_frame, read_pressure
+from nuno.exports.yarns import export_yarn_picture, find_camera, read_worn, styled
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 

@@ -21,7 +21,7 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision.supervisor import Deployment
-from nuno.verify import verify
+from nuno.verification import verify
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
 from soak.processes import Digests, digests

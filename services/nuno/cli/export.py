@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
 
 if TYPE_CHECKING:
-    from nuno.export.dyed_pictures import Changes
+    from nuno.exports.dyed_pictures import Changes
 
 MESHES = (".obj", ".ply", ".glb")
 FILES = {
@@ -92,7 +92,7 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    from nuno.export.target import together
+    from nuno.exports.target import together
 
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
@@ -106,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
 
 def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     """Write what is asked for, what takes long last. Raises BadInput."""
-    from nuno.export import animations, meshes, pictures, tables
+    from nuno.exports import animations, meshes, pictures, tables
 
     size, changes, written = _size(args.size), _changes(args), list[Path]()
     if args.npz:
@@ -118,7 +118,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     if args.yarns:
         written.append(_export_yarns(recording, args))
     if args.pattern:
-        from nuno.export.pattern import export_pattern
+        from nuno.exports.pattern import export_pattern
 
         written.append(export_pattern(recording, args.pattern, args.frame, args.colour))
     for suffix in MESHES:
@@ -128,11 +128,11 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
     if args.usd:
-        from nuno.export.usd import export_usd
+        from nuno.exports.usd import export_usd
 
         written.append(export_usd(recording, args.usd, args.frame, _progress))
     if args.png and args.style:
-        from nuno.export.yarns import export_yarn_picture
+        from nuno.exports.yarns import export_yarn_picture
 
         asked = args.style, args.frame, size, tuple(args.overrides)
         written.append(export_yarn_picture(recording, args.png, *asked, _progress))
@@ -149,7 +149,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
 
 def _export_yarns(recording: Recording, args: argparse.Namespace) -> Path:
-    from nuno.export.curves import Form, export_yarns
+    from nuno.exports.curves import Form, export_yarns
 
     form: Form = args.form or "smooth"
     given = {name: getattr(args, name) for name in YARNS if getattr(args, name) is not None}
@@ -175,13 +175,13 @@ def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
 
 def _check(recording: Recording, args: argparse.Namespace) -> None:
     """Raises BadInput where what is asked for does not go together, or is not what such a recording has."""
-    from nuno.export.animations import check_animation
+    from nuno.exports.animations import check_animation
     from nuno.viewer.require import require
 
     for path in filter(None, (args.gif, args.mp4)):
         check_animation(path, args.fps, _size(args.size))
     if args.usd:
-        from nuno.export.usd import check_usd
+        from nuno.exports.usd import check_usd
 
         check_usd(args.usd)
     require(None, args.rrd, "--rrd")
@@ -223,7 +223,7 @@ def _check(recording: Recording, args: argparse.Namespace) -> None:
 
 def _changes(args: argparse.Namespace) -> Changes:
     """Of all pictures but those of a style, whose own settings are none of theirs."""
-    from nuno.export.dyed_pictures import Changes
+    from nuno.exports.dyed_pictures import Changes
 
     overrides = (item for item in args.overrides if not (args.style and item.startswith("view.yarns")))
     return Changes(args.view, args.scale, _crop(args.crop), tuple(overrides))

@@ -12,7 +12,7 @@ from typing import Any
 from nuno import registry
 from nuno.cli.presets import origins
 from nuno.cli.top import align
-from nuno.export.target import writing
+from nuno.exports.target import writing
 from nuno.scene import yaml_lines
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported

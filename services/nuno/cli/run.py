@@ -135,7 +135,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     show_report(report, sys.stdout)
     _name_files(options, outcome)
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
-        from nuno.export.pictures import export_picture
+        from nuno.exports.pictures import export_picture
 
         target = options.record.with_suffix(".png")
         print("drawing the last frame", flush=True)  # the first time, the renderer is compiled

@@ -11,7 +11,7 @@ from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.supervision import runs
-from nuno.verify import Verification, verify
+from nuno.verification import Verification, verify
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

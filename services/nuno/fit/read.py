@@ -11,7 +11,7 @@ import numpy as np
 from nuno.cloth.pressure import named_heights
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface, vertex_normals
-from nuno.export.cloth import ShownPiece, read_pieces
+from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
 from nuno.fit.seams import measure_seams

@@ -10,9 +10,9 @@ import numpy as np
 from nuno import registry
 from nuno.cloth.build import build_fabric
 from nuno.collision.bodies import build_bodies
-from nuno.export.camera import z_up
-from nuno.export.cloth import shape_bodies
-from nuno.export.yarns import GROUP, STYLE, captioned, find_camera, put_on
+from nuno.exports.camera import z_up
+from nuno.exports.cloth import shape_bodies
+from nuno.exports.yarns import GROUP, STYLE, captioned, find_camera, put_on
 from nuno.recording.recorded import Frame
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.drawing import Camera, Mesh

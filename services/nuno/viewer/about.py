@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth.tension import SPAN
-from nuno.export.paint import INSET
+from nuno.exports.paint import INSET
 from nuno.viewer.layout import BACKGROUND
 from nuno.words import duration
 from nuno_schemas.colour import colours, to_srgb

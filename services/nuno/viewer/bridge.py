@@ -13,7 +13,7 @@ import rerun as rr
 
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
-from nuno.export.cloth import cut_pieces
+from nuno.exports.cloth import cut_pieces
 from nuno.viewer import layout
 from nuno.viewer.about import about, about_tension, tension_legend
 from nuno.viewer.bodies import BodiesView

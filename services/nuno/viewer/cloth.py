@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from nuno.cloth.tension import SPAN
 from nuno.collision.surfaces import vertex_normals
-from nuno.export.cloth import ShownPiece
-from nuno.export.paint import PLAIN, STRETCH, paint_yarns, read_rgb
+from nuno.exports.cloth import ShownPiece
+from nuno.exports.paint import PLAIN, STRETCH, paint_yarns, read_rgb
 from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 from nuno_schemas.fabric import Float

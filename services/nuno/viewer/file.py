@@ -12,7 +12,7 @@ import rerun as rr
 from pydantic import ValidationError
 
 from nuno.dye.painter import DyePainter
-from nuno.export.cloth import read_texture
+from nuno.exports.cloth import read_texture
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of

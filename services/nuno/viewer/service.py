@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from nuno.export.cloth import find_named
+from nuno.exports.cloth import find_named
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
 from nuno.service import Context, each_message

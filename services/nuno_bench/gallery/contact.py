@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nuno.export.cloth import read_frame
-from nuno.export.pictures import export_picture
+from nuno.exports.cloth import read_frame
+from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table

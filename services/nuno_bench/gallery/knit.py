@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from nuno.cloth.pressure import named_heights
-from nuno.export.cloth import read_frame, read_pieces
-from nuno.export.pictures import Colour, export_picture
-from nuno.export.yarns import export_yarn_picture
+from nuno.exports.cloth import read_frame, read_pieces
+from nuno.exports.pictures import Colour, export_picture
+from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file

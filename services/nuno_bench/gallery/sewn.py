@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.export.dyed_pictures import Changes
-from nuno.export.pictures import export_picture
+from nuno.exports.dyed_pictures import Changes
+from nuno.exports.pictures import export_picture
 from nuno.fit.read import read_fits, wearer
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene

@@ -9,8 +9,8 @@ import numpy as np
 
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.export.cloth import Pieces, read_frame
-from nuno.export.pictures import export_picture
+from nuno.exports.cloth import Pieces, read_frame
+from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file, shipped

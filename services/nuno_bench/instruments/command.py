@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from nuno import api
-from nuno.export.pictures import export_picture
+from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno_bench import machine, options

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno.export.cloth import read_bodies, read_pieces
+from nuno.exports.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
 from nuno.recording.restore import control_events, restored_scene
 from nuno.scene import scene_file, shipped
@@ -132,6 +132,6 @@ RECORDINGS = (
     Kind("scene YAML", _scenes, _scene, lambda data, random: mutate_text(data, random, WORDS),
          ("nuno.scene", "nuno_schemas")),
     Kind("MCAP", lambda folder: list(recorded()), _recording, RECORDING.mutate,
-         ("nuno.recording", "nuno.wire.arrays", "mcap", "nuno.export.cloth", "nuno.collision.messages"),
+         ("nuno.recording", "nuno.wire.arrays", "mcap", "nuno.exports.cloth", "nuno.collision.messages"),
          longest=80_000),
 )  # fmt: skip

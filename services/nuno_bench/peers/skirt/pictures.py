@@ -9,10 +9,10 @@ import numpy as np
 
 from nuno import registry
 from nuno.collision.surfaces import surface
-from nuno.export.camera import place_camera, z_up
-from nuno.export.cloth import ShownPiece
-from nuno.export.paint import BODY, INSET, STRETCH, paint_stretch
-from nuno.export.pictures import RENDERER, ROOM
+from nuno.exports.camera import place_camera, z_up
+from nuno.exports.cloth import ShownPiece
+from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
+from nuno.exports.pictures import RENDERER, ROOM
 from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.skirt.problem import Skirt
 from nuno_bench.report.page import Image, Pictures

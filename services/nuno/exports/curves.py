@@ -12,8 +12,8 @@ from nuno import registry
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
-from nuno.export.cloth import read_frame
-from nuno.export.target import check_target, opened, writing
+from nuno.exports.cloth import read_frame
+from nuno.exports.target import check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter
-from nuno.export.cloth import ShownPiece, find_message
-from nuno.export.target import Progress
+from nuno.exports.cloth import ShownPiece, find_message
+from nuno.exports.target import Progress
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene

@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from nuno.export.paint import STRETCH
+from nuno.exports.paint import STRETCH
 from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.fabric import Float
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.export.cloth import read_pressure
-from nuno.export.target import opened, writing
+from nuno.exports.cloth import read_pressure
+from nuno.exports.target import opened, writing
 from nuno.moments import Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import per_dye

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nuno.export.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
-from nuno.export.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames
-from nuno.export.target import Progress, check_target, opened, writing
+from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
+from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames
+from nuno.exports.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
 

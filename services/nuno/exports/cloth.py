@@ -17,8 +17,8 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces, surface
-from nuno.export.corners import cut_corners, read_corners, read_indices
-from nuno.export.paint import INSET, read_rgb
+from nuno.exports.corners import cut_corners, read_corners, read_indices
+from nuno.exports.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene

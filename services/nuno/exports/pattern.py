@@ -12,10 +12,10 @@ import numpy as np
 from PIL import Image
 
 from nuno.collision.surfaces import outlines
-from nuno.export.cloth import Pieces, ShownPiece, check_size, read_frame
-from nuno.export.paint import paint_stretch
-from nuno.export.pattern_marks import INK, SEAM, legend, points, scale, text
-from nuno.export.target import check_target, opened, writing
+from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
+from nuno.exports.paint import paint_stretch
+from nuno.exports.pattern_marks import INK, SEAM, legend, points, scale, text
+from nuno.exports.target import check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput

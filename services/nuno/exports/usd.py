@@ -12,11 +12,11 @@ import numpy as np
 from PIL import Image
 
 from nuno.collision.surfaces import vertex_normals
-from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
-from nuno.export.dyed_pictures import read_dyed_object
-from nuno.export.meshes import panel_runs
-from nuno.export.paint import BODY, PLAIN, paint_stretch
-from nuno.export.target import Progress, check_target, opened, writing
+from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
+from nuno.exports.dyed_pictures import read_dyed_object
+from nuno.exports.meshes import panel_runs
+from nuno.exports.paint import BODY, PLAIN, paint_stretch
+from nuno.exports.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.export.camera import of_camera, place_camera, read_view, z_up
-from nuno.export.cloth import (
+from nuno.exports.camera import of_camera, place_camera, read_view, z_up
+from nuno.exports.cloth import (
     Pieces,
     Pressures,
     ShownBodies,
@@ -26,9 +26,9 @@ from nuno.export.cloth import (
     read_frame,
     read_pressure,
 )
-from nuno.export.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
-from nuno.export.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, paint_stretch, paint_yarns, tubes
-from nuno.export.target import Progress, check_target, opened, write_png
+from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
+from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, paint_stretch, paint_yarns, tubes
+from nuno.exports.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex

@@ -9,10 +9,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nuno.collision.surfaces import vertex_normals
-from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
-from nuno.export.dyed_pictures import DyedPictures, read_dyed_object
-from nuno.export.paint import BODY, PLAIN, paint_stretch
-from nuno.export.target import Progress, opened, writing
+from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
+from nuno.exports.paint import BODY, PLAIN, paint_stretch
+from nuno.exports.target import Progress, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of

@@ -14,10 +14,10 @@ from nuno import registry
 from nuno.cloth.build import build_fabric
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.yarns import structural_edges
-from nuno.export.camera import place_camera, read_view, z_up
-from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
-from nuno.export.curves import apply, find_operation
-from nuno.export.target import Progress, check_target, opened, write_png
+from nuno.exports.camera import place_camera, read_view, z_up
+from nuno.exports.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.exports.curves import apply, find_operation
+from nuno.exports.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
