@@ -1,17 +1,38 @@
-"""Textile simulation as services. `nuno.run(scene)` simulates, `nuno.open(file)` reads a recording, and
-`nuno.states(recording)` gives its frames as they were, in float64, with what acted on them.
+"""Textile simulation as services.
+
+`nuno.run(scene)` simulates, `nuno.plan(scene)` says what that would do and cost, `nuno.Scene` is a scene as an object;
+`nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` go on with it, and `nuno.states`
+gives its frames as they were, in float64, with what acted on them.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nuno.api import Result, run
+    from nuno.api.plan import Plan, plan
+    from nuno.api.recordings import export, verify
+    from nuno.api.result import Result
+    from nuno.api.run import resume, run
+    from nuno.api.scene import Scene
     from nuno.moments import Moment, states
+    from nuno.recording.reader import Recording
     from nuno.recording.reader import open_recording as open
 
-__all__ = ["Moment", "Result", "open", "run", "states"]
+__all__ = [
+    "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states", "verify",
+]  # fmt: skip
+PLACES = {
+    "nuno.api.plan": ("Plan", "plan"),
+    "nuno.api.recordings": ("export", "verify"),
+    "nuno.api.result": ("Result",),
+    "nuno.api.run": ("resume", "run"),
+    "nuno.api.scene": ("Scene",),
+    "nuno.moments": ("Moment", "states"),
+    "nuno.recording.reader": ("Recording", "open"),
+}
+"""The module of each name."""
 
 
 def __dir__() -> list[str]:
@@ -19,17 +40,8 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded when first used: a service's process needs neither.
-    if name in ("run", "Result"):
-        from nuno import api
-
-        return getattr(api, name)
-    if name in ("states", "Moment"):
-        from nuno import moments
-
-        return getattr(moments, name)
-    if name == "open":
-        from nuno.recording.reader import open_recording
-
-        return open_recording
+    # Loaded when first used: a service's process needs none of them.
+    for place, names in PLACES.items():
+        if name in names:
+            return getattr(import_module(place), "open_recording" if name == "open" else name)
     raise AttributeError(name)

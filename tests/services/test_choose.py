@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from nuno import api, registry
+import nuno
+from nuno import registry
 from nuno.choose import cloth as choose
 from nuno.choose.found import PROMISE
 from nuno.choose.trials import Method, Trials
@@ -147,8 +148,8 @@ def test_a_choice_repeats_and_is_written_whole(tmp_path: Path) -> None:
 
 def test_a_run_is_that_of_the_choice_written_by_hand(tmp_path: Path) -> None:
     chosen = choose.decide(read(tmp_path))
-    auto = api.run(tmp_path / "scene.yaml")
-    by_hand = api.run(tmp_path / "scene.yaml", f"solver={chosen.data['solver']}")
+    auto = nuno.run(tmp_path / "scene.yaml")
+    by_hand = nuno.run(tmp_path / "scene.yaml", f"solver={chosen.data['solver']}")
     assert auto.digest == by_hand.digest
     assert auto.report["chosen"] == chosen.why and by_hand.report["chosen"] == ""
     assert auto.recording.layout.metadata["scene"]["chosen"] == chosen.why

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from recorded_sheet import Sheet, write
 
-from nuno import api
+import nuno
 from nuno.cli import main
 from nuno.cli.export import tell_yarns
 from nuno.exports.cloth import read_frame
@@ -53,7 +53,7 @@ def scene(**fields: Any) -> dict[str, Any]:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("yarns")
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene()))
-    api.run(folder / "scene.yaml", record=folder / "run.mcap")
+    nuno.run(folder / "scene.yaml", record=folder / "run.mcap")
     return folder / "run.mcap"
 
 
@@ -132,7 +132,7 @@ def test_the_command_writes_and_says_what_it_did(
 
 
 def test_without_a_mesh_smooth_yarns_follow_the_knit_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    api.run("knit/stitch-10x10", "duration=0.3", record=tmp_path / "run.mcap")
+    nuno.run("knit/stitch-10x10", "duration=0.3", record=tmp_path / "run.mcap")
     assert main(["export", str(tmp_path / "run.mcap"), "--yarns", str(tmp_path / "yarns.npz")]) == 0
     assert "no body is a mesh" in capsys.readouterr().err
     with np.load(tmp_path / "yarns.npz") as file:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import api
+import nuno
 from nuno.cli import main
 from nuno.cloth import build
 from nuno.cloth.yarns import measure_courses
@@ -54,7 +54,7 @@ objects:
 def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("bandage")
     (folder / "bandage.yaml").write_text(SCENE)
-    return folder / "run.mcap", api.run(folder / "bandage.yaml", record=folder / "run.mcap").report
+    return folder / "run.mcap", nuno.run(folder / "bandage.yaml", record=folder / "run.mcap").report
 
 
 def test_courses_are_as_long_as_their_links_together() -> None:
@@ -98,7 +98,7 @@ def test_a_table_and_a_picture_have_it_point_by_point(ran: tuple[Path, dict[str,
 
 
 def test_what_is_no_knit_has_no_pressure_to_be_painted_by(tmp_path: Path) -> None:
-    api.run("net", "duration=0.1", record=tmp_path / "net.mcap")
+    nuno.run("net", "duration=0.1", record=tmp_path / "net.mcap")
     with open_recording(tmp_path / "net.mcap") as recording, pytest.raises(BadInput, match="no knit"):
         Painter(recording, list(recording.frames())[-1:], colour="pressure")
     wanted = ["--npz", str(tmp_path / "a.npz"), "--png", str(tmp_path / "a.png"), "--colour", "pressure"]

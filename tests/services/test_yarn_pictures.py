@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import api
+import nuno
 from nuno.cloth import build
 from nuno.cloth.yarns import edge_yarns
 from nuno.exports.cloth import read_pieces
@@ -28,7 +28,7 @@ def fabric() -> Fabric:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("knit") / "run.mcap"
-    api.run(SCENE, "duration=0.3", record=path)
+    nuno.run(SCENE, "duration=0.3", record=path)
     return path
 
 

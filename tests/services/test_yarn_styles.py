@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nuno import api
+import nuno
 from nuno.cli import main
 from nuno.exports.cloth import read_frame, read_pressure
 from nuno.exports.yarns import export_yarn_picture, find_camera, read_worn, styled
@@ -41,7 +41,7 @@ FAST = ("view.yarns.samples=4",)
 def record(folder: Path, view: str = "") -> Path:
     scene = folder / "hose.yaml"
     scene.write_text(SCENE % view)
-    api.run(scene, record=folder / "run.mcap")
+    nuno.run(scene, record=folder / "run.mcap")
     return folder / "run.mcap"
 
 
@@ -135,7 +135,7 @@ def test_what_is_no_picture_of_yarns_is_refused(recorded: Path, tmp_path: Path) 
         draw(recorded, tmp_path, "lines", "view.yarns.radius=1mm")
     sheet = {"nuno": 1, "name": "sheet", "duration": 0.01, "frame_rate": 100.0, "gravity": [0, 0, 0]}
     sheet["objects"] = [{"name": "sheet", "model": {"plugin": "sheet", "resolution": [4, 4]}}]
-    api.run(sheet, "solver.plugin=symplectic_euler", record=tmp_path / "sheet.mcap")
+    nuno.run(sheet, "solver.plugin=symplectic_euler", record=tmp_path / "sheet.mcap")
     with pytest.raises(BadInput, match="no yarns"):
         draw(tmp_path / "sheet.mcap", tmp_path, "yarns")
 

@@ -92,16 +92,20 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    from nuno.exports.target import together
-
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        _check(recording, args)
-        with together():
-            written = _export(recording, args)
-    for path in written:
-        print(path)
+        for path in write(recording, args):
+            print(path)
     return 0
+
+
+def write(recording: Recording, args: argparse.Namespace) -> list[Path]:
+    """All that is asked for, or nothing. Raises BadInput."""
+    from nuno.exports.target import together
+
+    _check(recording, args)
+    with together():
+        return _export(recording, args)
 
 
 def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:

@@ -23,13 +23,14 @@ class ProgressLine:
     What is left follows from the frames that are done. The first estimate is a line of its own, after SETTLED.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, bar: bool | None = None) -> None:
+        """bar: whether there is one; None: on a terminal."""
         self.scene = scene
         self.start = 0.0
         self.first = 0.0
         self.tenth = -1
         self.estimated = False
-        self._terminal = sys.stderr.isatty()
+        self._terminal = sys.stderr.isatty() if bar is None else bar
         self._bar: Any = None
 
     def __enter__(self) -> ProgressLine:

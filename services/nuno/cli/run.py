@@ -13,8 +13,7 @@ from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
-from nuno.recording.reader import open_recording
-from nuno.recording.restore import check_unfinished, restored_scene
+from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report
 from nuno.report.show import show_report
@@ -25,9 +24,6 @@ from nuno.supervision.supervisor import Deployment
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput
-
-RESUMABLE = ("duration", "record", "view")
-"""Fields that may change on resuming: with any other, the recording could not be simulated again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,20 +67,9 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
     if args.resume is None:
         yield load_scene(args)
         return
-    for item in args.overrides:
-        if item.partition("=")[0].split(".")[0] not in RESUMABLE:
-            raise BadInput(
-                "this field cannot change when a run goes on from a checkpoint",
-                "--set",
-                value=item,
-                limit=", ".join(RESUMABLE),
-                remedy="change the others while it runs: nuno control last set ...",
-            )
     args.resume = runs.find_recording(args.resume)
-    with open_recording(args.resume) as recording, restored_scene(recording, tuple(args.overrides)) as loaded:
-        t = check_unfinished(recording, loaded)
-        cut = ", which was not finished" if recording.recovered else ""
-        print(f"going on at {t:g} s of {args.resume}{cut}", flush=True)
+    with resumed_scene(args.resume, args.overrides) as (loaded, words):
+        print(words, flush=True)
         yield loaded
 
 

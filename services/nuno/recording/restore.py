@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
-from nuno.recording.reader import Recording
+from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -23,6 +23,8 @@ SETTLED = "settled_from", "settled"
 """Arrays of `sim/fabric` that are `Loaded.settled`."""
 CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
 """Events of the services that answer control."""
+RESUMABLE = ("duration", "record", "view")
+"""Fields that may change on resuming: with any other, the recording could not be simulated again."""
 
 
 def control_events(recording: Recording) -> list[Event]:
@@ -69,6 +71,23 @@ def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
     arrays, _ = recording.fabric(0.0)
     start, x = (arrays.get(name, np.zeros(0)) for name in SETTLED)
     return (start, x) if start.shape == x.shape and x.ndim == 2 and x.shape[1] == 3 else None
+
+
+@contextmanager
+def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded, str]]:
+    """The scene of a recording, to go on with it, and from where, in words. Raises BadInput for what cannot change."""
+    for item in overrides:
+        if item.partition("=")[0].split(".")[0] not in RESUMABLE:
+            raise BadInput(
+                "this field cannot change when a run goes on from a checkpoint",
+                "--set",
+                value=item,
+                limit=", ".join(RESUMABLE),
+                remedy="change the others while it runs: nuno control last set ...",
+            )
+    with open_recording(path) as recording, restored_scene(recording, tuple(overrides)) as loaded:
+        t = check_unfinished(recording, loaded)
+        yield loaded, f"going on at {t:g} s of {path}{', which was not finished' if recording.recovered else ''}"
 
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:

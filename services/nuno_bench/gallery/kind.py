@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno import api
+import nuno
 from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
 from nuno_bench.report.page import Table
@@ -91,7 +91,7 @@ def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         target, failed = Path(folder) / f"{path.stem}.mcap", ""
         try:
-            api.run(path, record=target)
+            nuno.run(path, record=target)
         except RunFailed as error:
             failed = str(error).removesuffix(f"; recording kept in {target}")
         if not target.is_file():

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from nuno import api
+import nuno
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
@@ -133,7 +133,7 @@ def pictures(fabric: object, found: sheet.Sheet) -> list[page.Part]:
         radius, support = found.radii()
         model = {"fabric": json.dumps(fabric), "radius": radius, "hold": support}
         changes = [f"objects.0.model.{key}={value}" for key, value in model.items()]
-        api.run("instruments/drapemeter", *changes, record=target)
+        nuno.run("instruments/drapemeter", *changes, record=target)
         with open_recording(target) as recording:
             picture = read_picture(export_picture(recording, Path(folder) / "drape.png", None, SIZE, "cloth"))
         images.append(page.Image(embed(picture), f"On its support of {200.0 * support:g} cm, edges of 10 mm."))

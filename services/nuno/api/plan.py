@@ -1,0 +1,126 @@
+"""What a scene will run, what is left out and why, the stable step, the estimated cost."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from nuno.api.scene import Scene, as_texts, loaded
+from nuno.api.words import in_python
+from nuno.choose.cloth import decide
+from nuno.cloth import build
+from nuno.cloth.worn import start_warnings
+from nuno.report.show import describe_start
+from nuno.scene.scene_file import Loaded
+from nuno.service import Options
+from nuno.simulation.run import Simulation
+from nuno.supervision.plan import make_plan
+from nuno.warnings import scene_warnings
+from nuno_schemas.bodies import Geometry, Poses
+
+Row = tuple[str, str]
+
+
+class Plan(list[Row]):
+    """Headings and texts, in order, as `nuno plan` prints them; `str` gives that."""
+
+    def __str__(self) -> str:
+        return "\n".join(map(line_of, self))
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def plan(
+    scene: str | os.PathLike[str] | Mapping[str, Any] | Scene,
+    *overrides: str | Mapping[str, Any],
+    roots: Sequence[str | os.PathLike[str]] = (),
+    **fields: Any,
+) -> Plan:
+    """What a run of a scene would do, and cost; its arguments are those of `run`. Raises BadInput."""
+    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
+        return Plan(describe(found))
+
+
+def line_of(row: Row) -> str:
+    return f"{row[0]:9} {row[1]}"
+
+
+def describe(loaded: Loaded) -> Iterator[Row]:
+    """The rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
+    yield "scene", f"{loaded.scene.name}: {loaded.scene.description}"
+    # Before what it is warned of takes long, or fails.
+    yield from (("WARNING", text) for text in scene_warnings(loaded))
+    loaded = decide(loaded)
+    services = make_plan(loaded, Options(record=Path("recordings")))
+    rows = [("services", ", ".join(services.services))]
+    if loaded.scene.moves:
+        rows += _cloth(loaded)
+    if loaded.scene.view.pictures is not None:
+        from nuno.render.artist import Artist
+
+        Artist(loaded)  # refuses what the pictures cannot show, as an eye inside a body
+    if loaded.dye is not None:
+        from nuno.dye.describe import describe_dye
+
+        rows += describe_dye(loaded)
+    yield from rows
+    yield from (("left out" if i == 0 else "", text) for i, text in enumerate(services.left_out))
+
+
+def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
+    simulation = Simulation.with_bodies(loaded)
+    rows = _size(simulation) + _meetings(loaded)
+    rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
+    if simulation.geometry is not None and simulation.poses is not None:
+        rows += _worn(simulation, simulation.geometry, simulation.poses)
+    seconds = simulation.time_frame()  # from here on the cloth has moved
+    solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
+    rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
+    rows += [("chosen", loaded.why)] if loaded.why else []
+    kept = sum(array.nbytes for array in simulation.keep().arrays.values())
+    size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
+    return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
+
+
+def _meetings(loaded: Loaded) -> list[tuple[str, str]]:
+    """What meets what, and by which contact."""
+    bodies = [body.name for body in loaded.scene.bodies]
+    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in build.group_contacts(loaded)]
+    if loaded.cloth_contact is not None:
+        also = [bodies[i] for i in loaded.scene.met_bodies]
+        met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *also])}")
+    return [("contact", "; ".join(met))] if met else []
+
+
+def _size(simulation: Simulation) -> list[tuple[str, str]]:
+    fabric = simulation.fabric
+    parts = {
+        "springs": fabric.springs, "triangles of a membrane": fabric.membrane, "hinges": fabric.hinges,
+        "yarns": fabric.yarns,
+    }  # fmt: skip
+    counts = [f"{part.number:,} {name}" for name, part in parts.items() if part is not None]
+    terms = [name for name, part in parts.items() if part is not None]
+    terms += [
+        *(["attachments"] if simulation.system.carried else []),
+        *sorted({t.name for t in simulation.system.terms}),
+    ]
+    return [
+        ("fabric", ", ".join([f"{fabric.number:,} vertices", *counts])),
+        ("terms", ", ".join(terms) or "gravity and inertia only"),
+    ]
+
+
+def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
+    """Where the frames that carry cloth start, and whether it starts in a body."""
+    frames = dict.fromkeys(f"{binding.body}/{binding.frame}" for binding in simulation.fabric.bindings)
+    places = {name: poses.translation[geometry.frames.index(name)] for name in frames}
+    rows = [
+        ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
+        for name, place in places.items()
+    ]
+    rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
+    return rows

@@ -1,0 +1,145 @@
+"""Runs, from a script or a notebook."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nuno.api.recordings import path_of
+from nuno.api.result import Folder, Result
+from nuno.api.scene import Scene, as_texts, loaded
+from nuno.api.words import in_python
+from nuno.choose.cloth import decide
+from nuno.recording.reader import open_recording
+from nuno.recording.recorded import per_dye
+from nuno.recording.restore import resumed_scene
+from nuno.report.make import make_report
+from nuno.scene.scene_file import Loaded
+from nuno.service import Options
+from nuno.supervision import runs, supervisor
+from nuno.supervision.oversight import Progress
+from nuno.supervision.supervisor import Deployment
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import DYE_CHECKPOINT
+
+if TYPE_CHECKING:
+    from nuno.api.recordings import Recorded
+
+
+def run(
+    scene: str | os.PathLike[str] | Mapping[str, Any] | Scene,
+    *overrides: str | Mapping[str, Any],
+    record: str | os.PathLike[str] | None = None,
+    roots: Sequence[str | os.PathLike[str]] = (),
+    processes: bool = False,
+    threads: int = 0,
+    progress: bool | None = None,
+    **fields: Any,
+) -> Result:
+    """Simulate a scene: a file, the name of a shipped scene, a mapping of its fields, or a `Scene`.
+
+    `overrides` change it: "key=value" as after --set, or mappings of such keys to values; `fields` are the scene's own
+    but `record`, by keyword: nuno.run("hanging-sheet", {"solver.plugin": "rk4"}, duration="2 s"). `record` is the
+    recording's file (default: a temporary one, which goes with the result). `progress`: whether a bar shows how far it
+    is; None where there is a terminal or a notebook to show it in.
+
+    Warns (UserWarning) of what makes the scene or its start doubtful.
+    Raises BadInput for a bad scene, RunFailed for a run that failed or diverged, and KeyboardInterrupt for one that a
+    signal ended; the recording of both is kept.
+    """
+    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
+        return _run(decide(found), Options(record=_path(record), threads=threads), processes, progress)
+
+
+def resume(
+    recording: Recorded,
+    *overrides: str | Mapping[str, Any],
+    record: str | os.PathLike[str] | None = None,
+    processes: bool = False,
+    threads: int = 0,
+    progress: bool | None = None,
+    **fields: Any,
+) -> Result:
+    """Go on from the last checkpoint of a recording, with its own scene, of which duration, record and view may change:
+    nuno.resume("last", duration="8 s"). The rest as `run`. The new recording begins with what the old one holds.
+
+    Raises BadInput too for a recording without a checkpoint, or whose run has come to its end.
+    """
+    path = path_of(recording)
+    with in_python(), resumed_scene(path, as_texts([*overrides, fields])) as (found, _):
+        options = Options(record=_path(record), threads=threads, resume=path)
+        return _run(decide(found), options, processes, progress)
+
+
+def _path(record: str | os.PathLike[str] | None) -> Path | None:
+    return None if record is None else Path(record)
+
+
+def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None) -> Result:
+    deployment = Deployment(processes=processes, run=runs.new_id(scene.scene.name))
+    if options.record is not None:
+        return _recorded(scene, options, deployment, progress)
+    folder = Path(tempfile.mkdtemp(prefix="nuno-"))
+    path = folder / f"{deployment.run}.mcap"
+    try:
+        options = replace(options, record=path, temporary=True)
+        return replace(_recorded(scene, options, deployment, progress), folder=Folder(folder))
+    except BaseException:
+        if not path.is_file():
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+@contextlib.contextmanager
+def _shown(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
+    """What a bar is told by."""
+    if not (_seen() if progress is None else progress):
+        yield None
+        return
+    from nuno.cli.progress import ProgressLine
+
+    with ProgressLine(scene.scene, bar=True) as line:
+        yield line.update
+
+
+def _seen() -> bool:
+    """Whether somebody sees a bar: on a terminal, or in a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return sys.stderr.isatty() or "IPKernelApp" in getattr(shell, "config", {})
+
+
+def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress: bool | None) -> Result:
+    path = options.record
+    assert path is not None
+    with _shown(scene, progress) as told:
+        outcome = supervisor.supervise(scene, options, deployment, told, lambda o: make_report(scene, o))
+    report = make_report(scene, outcome)
+    for text in report["warnings"]:
+        warnings.warn(text, stacklevel=4)  # at the caller of `run`
+    if outcome.error in supervisor.SIGNALS:
+        # As whoever calls it would be stopped anywhere else: a loop over scenes is not to go on with the next.
+        raise KeyboardInterrupt(f"{outcome.error}; recording kept in {path}")
+    if outcome.problem:
+        raise RunFailed(f"{outcome.problem}; recording kept in {path}")
+    digest = outcome.summary["digest"]
+    x = v = np.zeros((0, 3))
+    t, amounts = 0.0, dict[str, Float]()
+    with open_recording(path) as recording:
+        if scene.scene.moves:
+            last = recording.last_checkpoint()
+            t, x, v = last.t, np.array(last.x), np.array(last.v)
+        if scene.dye is not None:
+            end = recording.last_checkpoint(topic=DYE_CHECKPOINT.name)
+            t, amounts = end.t, {name: np.array(per_dye(values)) for name, values in end.state.items()}
+    return Result(outcome.state, t, x, v, digest, report, path, amounts.get("phi"), amounts.get("fixed"))

@@ -1,0 +1,140 @@
+"""Scenes as objects, and what a call may be given for one."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from nuno.api.words import in_python
+from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.scene.override import as_override, item_at, number_or_name, parts_of
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.errors import BadInput
+from nuno_schemas.scene import Scene as Fields
+
+GIVEN = "the scene given"
+"""What errors call a scene that is a mapping."""
+Folder = str | os.PathLike[str]
+
+
+class Given(NamedTuple):
+    """What a scene is read from: its own file, name or mapping, overrides as texts, folders of its files."""
+
+    source: Folder | Mapping[str, Any]
+    texts: tuple[str, ...]
+    roots: tuple[Path, ...]
+
+
+class Scene:
+    """A scene that has been read and checked, and never changes: `copy` gives another.
+
+    Its fields are attributes, in SI units and with their defaults: scene.duration, scene.solver.plugin. What was
+    written is under its key: scene["solver.dt"], scene["objects.0.model"]; and `str` gives the whole as YAML.
+    """
+
+    def __init__(
+        self,
+        scene: Folder | Mapping[str, Any] | Scene,
+        *overrides: str | Mapping[str, Any],
+        roots: Sequence[Folder] = (),
+        **fields: Any,
+    ) -> None:
+        """scene: a file, the name of a shipped scene, a mapping of its fields, or another scene; `overrides`, `fields`
+        and `roots` as in `nuno.run`. Raises BadInput.
+        """
+        with in_python():
+            self._given = _add(scene, as_texts([*overrides, fields]), roots)
+            with loaded(self) as found:
+                self._data, self._fields = found.data, found.scene
+
+    def copy(self, *overrides: str | Mapping[str, Any], **fields: Any) -> Scene:
+        """Another scene, changed as by the overrides of `nuno.run`. Raises BadInput."""
+        return Scene(self, *overrides, **fields)
+
+    @property
+    def fields(self) -> Fields:
+        """What the scene means: every field, in SI units."""
+        return self._fields
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name not in Fields.model_fields:
+            raise AttributeError(f"a scene has no field {name!r}")
+        return getattr(self._fields, name)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *Fields.model_fields})
+
+    def __getitem__(self, key: str) -> Any:
+        """What is written at a.b.0.c. Raises KeyError where nothing is."""
+        found = item_at(self._data, tuple(number_or_name(part) for part in parts_of(key)))
+        if found is None:
+            raise KeyError(key)
+        return deepcopy(found)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [".".join(map(str, place)) for place in yaml_lines.places(self._data) if place]
+
+    def __str__(self) -> str:
+        return str(yaml.safe_dump(self._data, sort_keys=False, allow_unicode=True, width=100))
+
+    def __repr__(self) -> str:
+        source = "a mapping" if isinstance(self._given.source, Mapping) else os.fspath(self._given.source)
+        changed = f", changed by {', '.join(self._given.texts)}" if self._given.texts else ""
+        return f"<Scene {self._fields.name}: {source}{changed}>"
+
+
+def as_texts(overrides: Sequence[object]) -> list[str]:
+    """Overrides as they are written after --set. Raises BadInput for what is neither text nor a mapping, or holds what
+    a scene cannot say.
+    """
+    texts = list[str]()
+    for item in overrides:
+        if isinstance(item, str):
+            texts.append(item)
+            continue
+        if not isinstance(item, Mapping):
+            remedy = 'give each after the scene: nuno.run("hanging-sheet", "duration=1", {"solver.plugin": "rk4"})'
+            problem, limit = "an override is neither text nor a mapping", '"key=value", or a mapping of keys to values'
+            raise BadInput(problem, "overrides", value=item, limit=limit, remedy=remedy)
+        for key, value in item.items():
+            try:
+                texts.append(as_override(key, value))
+            except yaml.YAMLError:
+                problem, remedy = "holds what a scene cannot say", "use numbers, text, lists and mappings"
+                raise BadInput(problem, "overrides", field=str(key), value=value, remedy=remedy) from None
+    return texts
+
+
+def _add(scene: Folder | Mapping[str, Any] | Scene, texts: Sequence[str], roots: Sequence[Folder]) -> Given:
+    if not isinstance(scene, Scene):
+        return Given(deepcopy(scene), tuple(texts), tuple(map(Path, roots)))
+    before = scene._given
+    return Given(before.source, (*before.texts, *texts), (*before.roots, *map(Path, roots)))
+
+
+@contextlib.contextmanager
+def loaded(
+    scene: Folder | Mapping[str, Any] | Scene, overrides: Sequence[str] = (), roots: Sequence[Folder] = ()
+) -> Iterator[Loaded]:
+    """The scene, which services in processes of their own can read meanwhile. Raises BadInput."""
+    given = _add(scene, overrides, roots)
+    if not isinstance(given.source, Mapping):
+        yield scene_file.read(shipped.find(os.fspath(given.source)), given.texts, given.roots)
+        return
+    try:
+        text = json.dumps(dict(given.source))
+    except (TypeError, ValueError) as error:
+        remedy = "use numbers, text, lists and mappings"
+        raise BadInput(f"holds what a scene cannot say: {error}", GIVEN, remedy=remedy) from None
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        path = Path(folder) / "scene.yaml"
+        path.write_text(text)
+        yield scene_file.read(path, given.texts, (Path.cwd(), *given.roots), GIVEN)
