@@ -16,6 +16,8 @@ YARNS = "yarns"
 """The plugin that draws where a scene names none."""
 DyeView = Literal["all", "fixed", "mobile"]
 """all dye, what fibre has taken, or what it has not."""
+Form = Literal["straight", "smooth"]
+"""Of yarns as curves."""
 Scale = Annotated[int, Field(strict=True, ge=1, le=256)]
 
 

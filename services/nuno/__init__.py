@@ -2,7 +2,7 @@
 
 `nuno.run(scene)` simulates, `nuno.plan(scene)` says what that would do and cost, `nuno.Scene` is a scene as an object;
 `nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` go on with it, and `nuno.states`
-gives its frames as they were, in float64, with what acted on them.
+gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values.
 """
 
 from __future__ import annotations
@@ -20,8 +20,12 @@ if TYPE_CHECKING:
     from nuno.recording.reader import Recording
     from nuno.recording.reader import open_recording as open
 
+    sweep: Any
+    """nuno_bench.sweep.grid.sweep"""
+
 __all__ = [
-    "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states", "verify",
+    "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states",
+    "sweep", "verify",
 ]  # fmt: skip
 PLACES = {
     "nuno.api.plan": ("Plan", "plan"),
@@ -31,6 +35,7 @@ PLACES = {
     "nuno.api.scene": ("Scene",),
     "nuno.moments": ("Moment", "states"),
     "nuno.recording.reader": ("Recording", "open"),
+    "nuno_bench.sweep.grid": ("sweep",),
 }
 """The module of each name."""
 

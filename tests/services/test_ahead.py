@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from scenes import write_scene
 
+from nuno import progress
 from nuno.ahead import Pace, run_seconds
-from nuno.cli import main, progress
-from nuno.cli.progress import ProgressLine
+from nuno.cli import main
+from nuno.progress import ProgressLine
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno.words import roughly

@@ -14,7 +14,7 @@ from recorded_sheet import Sheet, write
 
 import nuno
 from nuno.cli import main
-from nuno.cli.export import tell_yarns
+from nuno.exporting import tell_yarns
 from nuno.exports.cloth import read_frame
 from nuno.exports.curves import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording

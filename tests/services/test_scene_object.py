@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,8 @@ from scenes import write_chain, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.cli.export import FILES, add_arguments
+from nuno.cli.export import add_arguments
+from nuno.exporting import Asked
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene as Fields
 
@@ -130,7 +132,8 @@ REFUSED: dict[str, tuple[Callable[[nuno.Result], object], str]] = {
     "no such series": (lambda one: one.plot("enrgy"), "did you mean 'energy'"),
     "no such side": (lambda one: one.picture("fromt"), "did you mean 'front'"),
     "no such file": (lambda one: nuno.export(one, pgn="a.png"), "did you mean 'png'"),
-    "nothing": (lambda one: nuno.export(one, frame=1), 'nuno.export("last", png="last.png")'),
+    "nothing": (lambda one: nuno.export(one, frame=1), "nothing to export was asked for"),
+    "no such colour": (lambda one: nuno.export(one, png="a.png", colour="strech"), "did you mean 'stretch'"),
     "no such frame": (lambda one: nuno.export(one, png="a.png", frame=99), "frame: no such frame"),
     "another ending": (lambda one: nuno.export(one, png="a.jpg"), "must end in .png"),
     "the end": (lambda one: nuno.resume(one), '"duration=0.2s"'),
@@ -152,11 +155,7 @@ def test_refusals_are_in_the_words_of_the_call(
 
 
 def test_export_takes_every_flag_of_the_command() -> None:
-    import argparse
-
-    from nuno.api.recordings import SETTINGS
-
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    flags = {action.option_strings[0][2:] for action in parser._actions if action.option_strings} - {"help", "set", "h"}
-    assert flags - {""} == {*FILES, *SETTINGS}
+    names = {action.dest for action in parser._actions} - {"help", "recording"}
+    assert names == set(Asked.model_fields)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+from pydantic import ValidationError
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
 from nuno.recording.reader import Recording, open_recording
+from nuno.scene.explain import explain
 from nuno.supervision import runs
-from nuno_schemas.errors import BadInput, nearest
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
@@ -20,13 +22,6 @@ if TYPE_CHECKING:
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
     """A file, "last", an open recording, or the result of a run."""
-
-
-SETTINGS = (
-    "colour", "crop", "curl", "end", "form", "fps", "frame", "radius", "samples", "scale", "size", "start", "style",
-    "view",
-)  # fmt: skip
-"""What else `export` takes."""
 
 
 def path_of(recording: Recorded) -> Path:
@@ -60,25 +55,17 @@ def verify(recording: Recorded, threads: int = 0) -> Verification:
 def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any) -> list[Path]:
     """Write files of a recording; which, as `nuno export` has it: nuno.export("last", glb="a.glb", frame=30).
 
-    what: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb, usd, rrd, pattern and yarns that is wanted,
-    and SETTINGS as flags of the same name have them. `overrides` are those of --set. Raises BadInput.
+    what: fields of nuno.exporting.Asked: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb, usd, rrd,
+    pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are those of --set. Raises
+    BadInput.
     """
-    from nuno.cli import export as command
-    from nuno.cli import parser_of
+    from nuno.exporting import Asked, write
 
-    if unknown := [name for name in what if name not in (*command.FILES, *SETTINGS)]:
-        remedy = nearest(unknown[0], [*command.FILES, *SETTINGS])
-        raise BadInput("nothing of this name can be exported or set", field=unknown[0], remedy=remedy)
-    if not any(what.get(name) for name in command.FILES):
-        raise BadInput("no file was asked for", remedy='for example: nuno.export("last", png="last.png")')
+    if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
+        what["size"] = f"{size[0]}x{size[1]}"
     with in_python(), opened(recording) as found:
-        words = [word for name, value in what.items() if value is not None for word in _flag(name, value)]
-        words += [word for text in as_texts(overrides) for word in ("--set", text)]
-        return command.write(found, parser_of("export")[1].parse_args([*words, "--", str(found.path)]))
-
-
-def _flag(name: str, value: Any) -> list[str]:
-    values: Sequence[Any] = value if isinstance(value, list | tuple) else (value,)
-    if name == "size" and len(values) == 2:
-        values = (f"{values[0]}x{values[1]}",)
-    return [f"--{name}", *map(str, values)]
+        try:
+            asked = Asked(**what, overrides=tuple(as_texts(overrides)))
+        except ValidationError as error:
+            raise explain(error, what, (), "export", {}, Asked) from None
+        return write(found, asked)

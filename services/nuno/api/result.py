@@ -74,7 +74,7 @@ class Result:
         try:
             from pandas import DataFrame
         except ImportError:
-            raise _missing("a table", "pandas") from None
+            raise missing("a table", "pandas") from None
         with self.recording as recording:
             return DataFrame(recording.series())
 
@@ -86,7 +86,7 @@ class Result:
         try:
             from matplotlib import pyplot
         except ImportError:
-            raise _missing("a plot", "matplotlib") from None
+            raise missing("a plot", "matplotlib") from None
         with self.recording as recording:
             series = recording.series()
         known = [name for name in series if name not in ("t", "frame")]
@@ -128,7 +128,7 @@ class Result:
         try:
             import rerun_notebook  # noqa: F401
         except ImportError:
-            raise _missing("the viewer in a notebook", "'rerun-sdk[notebook]'") from None
+            raise missing("the viewer in a notebook", "'rerun-sdk[notebook]'") from None
         import rerun as rr
 
         with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
@@ -149,5 +149,6 @@ class Result:
         )
 
 
-def _missing(what: str, package: str) -> BadInput:
+def missing(what: str, package: str) -> BadInput:
+    """What is said where a package is not installed."""
     return BadInput(f"{what} needs {package}", remedy=f"pip install {package}")

@@ -82,6 +82,11 @@ def resume(
         return _run(decide(found), options, processes, progress)
 
 
+def run_loaded(scene: Loaded, threads: int = 0) -> Result:
+    """Simulate a scene that has been read, into a temporary recording. Raises as `run`."""
+    return _run(decide(scene), Options(threads=threads), False, False)
+
+
 def _path(record: str | os.PathLike[str] | None) -> Path | None:
     return None if record is None else Path(record)
 
@@ -107,7 +112,7 @@ def _shown(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
     if not (_seen() if progress is None else progress):
         yield None
         return
-    from nuno.cli.progress import ProgressLine
+    from nuno.progress import ProgressLine
 
     with ProgressLine(scene.scene, bar=True) as line:
         yield line.update

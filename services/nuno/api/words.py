@@ -15,6 +15,7 @@ WORDS = (
     (r"--root DIR", "roots=[DIR]"),
     (r"--record FILE", "record=FILE"),
     (r"--set\b", "overrides"),
+    (r"--over\b", "over"),
     (r"--root\b", "roots"),
     (r"--([a-z]+) ([A-Za-z0-9_.]+\.[a-z0-9]+)", r'\1="\2"'),
     (r"--([a-z]+)\b", r"\1"),

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_scene, load_scene
-from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
+from nuno.progress import ProgressLine
 from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from nuno.cli.common import warn
-from nuno.cli.progress import ProgressLine
+from nuno.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.supervision import runs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -22,11 +22,11 @@ from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.look import Form
 from nuno_schemas.operation import Operation, Outcome, Surface
 
-Form = Literal["straight", "smooth"]
-"""straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
 OPERATIONS: dict[str, str] = {"straight": "repair", "smooth": "smooth"}
+"""straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
 KINDS = (".npz", ".obj")
 
 

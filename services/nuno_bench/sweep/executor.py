@@ -149,11 +149,10 @@ def _follow() -> None:
 
 def _kill(pool: ProcessPoolExecutor) -> None:
     """End its processes, whatever they are at; a shutdown would wait for them (Python 3.14 has kill_workers)."""
-    processes = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
+    for process in list((pool._processes or {}).values()):
         process.kill()
         process.join()
+    pool.shutdown(cancel_futures=True)  # its semaphores are the system's
 
 
 def attempt(call: Callable[[Task], Found], task: Task) -> Found | BadInput:

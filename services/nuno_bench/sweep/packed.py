@@ -35,13 +35,18 @@ class Packed:
 
 def pack(path: Path, overrides: Sequence[str] = ()) -> Packed:
     """Read a scene and the files that it names. Raises BadInput for a scene that is refused."""
-    files = sorted(assets(scene_file.read(path, overrides)).items())
+    return pack_loaded(scene_file.read(path, overrides))
+
+
+def pack_loaded(loaded: Loaded) -> Packed:
+    """A scene that has been read, and the files that it names. Raises BadInput."""
+    files = sorted(assets(loaded).items())
     for name, _ in files:
         if Path(name).is_absolute():
             remedy = "name it from the scene's folder on"
-            raise BadInput("a file is named by a path of this machine alone", str(path), value=name, remedy=remedy)
+            raise BadInput("a file is named by a path of this machine alone", loaded.file, value=name, remedy=remedy)
     content = tuple((name, place.read_bytes()) for name, place in files)
-    return Packed(str(path), path.read_text(encoding="utf-8-sig"), tuple(overrides), content)
+    return Packed(loaded.file, loaded.path.read_text(encoding="utf-8-sig"), tuple(loaded.overrides), content)
 
 
 @contextmanager

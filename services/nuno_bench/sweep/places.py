@@ -25,14 +25,17 @@ def opened(args: argparse.Namespace) -> Iterator[Executor]:
     Raises BadInput for numbers and combinations that no executor has, and, within seconds, where a cluster cannot be
     reached or has another version of nuno.
     """
-    if args.jobs is not None and args.dask is not None:
-        raise BadInput("either --jobs or --dask says where points are computed", value=f"{args.jobs}, {args.dask}")
-    if args.dask is not None:
+    with closing(chosen(args.jobs, args.dask)) as made:
+        yield made
+
+
+def chosen(jobs: int | None, dask: str | None) -> Executor:
+    """So many processes, all cores by default, or a cluster at an address. Raises BadInput."""
+    if jobs is not None and dask is not None:
+        raise BadInput("either --jobs or --dask says where points are computed", value=f"{jobs}, {dask}")
+    if dask is not None:
         from nuno_bench.sweep.cluster import Cluster
 
-        made: Executor = Cluster(args.dask)
-    else:
-        number = args.jobs or machine.cores()
-        made = Processes(number) if number > 1 else Executor()
-    with closing(made):
-        yield made
+        return Cluster(dask)
+    number = jobs or machine.cores()
+    return Processes(number) if number > 1 else Executor()

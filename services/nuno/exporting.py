@@ -1,0 +1,231 @@
+"""What can be written of a recording, by what is asked for: files, and how they are to be."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from nuno.exports.dyed_pictures import Changes
+from nuno.exports.pictures import Colour
+from nuno.recording.reader import Recording
+from nuno_schemas.errors import BadInput
+from nuno_schemas.look import Crop, DyeView, Form
+
+MESHES = (".obj", ".ply", ".glb")
+FILES = {
+    "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
+    "forces": "what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
+    "csv": "energy, stretch, penetration, dye and step time of every frame",
+    "png": "a picture of a frame",
+    "gif": "an animation",
+    "mp4": "an animation (needs nuno[video])",
+    "obj": "the cloth in a frame; a folder: every frame",
+    "ply": "the cloth in a frame; a folder: every frame",
+    "glb": "the cloth and bodies in a frame; a folder: every frame",
+    "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
+    "rrd": "a file for the rerun viewer",
+    "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
+    "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
+}
+"""What can be written, by its flag."""
+YARNS = ("samples", "radius", "curl")
+"""Settings of yarns as curves."""
+Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
+
+
+class Asked(BaseModel):
+    """Files by the names of FILES, and settings, as flags of `nuno export` have them."""
+
+    model_config = ConfigDict(extra="forbid")
+    npz: Path | None = None
+    forces: Path | None = None
+    csv: Path | None = None
+    png: Path | None = None
+    gif: Path | None = None
+    mp4: Path | None = None
+    obj: Path | None = None
+    ply: Path | None = None
+    glb: Path | None = None
+    usd: Path | None = None
+    rrd: Path | None = None
+    pattern: Path | None = None
+    yarns: Path | None = None
+    form: Form | None = None
+    samples: int | None = None
+    radius: str | None = None
+    curl: float | None = None
+    colour: Painted = "auto"
+    frame: int | None = None
+    start: float | None = None
+    end: float | None = None
+    fps: float = 25.0
+    size: str | None = None
+    style: str | None = None
+    view: DyeView | None = None
+    scale: int | None = None
+    crop: list[str] | None = None
+    overrides: tuple[str, ...] = ()
+
+
+def write(recording: Recording, asked: Asked) -> list[Path]:
+    """All that is asked for, or nothing. Raises BadInput."""
+    from nuno.exports.target import together
+
+    _check(recording, asked)
+    with together():
+        return _export(recording, asked)
+
+
+def _export(recording: Recording, asked: Asked) -> list[Path]:
+    """Write what is asked for, what takes long last. Raises BadInput."""
+    from nuno.exports import animations, meshes, pictures, tables
+
+    size, changes, written = _size(asked.size), _changes(asked), list[Path]()
+    colour = cast(Colour, asked.colour)  # of pictures: the others are refused
+    if asked.npz:
+        written.append(tables.export_npz(recording, asked.npz, frame=asked.frame))
+    if asked.forces:
+        written.append(tables.export_forces(recording, asked.forces, asked.frame))
+    if asked.csv:
+        written.append(tables.export_csv(recording, asked.csv))
+    if asked.yarns:
+        written.append(_export_yarns(recording, asked, asked.yarns))
+    if asked.pattern:
+        from nuno.exports.pattern import export_pattern
+
+        written.append(export_pattern(recording, asked.pattern, asked.frame, asked.colour))
+    for suffix in MESHES:
+        path = getattr(asked, suffix[1:])
+        if path and path.suffix.lower() == suffix:
+            written.append(meshes.export_mesh(recording, path, asked.frame))
+        elif path:
+            written += meshes.export_meshes(recording, path, suffix, _progress)
+    if asked.usd:
+        from nuno.exports.usd import export_usd
+
+        written.append(export_usd(recording, asked.usd, asked.frame, _progress))
+    if asked.png and asked.style:
+        from nuno.exports.yarns import export_yarn_picture
+
+        how = asked.style, asked.frame, size, tuple(asked.overrides)
+        written.append(export_yarn_picture(recording, asked.png, *how, _progress))
+    elif asked.png:
+        written.append(pictures.export_picture(recording, asked.png, asked.frame, size, colour, changes))
+    for path in filter(None, (asked.gif, asked.mp4)):
+        when = asked.fps, asked.start, asked.end
+        written.append(animations.export_animation(recording, path, size, *when, _progress, colour, changes))
+    if asked.rrd:
+        from nuno.viewer.file import convert
+
+        written.append(convert(recording, asked.rrd))
+    return written
+
+
+def _export_yarns(recording: Recording, asked: Asked, path: Path) -> Path:
+    from nuno.exports.curves import export_yarns
+
+    form: Form = asked.form or "smooth"
+    given: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
+    if "," in given.get("radius", ""):
+        given["radius"] = given["radius"].split(",")
+    made = export_yarns(recording, path, asked.frame, form, given)
+    print(tell_yarns(form, made.facts), file=sys.stderr)
+    return path
+
+
+def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
+    """What an operation did, in words."""
+    count = {name: f"{int(value):,}" for name, value in facts.items()}
+    text = f"{form} yarns: {count['links']} links, {count['points']} points"
+    if "deepest" not in facts:
+        return f"{text}; no body is a mesh, so nothing is in their way"
+    text += f"; {count['repaired']} links cut through the body and were repaired, by {count['inserted']} points"
+    if facts["lost"]:
+        text += f"; {count['lost']} could not be"
+    return f"{text}; deepest of {count['samples']} samples: {1e6 * facts['deepest']:.3g} um"
+
+
+def _check(recording: Recording, asked: Asked) -> None:
+    """Raises BadInput where what is asked for does not go together, or is not what such a recording has."""
+    from nuno.exports.animations import check_animation
+    from nuno.viewer.require import require
+
+    for path in filter(None, (asked.gif, asked.mp4)):
+        check_animation(path, asked.fps, _size(asked.size))
+    if asked.usd:
+        from nuno.exports.usd import check_usd
+
+        check_usd(asked.usd)
+    require(None, asked.rrd, "--rrd")
+    for name in () if asked.yarns else ("form", *YARNS):
+        if getattr(asked, name) is not None:
+            raise BadInput("for yarns as curves", field=f"--{name}", remedy="add --yarns out.npz")
+    if not any(getattr(asked, name) for name in FILES):
+        remedy = "for example: nuno export RECORDING --npz out.npz --png out.png"
+        raise BadInput("nothing to export was asked for", remedy=remedy)
+    if asked.overrides and not (asked.png or asked.gif or asked.mp4):
+        raise BadInput(
+            "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
+        )
+    only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
+    if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
+        problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"
+        raise BadInput(problem, field="--colour", value=asked.colour, remedy="leave it out, or write the two by turns")
+    if asked.style and (recording.dyed_alone or not asked.png):
+        problem = "a style is for --png of a knit"
+        raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
+    if recording.dyed_alone:
+        shapes = [
+            name for name in ("forces", "yarns", "pattern", "usd", *(m[1:] for m in MESHES)) if getattr(asked, name)
+        ]
+        if shapes:
+            problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
+            raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
+        for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown")):
+            if getattr(asked, name) not in (None, "auto"):
+                problem = "for pictures of moving cloth; the recording is of dye"
+                raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
+        return
+    dyed = recording.scene.get("dye") is not None
+    for name in ("crop",) if dyed else ("view", "scale", "crop"):
+        if getattr(asked, name) is not None:
+            problem = "for pictures of dyed cloth; the recording is of cloth that moves"
+            raise BadInput(problem, str(recording.path), field=f"--{name}", remedy="leave it out")
+
+
+def _changes(asked: Asked) -> Changes:
+    """Of all pictures but those of a style, whose own settings are none of theirs."""
+    overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))
+    return Changes(asked.view, asked.scale, _crop(asked.crop), tuple(overrides))
+
+
+def _crop(sides: list[str] | None) -> Crop | None:
+    if sides is None:
+        return None
+    left, top, right, bottom = sides
+    try:
+        return Crop.model_validate({"low": (left, top), "high": (right, bottom)})
+    except ValidationError as error:
+        problem = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        remedy = "left, top, right and bottom, for example --crop 2mm 2mm 4mm 3mm"
+        raise BadInput(problem, field="--crop", value=" ".join(sides), remedy=remedy) from None
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise BadInput(
+            "a size is written WIDTHxHEIGHT", field="--size", value=text, remedy="for example --size 960x720"
+        )
+    return int(width), int(height)
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)

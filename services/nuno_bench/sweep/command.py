@@ -1,0 +1,57 @@
+"""`nuno sweep`: a scene run for each combination of values of its fields."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from nuno.api.result import SIDES
+from nuno.cli.common import add_scene, load_scene
+from nuno.scene import yaml_lines
+from nuno_bench import options
+from nuno_bench.sweep import grid, places
+from nuno_bench.sweep.kept import require
+from nuno_schemas.errors import BadInput
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "--over", action="append", default=[], metavar="KEY=A,B,...",
+        help="a field and its values: objects.0.model.fabric=denim,jersey; again for another, with all combinations",
+    )  # fmt: skip
+    parser.add_argument("--side", choices=["scene", *SIDES, "none"], default="scene",
+                        help="from where each end is drawn (default: by the scene's own camera)")  # fmt: skip
+    places.add_arguments(parser)
+    options.add_shared(parser, "--resume")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where page, table and what is finished meanwhile go "
+                        "(default: recordings/sweep/SCENE)")  # fmt: skip
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run all combinations, print the table; 1 where one was not done."""
+    over = dict(map(values_of, args.over))
+    loaded = load_scene(args)
+    folder = args.out or Path("recordings/sweep") / loaded.scene.name
+    if args.resume:
+        require([folder / grid.KEPT])
+    with places.opened(args) as where:
+        place = grid.Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
+        made = grid.run_all(loaded, over, place, args.side.replace("none", ""))
+    print(made.table().text())
+    return int(any(row[grid.STATE] not in ("done", "stopped") for row in made.rows))
+
+
+def values_of(item: str) -> tuple[str, list[Any]]:
+    """A field's key and the values that are given for it, as YAML has them. Raises BadInput."""
+    key, equals, text = item.partition("=")
+    if not key or not equals:
+        remedy = "for example --over solver.dt='0.2 ms, 0.4 ms'"
+        raise BadInput("a sweep goes over KEY=A,B,...", field="--over", value=item, remedy=remedy)
+    try:
+        values = yaml_lines.parse_value(f"[{text}]")
+    except BadInput as error:
+        raise BadInput(error.problem, field="--over", value=item, remedy=error.remedy) from None
+    return key, list(values)
