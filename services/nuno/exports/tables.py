@@ -26,6 +26,8 @@ UNITS = {
     "mean": "m",
     "stretch": "1",
     "distance": "m",
+    "dt": "s",
+    "dt_limit": "s",
 }
 
 
@@ -118,12 +120,13 @@ def export_csv(source: Recording | Path | str, path: Path) -> Path:
             raise BadInput("the recording holds no status, so no series", str(recording.path))
         with writing(path, ".csv") as new, new.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)
-            table.writerow(map(_heading, series))
+            table.writerow(map(heading, series))
             for row in zip(*(column.tolist() for column in series.values()), strict=True):
                 table.writerow("" if value != value else repr(value) for value in row)
     return path
 
 
-def _heading(name: str) -> str:
+def heading(name: str) -> str:
+    """A column's name with its unit, if it has one: `dt [s]`."""
     unit = "J" if name.startswith("energy_") else "m" if name.startswith("wrinkles_") else UNITS.get(name)
     return name if unit is None else f"{name} [{unit}]"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from nuno.recording.file import RecordedFile
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
@@ -19,6 +20,7 @@ from nuno_schemas.messages import (
     CHECKPOINTS,
     DYE_CHECKPOINT,
     DYE_STATUS,
+    EVENT,
     FABRIC,
     GEOMETRY,
     PENETRATION,
@@ -26,6 +28,7 @@ from nuno_schemas.messages import (
     STATE,
     STATUS,
     STATUSES,
+    Event,
 )  # fmt: skip
 
 END = "end"
@@ -153,6 +156,16 @@ class Recording(RecordedFile):
             return read_series(self)
         except (TypeError, ValueError, OverflowError) as error:
             raise BadInput(f"a status is damaged: {error}", str(self.path)) from None
+
+    def events(self) -> list[Event]:
+        """What services had to say, and what was done to the run while it went on, in order. Raises BadInput for a
+        damaged one.
+        """
+        topics = [name for name in self.counts if name.startswith(f"{EVENT.name}/")]
+        try:
+            return [Event.model_validate_json(message.payload) for message in self.messages(topics)]
+        except ValidationError as error:
+            raise BadInput("an event in the recording cannot be read", str(self.path), value=str(error)) from None
 
     def report(self) -> dict[str, Any]:
         """The closing report; empty where the run did not end by itself."""

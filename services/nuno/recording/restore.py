@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
@@ -29,15 +28,7 @@ RESUMABLE = ("duration", "record", "view")
 
 def control_events(recording: Recording) -> list[Event]:
     """What a user did to the run while it went on, in order: pause, resume, step, stop, set."""
-    found = []
-    for message in recording.messages(CONTROLS):
-        try:
-            event = Event.model_validate_json(message.payload)
-        except ValidationError as error:
-            raise BadInput("an event in the recording cannot be read", str(recording.path), value=str(error)) from None
-        if event.kind == "control":
-            found.append(event)
-    return found
+    return [event for event in recording.events() if event.kind == "control"]
 
 
 @contextmanager

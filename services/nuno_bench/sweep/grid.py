@@ -19,6 +19,7 @@ from nuno.api.result import SIDES, Result, missing
 from nuno.api.run import run_loaded
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
+from nuno.exports.tables import heading
 from nuno.scene.explain import GIVEN
 from nuno.scene.override import as_override
 from nuno_bench import machine
@@ -86,7 +87,7 @@ class Sweep:
         lines = self.lines()
         told = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE
                 or (name not in (DIGEST, WHY) and len({repr(line[name]) for line in lines}) > 1)]  # fmt: skip
-        return page.Table(told, [[_cell(line[name]) for name in told] for line in lines])
+        return page.Table(list(map(heading, told)), [[_cell(line[name]) for name in told] for line in lines])
 
     def report(self, about: Mapping[str, str]) -> page.Report:
         """Its page, JSON and CSV."""
