@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                   "recording)", Path),
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
+    parser.add_argument("--report", action="store_true", help="print all of the report, and why something is left out")
     paused = "wait before the first frame until: nuno control RUN resume"
     parser.add_argument("--paused", action="store_true", help=paused)
     where = parser.add_argument_group("where services run")
@@ -85,7 +86,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
     with log.written(run, args.log or beside):
-        return execute(loaded, options, deployment, picture)
+        return execute(loaded, options, deployment, picture, args.report)
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:
@@ -109,15 +110,15 @@ def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
         print(f"rerun file {kept['viewer']}  (look: rerun {kept['viewer']})")
 
 
-def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool) -> int:
-    """Run, show progress, print the report; the exit code."""
+def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool, whole: bool) -> int:
+    """Run, show progress, print the report, all of it or what everyone asks for; the exit code."""
     started = time.perf_counter()
     with ending_at_once(), ProgressLine(loaded.scene) as progress:
         outcome = supervisor.supervise(
             loaded, options, deployment, progress.update, lambda outcome: make_report(loaded, outcome)
         )
     report = make_report(loaded, outcome)
-    show_report(report, sys.stdout)
+    show_report(report, sys.stdout, whole)
     _name_files(options, outcome)
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
         from nuno.exports.pictures import export_picture

@@ -9,13 +9,30 @@ from nuno.report.make import Report
 from nuno.warnings import result_warnings
 from nuno.words import counted, duration, factor
 
+LOOKED_UP = ("steps", "parts", "energy", "distance", "counted", "friction", "solver", "idle")
+"""Rows that are left to the whole report."""
 ENDS = (("min", "shortest"), ("max", "longest"))
 
 
-def show_report(report: Report, out: TextIO) -> None:
-    """Print a report for a person."""
-    for name, text in lines(report):
+def show_report(report: Report, out: TextIO, whole: bool) -> None:
+    """Print a report for a person, or what of it everyone asks for."""
+    for name, text in lines(report) if whole else brief(report):
         print(f"{name:11} {text}", file=out)
+
+
+def brief(report: Report) -> list[tuple[str, str]]:
+    """The rows of a report that say how fast, how accurate and how far from the limit a run was, and what was left out.
+
+    What a researcher looks up is left to the whole: where time and energy went, what was counted, and why.
+    """
+    hidden = {*LOOKED_UP, *(("balance",) if report.get("energy") else ())}
+    rows, heading = list[tuple[str, str]](), ""
+    for name, text in lines(report):
+        heading = name or heading
+        if heading not in (*hidden, "left out"):
+            rows.append((name, text.partition("; ")[0] if name == "size" else text))
+    left_out = ", ".join(text.partition(": ")[0] for text in report["left_out"])
+    return [*rows, ("left out", f"{left_out}  (why, and more: --report)")] if left_out else rows
 
 
 def lines(report: Report) -> list[tuple[str, str]]:

@@ -169,7 +169,7 @@ def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, 
     for part in loc:
         field = None
         if not isinstance(part, int):
-            field = next((m.model_fields[part] for m in _models_in(here) if part in m.model_fields), None)
+            field = next((m.model_fields[part] for m in models_in(here) if part in m.model_fields), None)
             here = field.annotation if field else _tagged(here, part) or here
         yield part, field, here
 
@@ -177,7 +177,7 @@ def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, 
 def _fields_at(model: Any, loc: Path) -> list[str]:
     """Field names of the model that a location in `model` points at."""
     *_, here = model, *(there for _, _, there in _walk(model, loc))
-    return [name for m in _models_in(here)[:1] for name in m.model_fields]
+    return [name for m in models_in(here)[:1] for name in m.model_fields]
 
 
 def _example(model: Any, loc: Path) -> str | None:
@@ -200,7 +200,8 @@ def _tagged(annotation: Any, label: str) -> Any:
     return next((found for argument in arguments if (found := _tagged(argument, label)) is not None), None)
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Those that a field of this annotation may hold, in its order."""
     if inspect.isclass(annotation) and typing.get_origin(annotation) is None and issubclass(annotation, BaseModel):
         return [annotation]
-    return [m for argument in typing.get_args(annotation) for m in _models_in(argument)]
+    return [m for argument in typing.get_args(annotation) for m in models_in(argument)]
