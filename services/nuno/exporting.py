@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from nuno.exports.camera import AZIMUTHS, Side
 from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import Colour
 from nuno.recording.reader import Recording
@@ -66,6 +67,8 @@ class Asked(BaseModel):
     size: str | None = None
     style: str | None = None
     view: DyeView | None = None
+    side: Side | None = None
+    turn: float | None = Field(default=None, gt=0.0, le=3600.0, allow_inf_nan=False)
     scale: int | None = None
     crop: list[str] | None = None
     overrides: tuple[str, ...] = ()
@@ -116,8 +119,10 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
     elif asked.png:
         written.append(pictures.export_picture(recording, asked.png, asked.frame, size, colour, changes))
     for path in filter(None, (asked.gif, asked.mp4)):
-        when = asked.fps, asked.start, asked.end
-        written.append(animations.export_animation(recording, path, size, *when, _progress, colour, changes))
+        when, round_one = (asked.fps, asked.start, asked.end), (asked.turn, asked.frame)
+        written.append(
+            animations.export_animation(recording, path, size, *when, _progress, colour, changes, *round_one)
+        )
     if asked.rrd:
         from nuno.viewer.file import convert
 
@@ -167,7 +172,16 @@ def _check(recording: Recording, asked: Asked) -> None:
     if not any(getattr(asked, name) for name in FILES):
         remedy = "for example: nuno export RECORDING --npz out.npz --png out.png"
         raise BadInput("nothing to export was asked for", remedy=remedy)
-    if asked.overrides and not (asked.png or asked.gif or asked.mp4):
+    pictured = bool(asked.png or asked.gif or asked.mp4)
+    if asked.side and (not pictured or asked.style):
+        raise BadInput("for pictures and animations of no style", field="--side", value=asked.side,
+                       remedy="add --png out.png")  # fmt: skip
+    if asked.turn and not (asked.gif or asked.mp4):
+        raise BadInput("for animations", field="--turn", value=asked.turn, remedy="add --mp4 out.mp4")
+    if asked.turn and (asked.start is not None or asked.end is not None):
+        problem, remedy = "a turn is round one frame", "name it: --frame N"
+        raise BadInput(problem, field="--turn", value=asked.turn, remedy=remedy)
+    if asked.overrides and not pictured:
         raise BadInput(
             "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
         )
@@ -185,7 +199,9 @@ def _check(recording: Recording, asked: Asked) -> None:
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
-        for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown")):
+        flat = "a cloth that is dyed alone lies flat"
+        for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown"),
+                             ("side", flat), ("turn", flat)):  # fmt: skip
             if getattr(asked, name) not in (None, "auto"):
                 problem = "for pictures of moving cloth; the recording is of dye"
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
@@ -200,7 +216,8 @@ def _check(recording: Recording, asked: Asked) -> None:
 def _changes(asked: Asked) -> Changes:
     """Of all pictures but those of a style, whose own settings are none of theirs."""
     overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))
-    return Changes(asked.view, asked.scale, _crop(asked.crop), tuple(overrides))
+    side = () if asked.side is None else (f"view.azimuth={AZIMUTHS[asked.side]:g}deg",)
+    return Changes(asked.view, asked.scale, _crop(asked.crop), (*side, *overrides))
 
 
 def _crop(sides: list[str] | None) -> Crop | None:

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from PIL.Image import Image
 
-SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
-"""Azimuths [deg] of the eye, by the side of a body that it sees, which faces +z."""
-
 
 class Folder:
     """A folder that goes with whoever refers to it, at the latest when Python ends."""
@@ -105,20 +102,17 @@ class Result:
         return axes
 
     def picture(
-        self, view: str | None = None, frame: int | None = None, *overrides: str | Mapping[str, Any], **how: Any
+        self, side: str | None = None, frame: int | None = None, *overrides: str | Mapping[str, Any], **how: Any
     ) -> Image:
         """A frame (default: the last) as an image of Pillow, which notebooks show.
 
-        view: the side that is seen, one of SIDES, or None for the scene's own camera; `overrides` and `how` as `export`
-        takes them for a png: "view.elevation=20deg", colour="stretch", size=(640, 480). Raises BadInput.
+        side: front, left, back or right, or None for the scene's own camera; `overrides` and `how` as `export` takes
+        them for a png: "view.elevation=20deg", colour="stretch", size=(640, 480). Raises BadInput.
         """
         from PIL import Image
 
-        if view is not None and view not in SIDES:
-            raise BadInput("no such side", field="view", value=view, remedy=nearest(view, SIDES))
-        side = () if view is None else (f"view.azimuth={SIDES[view]}deg",)
         with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-            (path,) = export(self, *side, *overrides, png=Path(folder) / "picture.png", frame=frame, **how)
+            (path,) = export(self, *overrides, png=Path(folder) / "picture.png", frame=frame, side=side, **how)
             with Image.open(path) as image:
                 image.load()
                 return image

@@ -8,6 +8,7 @@ from typing import get_args
 
 from nuno.cli.common import add_flags, add_set, warn
 from nuno.exporting import FILES, Asked, Painted, write
+from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
 from nuno_schemas.look import DyeView, Form
@@ -44,6 +45,7 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes, yarns (default: last), --usd", int),
         "--start": ("SECONDS", "animations: from here", float),
         "--end": ("SECONDS", "animations: to here", float),
+        "--turn": ("SECONDS", "animations: the camera goes once round --frame, in so long", float),
         "--fps": ("N", "animations: pictures a second (default: 25)", float),
         "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
         "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "
@@ -54,6 +56,8 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
 
 def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
     dyed = "dyed cloth: all dye, what fibre has fixed of it, or what is mobile"
+    side = "moving cloth: the side of a body that is seen, which faces +z"
+    drawn.add_argument("--side", choices=get_args(Side), help=side)
     drawn.add_argument("--view", choices=get_args(DyeView), help=dyed)
     add_flags(drawn, {"--scale": ("N", "dyed cloth: pixels a cell", int)})
     sides, part = ("LEFT", "TOP", "RIGHT", "BOTTOM"), "dyed cloth by itself: a part of it, e.g. 2mm 2mm 4mm 3mm"

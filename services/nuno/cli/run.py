@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                   "recording)", Path),
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
+    add_flags(parser, {"--mp4": ("FILE", "draw an animation at the end: .mp4 (needs nuno[video]) or .gif", Path)})
     parser.add_argument("--report", action="store_true", help="print all of the report, and why something is left out")
     paused = "wait before the first frame until: nuno control RUN resume"
     parser.add_argument("--paused", action="store_true", help=paused)
@@ -80,13 +81,25 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     loaded = decide(loaded)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
+    if args.mp4 is not None:
+        from nuno.exports.animations import RATE, check_animation
+
+        if options.record is None:
+            raise BadInput("an animation is drawn of the recording", field="--mp4", remedy="leave --no-record out")
+        check_animation(args.mp4, RATE)
     deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
     if options.record is not None and options.record.is_file():
         print(f"replaces {options.record} once the new one is whole", flush=True)
     beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
     with log.written(run, args.log or beside):
-        return execute(loaded, options, deployment, picture, args.report)
+        code = execute(loaded, options, deployment, picture, args.report)
+    if args.mp4 is not None and options.record is not None and options.record.is_file():
+        from nuno.exports.animations import export_animation
+
+        print("drawing the animation", flush=True)
+        print(f"animation  {export_animation(options.record, args.mp4)}")
+    return code
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
-from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames
+from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames, draw_turn
 from nuno.exports.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
@@ -22,6 +23,8 @@ from nuno_schemas.errors import BadInput, RunFailed
 if TYPE_CHECKING:
     from PIL import Image
 
+RATE = 25.0
+"""Pictures a second, unless asked otherwise."""
 GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
 """Pictures a second that a GIF's hundredths of a second give exactly."""
 SIZE, DYED_SIDE = (640, 480), 500
@@ -33,15 +36,19 @@ def export_animation(
     source: Recording | Path | str,
     path: Path,
     size: tuple[int, int] | None = None,
-    fps: float = 25.0,
+    fps: float = RATE,
     start: float | None = None,
     end: float | None = None,
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
+    turn: float | None = None,
+    frame: int | None = None,
 ) -> Path:
     """Draw a recording as .gif or .mp4, from `start` to `end` [s]: moving cloth in real time, and of a cloth that is
     dyed alone, which takes hours, one picture a frame.
+
+    With `turn` the camera goes once round one `frame`, by default the last, in so many seconds instead.
 
     Moving cloth is painted as `colour` says (pictures.py), and both as the scene says but for the changes. A GIF's rate
     is the nearest of 50, 25, 20, 12.5, 10 and 5 pictures a second; an MP4's sides are rounded down to even. Raises
@@ -59,9 +66,14 @@ def export_animation(
             frames = choose_amounts(recording, start, end)
             draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
         else:
-            frames, (width, height) = choose_frames(recording, rate, start, end), size or SIZE
+            width, height = size or SIZE
             shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
-            draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
+            if turn is None:
+                frames = choose_frames(recording, rate, start, end)
+                draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
+            else:
+                frames = list(range(max(1, round(turn * rate))))
+                draw = _turning(recording, frame, shown, colour, changes)
         # Some of the frames, evenly, choose a GIF's palette.
         some = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
         if encoder is not None:
@@ -72,6 +84,18 @@ def export_animation(
             with writing(path, ".gif") as new:
                 _write_gif(new, draw(frames, progress=progress), rate, palette)
     return path
+
+
+def _turning(
+    recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None
+) -> Callable[..., Iterator[Picture]]:
+    """What draws as many pictures of a turn as there are numbers. Raises BadInput for a frame that is none."""
+    found = read_frame(recording, frame)
+
+    def draw(numbers: list[int], progress: Progress | None = None) -> Iterator[Picture]:
+        return draw_turn(recording, found, len(numbers), size, progress, colour, changes)
+
+    return draw
 
 
 def check_animation(path: Path, fps: float, size: tuple[int, int] | None = None) -> Any:

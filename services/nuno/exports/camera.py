@@ -6,6 +6,7 @@ import copy
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,6 +27,9 @@ def z_up(points: Float) -> Float:
     return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
+Side = Literal["front", "left", "back", "right"]
+AZIMUTHS = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
+"""Of the eye [deg], by the side of a body that it sees, which faces +z."""
 CAMERA = re.compile(r"view\.(azimuth|elevation|target|distance|size)\b")
 """Fields of a recorded scene that only change where it is looked at from."""
 
@@ -50,6 +54,17 @@ def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
         return View.model_validate(data["view"])
     except ValidationError as error:
         raise explain(error, data["view"], ("view",), str(recording.path), lines, View) from None
+
+
+def turned(camera: Camera, angle: float) -> Camera:
+    """The eye gone round the vertical through its target, by an angle [rad]."""
+    return replace(camera, eye=camera.target + turn(camera.eye - camera.target, angle))
+
+
+def turn(points: Float, angle: float) -> Float:
+    """Points (..., 3) turned about the vertical, z."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.asarray(points @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
 
 
 MARGIN = 0.08

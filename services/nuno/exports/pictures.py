@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.exports.camera import of_camera, place_camera, read_view, z_up
+from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
     Pieces,
     Pressures,
@@ -77,7 +77,7 @@ class Painter:
         self.pressure = require_pressure(self.recording) if self.colour == "pressure" else None
         self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
         self.renderer = registry.load("nuno.renderers", RENDERER)
-        view = read_view(self.recording, camera)
+        self.view = read_view(self.recording, camera)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
@@ -88,16 +88,26 @@ class Painter:
         self.legend = legend if by_stretch else None
         if self.pressure is not None:
             self.legend = {"label": "pressure [Pa]", "low": 0.0, "high": self.most}
-        self.camera = place_camera(view, meshes, self.size or view.size, ROOM if self.legend else 0.0)
+        size = self.size or self.view.size
+        self.camera = place_camera(self.view, meshes, size, ROOM if self.legend else 0.0)
 
-    def draw(self, frame: Frame) -> Picture:
-        """(h, w, 3) uint8 sRGB."""
+    def stand_back(self, frame: Frame) -> None:
+        """Fit the camera so that the frame is in the picture from all around."""
+        meshes = self.meshes(frame)
+        points = np.concatenate([mesh.vertices for mesh in meshes])
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) * [1.0, 1.0, 0.0]
+        around = [replace(mesh, vertices=turn(mesh.vertices - middle, angle) + middle)
+                  for mesh in meshes for angle in 2.0 * np.pi * np.arange(LOOKS) / LOOKS]  # fmt: skip
+        self.camera = place_camera(self.view, around, self.camera.size, ROOM if self.legend else 0.0)
+
+    def draw(self, frame: Frame, angle: float = 0.0) -> Picture:
+        """(h, w, 3) uint8 sRGB; the eye gone round by an angle [rad]."""
         name = self.recording.metadata.get("run", {}).get("scene") or str(self.recording.scene.get("name", ""))
         caption = f"{name}   t = {frame.t:.2f} s"
         config: BaseModel = self.renderer.Config.model_validate(
             {"caption": caption, "legend": self.legend, "ground": self.ground, **self.options}
         )
-        picture: Picture = self.renderer.render(config, self.meshes(frame), self.camera)
+        picture: Picture = self.renderer.render(config, self.meshes(frame), turned(self.camera, angle))
         return picture
 
     def pieces(self, t: float) -> list[ShownPiece]:
@@ -196,6 +206,24 @@ def draw_frames(
                 done += 1
                 if progress is not None:
                     progress(done, len(numbers))
+
+
+def draw_turn(
+    recording: Recording,
+    frame: Frame,
+    number: int,
+    size: tuple[int, int] | None = None,
+    progress: Progress | None = None,
+    colour: Colour = "auto",
+    changes: Changes | None = None,
+) -> Iterator[Picture]:
+    """Draw a frame from all around, in so many pictures. Raises BadInput."""
+    painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes)
+    painter.stand_back(frame)
+    for k in range(number):
+        yield painter.draw(frame, 2.0 * np.pi * k / number)
+        if progress is not None:
+            progress(k + 1, number)
 
 
 def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.api.result import SIDES, Result, missing
+from nuno.api.result import Result, missing
 from nuno.api.run import run_loaded
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
+from nuno.exports.camera import AZIMUTHS
 from nuno.exports.tables import heading
 from nuno.scene.explain import GIVEN
 from nuno.scene.override import as_override
@@ -173,8 +174,8 @@ class Place:
 
 def run_all(scene: Any, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
     """See `sweep`; scene is a Loaded."""
-    if side not in ("", "scene", *SIDES):
-        raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *SIDES)))
+    if side not in ("", "scene", *AZIMUTHS):
+        raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *AZIMUTHS)))
     if not over or not all(over.values()):
         raise BadInput("nothing to sweep over", field="--over", remedy="name fields and their values")
     packed = pack_loaded(scene)
