@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from recorded_sheet import RATE, Sheet, write
+from scenes import write_scene
 
 from nuno.cli import main
 from nuno.exports import paint
@@ -305,3 +306,19 @@ def test_sides_and_turns_are_of_what_is_drawn(
     monkeypatch.chdir(tmp_path)
     assert main(["export", str(path), *flags]) == 2
     assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_a_run_is_animated_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it is recorded; a name that is none is refused before it runs."""
+    monkeypatch.chdir(tmp_path)
+    path = str(write_scene(tmp_path, duration=0.2))
+    assert main(["run", path, "--no-view", "--mp4", "a.gif"]) == 0
+    with Image.open(tmp_path / "a.gif") as image:
+        assert getattr(image, "n_frames", 1) > 1
+    assert "animation  a.gif" in capsys.readouterr().out
+    for flags, said in ((["--mp4", "a.mpg"], "no such kind"), (["--mp4", "b.gif", "--no-record"], "leave --no-record")):
+        assert main(["run", path, *flags]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "b.gif").exists() and len(list((tmp_path / "recordings").glob("*.mcap"))) == 1
