@@ -59,6 +59,7 @@ def test_cloth_comes_to_rest_on_a_ball_where_it_does_on_its_field() -> None:
     np.testing.assert_allclose(depth, MASS * G * upright / k, rtol=0.05)
 
 
+@pytest.mark.full
 def test_an_impact_goes_as_deep_into_a_field_as_into_the_ball() -> None:
     """u sqrt(m / k), a quarter of a swing, which soft contact makes as long as it likes: no fault of the field."""
     radius, tolerance, k, speed = 0.3, 5e-4, 80.0, 1.0

@@ -33,6 +33,7 @@ def test_the_elastica_is_the_published_one() -> None:
     assert elastica.gamma_at(cantilever.SLOPE) ** (-1.0 / 3.0) == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.quick(layout=["irregular"])
 @pytest.mark.parametrize("layout", ["aligned", "irregular"])
 @pytest.mark.parametrize("gamma", [1.0, 10.0, pytest.param(100.0, marks=pytest.mark.full)])
 def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:
@@ -86,6 +87,7 @@ def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, mo
         cantilever.overhang(0.0, 0.02, 32)
 
 
+@pytest.mark.quick(layout=["irregular"])
 @pytest.mark.parametrize("poisson", specimens.POISSON.values(), ids=specimens.POISSON)
 @pytest.mark.parametrize("layout", ["aligned", "crossed", "irregular"])
 def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout: str) -> None:

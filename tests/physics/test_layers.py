@@ -58,6 +58,7 @@ def girth(fabric: Fabric) -> float:
     return float(np.hypot(fabric.position[:, 0], fabric.position[:, 2]).mean())
 
 
+@pytest.mark.quick(wide=[0.8])
 @pytest.mark.parametrize("wide", [1.0, 0.8])
 def test_each_layer_starts_outside_of_those_before_it(tmp_path: Path, wide: float) -> None:
     """Also one that is cut narrower than what it is drawn over."""

@@ -69,6 +69,7 @@ def require_round(cloth: Fabric, body: Body, origin: Any, axis: Any) -> None:
     assert np.asarray(closest_points(build_tree(*body), points).distance).min() > 0.0
 
 
+@pytest.mark.quick(edge=[0.03])
 @pytest.mark.parametrize("edge", [0.01, 0.03])
 @pytest.mark.parametrize("turn", [0.0, 90.0, 180.0])
 def test_a_tube_goes_round_the_trunk_from_wherever_it_is_placed(tmp_path: Path, turn: float, edge: float) -> None:

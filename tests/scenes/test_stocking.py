@@ -77,6 +77,7 @@ def distances(point: Float, corners: Float) -> Float:
     return np.where(inside, np.abs(above), to_edge)
 
 
+@pytest.mark.full
 def test_no_point_is_ever_inside() -> None:
     simulation, positions = fit()
     corners = corners_of(simulation)

@@ -33,6 +33,7 @@ def test_levels_of_cloth_deliver_what_they_promise(tmp_path: Path) -> None:
     assert all(0.0 < one["error"] <= accuracy.WITHIN * one["promised"] and one["floor"] < 1e-10 for one in found)
 
 
+@pytest.mark.full
 def test_a_level_of_dye_delivers_what_it_promises(tmp_path: Path) -> None:
     (one,) = delivered(write_scene(tmp_path), tmp_path / "out", "--duration", "20 s", "--levels", "normal")
     assert one["verdict"] == "agrees" and 0.0 < one["error"] <= one["promised"] and one["within"] == 1.0

@@ -110,6 +110,7 @@ def test_the_reference_is_the_closed_form_to_its_floor(tmp_path: Path) -> None:
     assert "extrapolated, checked by the same at twice the step" in reference.how
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("foreign")
 def test_errors_fall_at_the_order_of_each_solver(tmp_path: Path) -> None:
     found = swept(write_wave(tmp_path))

@@ -23,7 +23,7 @@ def finished(folder: Path, **fields: Any) -> nuno.Result:
 def test_nothing_at_all_runs_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for bodies in ([], BALL):
         scene = write_scene(tmp_path, objects=[], bodies=bodies, solver={"plugin": "rk4"}, duration=0.1)
-        flags = ["--record", str(tmp_path / "run.mcap"), *(["--no-view"] if bodies else [])]
+        flags = ["--report", "--record", str(tmp_path / "run.mcap"), *(["--no-view"] if bodies else [])]
         for command in (["run", str(scene), *flags], ["plan", str(scene)]):
             assert main(command) == 0
             assert "the scene has no objects" in capsys.readouterr().out

@@ -127,6 +127,7 @@ def test_with_its_matrix_newton_takes_fewer_steps_to_the_same_end(packages: Pack
     assert np.abs(ends[0] - ends[1]).max() < 1e-7
 
 
+@pytest.mark.full
 def test_xpbd_solves_for_its_constraints_at_any_step(packages: Packages, tmp_path: Path) -> None:
     """To where backward Euler's step ends; without them the step is limited as an explicit solver's is."""
     packages.add_shown("stitches", LOOSE, "loose = stitches:LooseStitches")

@@ -41,6 +41,7 @@ def test_there_are_three() -> None:
     assert len(NOTEBOOKS) == 3 and all(f"notebooks/{path.name}" in text for path in NOTEBOOKS)
 
 
+@pytest.mark.quick(notebook=[path for path in NOTEBOOKS if path.stem == "first-run"])
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(notebook: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first of its cells of code shows a picture, after three lines at most."""

@@ -28,6 +28,7 @@ print(nuno.run(sys.argv[1], record=sys.argv[2]).digest)
 """
 
 
+@pytest.mark.full
 def test_a_dancer_and_what_she_wears_move_in_the_same_bits(tmp_path: Path) -> None:
     """A skirt that is turned and attached, on a skeleton that is turned joint by joint, beside a box that tumbles."""
     model = {

@@ -11,7 +11,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.report.make import Report
-from nuno.report.show import lines
+from nuno.report.show import brief, lines
 from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
@@ -86,9 +86,25 @@ def test_a_resumed_runs_balance_says_when_it_begins(
 ) -> None:
     target = tmp_path / "on.mcap"
     command = ["run", "--resume", str(result.path), "--set", "duration=1.2", "--record", str(target), "--no-view"]
-    assert main(command) == 0
+    assert main([*command, "--report"]) == 0
     with nuno.open(target) as recording:
         assert recording.report()["began"] == 1.0
         assert recording.report()["simulated_seconds"] == pytest.approx(0.2)
     assert "moving bodies, since the run went on at 1 s" in capsys.readouterr().out
     assert "went on" not in rows(result.report, "balance")[0]
+
+
+def test_a_report_is_a_few_lines_unless_all_is_asked_for(
+    result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """How fast, how accurate, how far from the limit, and what was left out; in the whole one also why."""
+    short, whole = brief(result.report), lines(result.report)
+    assert {"time", "step", "stretch", "frames", "digest", "left out"} <= {name for name, _ in short}
+    assert {name for name, _ in whole} - {name for name, _ in short} >= {"energy", "balance", "parts"}
+    assert len(short) < 0.6 * len(whole)
+    names = ", ".join(text.partition(": ")[0] for text in result.report["left_out"])
+    assert short[-1] == ("left out", f"{names}  (why, and more: --report)")
+    path = write_scene(tmp_path, duration=0.1)
+    for flags in ([], ["--report"]):
+        assert main(["run", str(path), "--no-view", "--no-record", *flags]) == 0
+        assert ("\nenergy " in capsys.readouterr().out) is bool(flags)

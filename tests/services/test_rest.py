@@ -194,6 +194,7 @@ def test_balance_of_cloth_without_springs_is_refused(tmp_path: Path) -> None:
         simulation(tmp_path, *STILL)
 
 
+@pytest.mark.quick(solver=["symplectic_euler", "xpbd"])
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_damping_that_changes_acts_as_if_it_had_been_so_from_the_start(tmp_path: Path, solver: str) -> None:
     """Implicit methods beside wind, so that they measure what acts on single vertices."""

@@ -143,6 +143,7 @@ def test_cloth_that_moves_is_not_untangled(tmp_path: Path) -> None:
     assert np.isfinite(simulation.state.x).all()
 
 
+@pytest.mark.full
 def test_a_garment_that_starts_in_itself_is_untangled() -> None:
     """A shirt with wide sleeves, whose underarms pass through each other on a mannequin with low arms.
 

@@ -9,7 +9,7 @@ from nuno.report.make import Report
 from nuno.warnings import result_warnings
 from nuno.words import counted, duration, factor
 
-LOOKED_UP = ("steps", "parts", "energy", "distance", "counted", "friction", "solver", "idle")
+LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")
 """Rows that are left to the whole report."""
 ENDS = (("min", "shortest"), ("max", "longest"))
 
