@@ -2,7 +2,8 @@
 
 `nuno.run(scene)` simulates, `nuno.plan(scene)` says what that would do and cost, `nuno.Scene` is a scene as an object;
 `nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` go on with it, and `nuno.states`
-gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values.
+gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values, and
+`nuno.watch` listens to a run that goes on.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from nuno.api.result import Result
     from nuno.api.run import resume, run
     from nuno.api.scene import Scene
+    from nuno.api.watch import Heard, watch
     from nuno.moments import Moment, states
     from nuno.recording.reader import Recording
     from nuno.recording.reader import open_recording as open
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     """nuno_bench.sweep.grid.sweep"""
 
 __all__ = [
-    "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states",
-    "sweep", "verify",
+    "Heard", "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states",
+    "sweep", "verify", "watch",
 ]  # fmt: skip
 PLACES = {
     "nuno.api.plan": ("Plan", "plan"),
@@ -33,6 +35,7 @@ PLACES = {
     "nuno.api.result": ("Result",),
     "nuno.api.run": ("resume", "run"),
     "nuno.api.scene": ("Scene",),
+    "nuno.api.watch": ("Heard", "watch"),
     "nuno.moments": ("Moment", "states"),
     "nuno.recording.reader": ("Recording", "open"),
     "nuno_bench.sweep.grid": ("sweep",),

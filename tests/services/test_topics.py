@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 import zenoh
 from live_run import Run, wait_until
-from scenes import write_scene
+from scenes import BALL, write_scene
 from test_readme import ROOT, blocks
 
 import nuno
 from nuno.cli import main
 from nuno.supervision import runs
 from nuno.wire.bus import Bus, Inbox, Message
+from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Topic
 
 TOPICS = {
@@ -104,3 +105,33 @@ def test_the_subscriber_of_the_page_gets_every_frame_of_a_run(tmp_path: Path) ->
         kept = [[frame.number, frame.t, *frame.x.mean(axis=0)] for frame in recording.frames()]
     np.testing.assert_allclose([[float(word) for word in line.split()] for line in lines], kept, rtol=0, atol=1e-12)
     assert len(kept) == 26
+
+
+def test_a_watcher_hears_what_is_recorded(tmp_path: Path) -> None:
+    """Typed, frame by frame, from when it listens to the end; of some topics alone, where it asks for those."""
+    run = Run(write_scene(tmp_path, bodies=BALL), tmp_path / "run.mcap", paused=True)
+    wait_until(lambda: run.run in runs.running())
+    every, events = nuno.watch(run.run), nuno.watch(run.run[:-1], "run/event", "sim/status")
+    run.wait_until_paused()
+    run.control("resume")
+    heard, said = list(every), list(events)
+    assert run.join().state == "done"
+    with nuno.open(run.record) as recording:
+        frames, told = list(recording.frames()), recording.events()
+        statuses = recording.series()
+    states = [one for one in heard if one.topic == "sim/state"]
+    assert [(one.frame, one.t) for one in states] == [(frame.number, frame.t) for frame in frames]
+    for one, frame in zip(states, frames, strict=True):
+        np.testing.assert_array_equal(one.value, frame.x)
+    assert [one.value for one in said if one.topic.startswith("run/event/")] == told
+    kinetic = [one.value.energy["kinetic"] for one in said if one.topic == "sim/status"]
+    np.testing.assert_array_equal(kinetic, statuses["energy_kinetic"])
+    assert {one.topic for one in heard} >= {"collision/bodies", "collision/report", "ack/collision"}
+    assert not any(one.skipped for one in heard)
+
+
+def test_what_cannot_be_watched_is_said(tmp_path: Path) -> None:
+    for words, said in ((("last", "sim/stat"), "did you mean 'sim/state'"), (("nowhere",), "no such run")):
+        with pytest.raises(BadInput) as caught:
+            nuno.watch(*words)
+        assert said in str(caught.value)

@@ -1,0 +1,130 @@
+"""A run that goes on, as it is heard on its bus."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from nuno.api.words import in_python
+from nuno.service import SUPERVISOR
+from nuno.supervision import runs
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.sessions import spoke
+from nuno.wire.watch import Watch
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.messages import (
+    ACK,
+    EVENT,
+    PENETRATION,
+    PICTURE,
+    REPORT,
+    STATE,
+    STATUSES,
+    TOPICS,
+    Ack,
+    Event,
+    Penetration,
+    Topic,
+)
+
+ALL = Topic("**", "json", "")
+"""One subscription to all topics: between several, messages overtake each other."""
+LISTENING = 0.2
+"""How often it is asked whether the run is over while nothing comes [s]."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message of a run.
+
+    topic, frame and t [s] are those that it was sent with; skipped is how many of this topic were missed before it.
+    value is what it says: of `sim/state` positions (n, 3) [m], of float32's precision; of arrays a pair, arrays by name
+    and a mapping of what is none; of a picture the bytes of a PNG; of the others an object of nuno_schemas.messages:
+    Status, DyeStatus, Penetration, Event or Ack.
+    """
+
+    topic: str
+    frame: int
+    t: float
+    value: Any
+    skipped: int
+
+
+class Watching:
+    """What is heard of a run, from when this is made until it ends: an iterator of `Heard`, which can be closed."""
+
+    def __init__(self, run: str, endpoint: str, topics: tuple[str, ...], config: str | None) -> None:
+        self._topics, self._stack = topics, contextlib.ExitStack()
+        with in_python():
+            bus = Bus(self._stack.enter_context(spoke(endpoint, config)), run, "watch")
+        self._stack.callback(bus.close)
+        self._inbox, self._life = Inbox(bus, [ALL], newest_only=True), Watch(bus)
+        bus.present()  # once this is answered, the hub knows of who listens
+
+    def __iter__(self) -> Watching:
+        return self
+
+    def __next__(self) -> Heard:
+        while True:
+            item = self._inbox.get(LISTENING)
+            if not isinstance(item, Message):
+                if self._life.gone(SUPERVISOR):
+                    self.close()
+                    raise StopIteration
+            elif not self._topics or any(_below(item.topic, one) for one in self._topics):
+                try:
+                    value = _decoder(item.topic)(item.payload)
+                except (BadMessage, ValueError):
+                    self._inbox.refuse(item)
+                    continue
+                return Heard(item.topic, item.header.frame, item.header.t, value, item.skipped)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._stack.close()
+
+    def __enter__(self) -> Watching:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        self.close()
+
+
+def watch(run: str = "last", *topics: str, connect: str | None = None, config: str | None = None) -> Watching:
+    """Messages of a run as they come, decoded, until it ends: for heard in nuno.watch("last", "sim/state").
+
+    run: its id or the beginning of that; topics: only these, or what is below them, as "run/event" (default: all); who
+    listens late has missed what was said before. connect and config: endpoint and zenoh configuration, for a run on
+    another host. A listener never holds up a run, and sees gaps where it does not keep up. Raises BadInput for a run
+    that does not go on and a topic that there is not; RunFailed where it cannot be reached.
+    """
+    with in_python():
+        known = [name for name in TOPICS if name != REPORT.name]
+        for topic in topics:
+            if not any(_below(topic, name) for name in known):
+                raise BadInput("no such topic", field="topics", value=topic, remedy=nearest(topic, known))
+        name, endpoint = (run, connect) if connect else runs.find(run)
+    return Watching(name, endpoint, topics, config)
+
+
+def _below(topic: str, name: str) -> bool:
+    return topic == name or topic.startswith(f"{name}/")
+
+
+def _decoder(topic: str) -> Callable[[bytes], Any]:
+    if topic in STATUSES:
+        return STATUSES[topic].model_validate_json
+    own: dict[str, Callable[[bytes], Any]] = {
+        PENETRATION.name: Penetration.model_validate_json, STATE.name: decode_points, PICTURE.name: decode_picture,
+    }  # fmt: skip
+    if _below(topic, EVENT.name):
+        return Event.model_validate_json
+    if _below(topic, ACK.name):
+        return Ack.model_validate_json
+    return own.get(topic, decode_arrays)
