@@ -171,6 +171,7 @@ def closing(speed: float, side: float) -> Motion:
     return lambda t: (0.0, np.array([0.004 * side, side * (0.03 - speed * min(t, 0.2)), 0.0]))
 
 
+@pytest.mark.full
 def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
     """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted."""
     met = Met(above(0.0), shapes=[box((0.05, 0.05, 0.05))] * 2, motions=[closing(0.05, 1.0), closing(0.05, -1.0)])

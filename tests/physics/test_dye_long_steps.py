@@ -40,6 +40,7 @@ def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     assert name != "rkl2" or errors[-1] < 2e-6
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SECOND)
 def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None:
     """M_t / M_inf = 1 - 8 / pi^2 sum exp(-D (2 n + 1)^2 pi^2 t / 4 l^2) / (2 n + 1)^2, both faces kept up."""

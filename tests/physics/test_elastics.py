@@ -61,6 +61,7 @@ def test_a_tape_goes_round_a_body_as_its_section_does_and_bridges_what_is_betwee
     assert tape(beside, *BODY) == tape(line, *BODY) == 0.0
 
 
+@pytest.mark.quick(edge=[0.03])
 @pytest.mark.parametrize("edge", [0.01, 0.03])
 def test_a_band_is_as_long_as_its_share_of_the_body_and_as_heavy(tmp_path: Path, edge: float) -> None:
     """On any triangles; along a seam, or an opening. A band that would be longer than the edges is as long as these."""

@@ -95,6 +95,7 @@ def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout
     assert found.error <= found.allowed
 
 
+@pytest.mark.full
 def test_the_loop_of_kes_gives_the_sheet_back() -> None:
     """Within 2 %; what is left and lost within 1 %."""
     loop = loops.bend(FABRIC | {"hysteresis_warp": 6e-4, "hysteresis_weft": 6e-4}, 0.25 * math.pi)
@@ -140,6 +141,7 @@ def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curva
     assert rig.energy() - weight @ rig.state.x[:, 1] == pytest.approx(bent, rel=0.02)
 
 
+@pytest.mark.full
 def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
     """Cloth as stiff as this drapes in 4, 5 or 6 folds: as different shadows, and almost the same energy."""
     found = [drape.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]

@@ -16,6 +16,7 @@ from nuno_integrators.xpbd.plugin import XPBD
 from nuno_schemas.system import Term
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_many_sweeps_solve_the_step_of_backward_euler(shuffle, monkeypatch):
     """Springs of all kinds in runs and lists, their damping, hinges, viscous damping."""

@@ -103,6 +103,7 @@ def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:
         assert slope == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.full
 def test_a_step_beyond_the_limit_is_a_marked_failure(tmp_path: Path) -> None:
     """Frames long enough for steps beyond the limit: those diverge, all below the limit do not."""
     found = swept(write_net(tmp_path, frame_rate=5, duration=60), "--solvers", "symplectic_euler,rk4,leapfrog")

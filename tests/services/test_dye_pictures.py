@@ -187,6 +187,7 @@ def test_the_bar_of_a_caption_is_as_long_as_it_says() -> None:
     assert caption(narrow, "a name and a time", 1e-5) is narrow
 
 
+@pytest.mark.full
 def test_the_recording_of_a_photograph_needs_no_file_beside_it(tmp_path: Path) -> None:
     """The scene's photograph, and the masks that it names, travel in the recording."""
     rng, warp = np.random.default_rng(2), np.indices((24, 32)).sum(axis=0) // 4 % 2 == 0

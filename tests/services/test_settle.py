@@ -64,6 +64,7 @@ def crossed(run: Simulation) -> bool:
     return bool(Oracle(x, np.concatenate([run.fabric.faces, faces + np.int32(n)]), len(body)).crossed(x))
 
 
+@pytest.mark.full
 def test_what_has_settled_begins_near_its_rest_and_meets_nothing(tmp_path: Path) -> None:
     """In height within a millimetre, where without it falls a way; and rests earlier, hanging the same."""
     frames, fallen, ends = [], [], []
@@ -93,6 +94,7 @@ def test_it_has_the_same_bits_on_any_threads_and_when_it_goes_on(tmp_path: Path)
     assert [one.step().digest for _ in range(3)] == [again.step().digest for _ in range(3)]
 
 
+@pytest.mark.full
 def test_a_recording_has_what_came_to_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,11 +1,11 @@
-"""Closed surfaces that colliders are made of: a file's, or the leg, the torso or the person that come with nuno."""
+"""Closed surfaces that colliders are made of: a file's, or the figures and solids that come with nuno."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,11 +13,13 @@ from pydantic import Field, model_validator
 from nuno_contact.colliders.shapes import ORIGIN
 from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.person import person_mesh
+from nuno_contact.figures.solids import box_mesh, cone_mesh
 from nuno_contact.figures.torso import GIRTHS, HEIGHTS, torso_mesh
 from nuno_contact.quantities import Angle, Point, Size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.units import quantity
 
 ARMS = (math.radians(40.0), math.radians(80.0))
 """Between these angles a mannequin's arms part from its trunk, and end below its shoulders [rad]."""
@@ -25,7 +27,8 @@ RANGE = (0.7, 1.4)
 """Shares of the average girths that a mannequin may have."""
 PERSON = {name: height for name, height in (HEIGHTS | LANDMARKS).items() if name != "neck"}
 """Heights of a person's girths [m]; that of the neck is behind the chin."""
-MANNEQUINS = ("torso", "person")
+MANNEQUINS, SOLIDS = ("torso", "person"), ("box", "cylinder", "cone")
+Rounding = Annotated[float, quantity("m", ge=0)]
 
 
 class Girths(Config):
@@ -42,11 +45,16 @@ class Surface(Config):
     """A closed surface: a file's, else a built-in one, scaled, then moved by `centre`."""
 
     file: str | None = Field(default=None, description="a mesh beside the scene: OBJ, PLY, STL or GLB")
-    shape: Literal["leg", "torso", "person"] | None = Field(
+    shape: Literal["leg", "torso", "person", "box", "cylinder", "cone"] | None = Field(
         default=None,
         description="where no file is given, one that comes with nuno: an average leg; a torso with stumps of arms and "
-        "neck; a whole mannequin",
+        "neck; a whole mannequin; or a solid of this size",
     )
+    size: tuple[Size, Size, Size] | None = Field(
+        default=None, description="of a box, a cylinder or a cone: its width, height and depth [m]"
+    )
+    rounding: Rounding = Field(default=0.0, description="of a solid: the radius of its edges [m]")
+    top: float = Field(default=0.0, ge=0, le=1, description="of a cone: its top's width, of its base's")
     resolution: int = Field(default=96, ge=12, le=2048, description="of the shape: vertices round the leg or the waist")
     girths: Girths | None = Field(default=None, description="of a mannequin, where they are to be others")
     arms: Angle = Field(
@@ -66,6 +74,7 @@ class Surface(Config):
             raise ValueError("a mesh needs a file or a shape")
         if self.up == "z" and self.file is None:
             raise ValueError("what comes with nuno has y up: up is for files")
+        self._check_solid()
         given = {"girths", "arms"} & self.model_fields_set
         if given and self.shape not in MANNEQUINS:
             raise ValueError(f"only mannequins, torso and person, have {' and '.join(sorted(given))} to choose")
@@ -74,10 +83,31 @@ class Surface(Config):
             raise ValueError(f"arms at {math.degrees(self.arms):g} deg: theirs may be raised by {limits} deg")
         return self
 
+    def _check_solid(self) -> None:
+        """Raises ValueError for a solid that is none, and for what only solids have."""
+        foreign = (
+            {"size", "rounding", "top"} if self.shape not in SOLIDS else {"top"} if self.shape != "cone" else set()
+        )
+        if given := foreign & self.model_fields_set:
+            raise ValueError(f"only solids have {' and '.join(sorted(given))} to choose (top: a cone)")
+        if self.shape not in SOLIDS or self.file is not None:
+            return
+        if self.size is None:
+            raise ValueError(f"a {self.shape} needs its size; for example size: [40 cm, 75 cm, 40 cm]")
+        most = 0.5 * min(self.size)
+        if self.shape == "cone":
+            # The circle that touches base and sides; and where the top is narrower, half of that.
+            radius, height = 0.5 * self.size[0], self.size[1]
+            along = radius * (1.0 - self.top)
+            most = min(most, radius * height / (along + math.hypot(along, height)))
+            most = min(most, self.top * radius) if self.top > 0.0 else most
+        if self.rounding > 0.999 * most:
+            raise ValueError(f"rounded by {self.rounding:g} m: at most {0.999 * most:.4g} m of this size")
+
     def heights(self) -> dict[str, float]:
         """Heights [m] of places that have a name, of a shape as it comes."""
         known = {"leg": LANDMARKS, "torso": HEIGHTS, "person": PERSON}
-        return {} if self.file is not None or self.shape is None else known[self.shape]
+        return {} if self.file is not None or self.shape is None else known.get(self.shape, {})
 
     def upright(self, x: Float) -> Float:
         """Points (n, 3) of the file with y up."""
@@ -90,7 +120,13 @@ class Surface(Config):
         if self.file is not None:
             x, faces = read(files.resolve(self.file), self.scale, self.mend)
             return self.upright(x), faces
-        x, faces = leg_mesh(self.resolution) if self.shape == "leg" else make_mannequin(self)
+        if self.shape == "box" and self.size is not None:
+            x, faces = box_mesh(self.size, self.rounding, self.resolution)
+        elif self.shape in SOLIDS and self.size is not None:
+            top = self.top if self.shape == "cone" else 1.0
+            x, faces = cone_mesh(self.size, top, self.rounding, self.resolution)
+        else:
+            x, faces = leg_mesh(self.resolution) if self.shape == "leg" else make_mannequin(self)
         return x * self.scale, faces
 
 
