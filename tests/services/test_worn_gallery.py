@@ -10,9 +10,11 @@ import pytest
 import trimesh
 from sewing_patterns import back, column, front, tube
 
+import nuno
 from nuno.cli import main, parser_of
+from nuno.fit.read import read_fits
 from nuno.scene import scene_file
-from nuno_bench.gallery import worn
+from nuno_bench.gallery import sewn, worn
 from nuno_bench.problem.oracle import Oracle
 
 BODY = ["--body", "column.obj"]
@@ -86,3 +88,18 @@ def test_the_page_shows_and_measures_each_that_can_be_worn(here: Path) -> None:
     assert main(["gallery", "sewn", "--patterns", *patterns, *BODY, "--edge", "4 cm", "--out", "page"]) == 1
     text = (here / "page" / "sewn.html").read_text()
     assert text.count("data:image/png;base64,") == 6 and text.count("cannot be put round wearer") == 1
+
+
+@pytest.mark.full
+def test_garments_in_layers_are_measured_together(here: Path) -> None:
+    """Strain is the larger one; ease that of the inner tube; and one that has fallen off is enough."""
+    Path("wide.json").write_text(json.dumps(tube(front=front(40.0), back=back(40.0))))
+    assert main(["sew", "tube.json", "wide.json", *BODY, "--edge", "4 cm", "--scene", "both.yaml", "--write"]) == 0
+    result = nuno.run("both.yaml", duration="0.1 s")
+    with result.recording as recording:
+        fits = read_fits(recording)
+        found = sewn.measure(recording)
+    assert len(fits) == 2
+    assert found[sewn.WEFT] == pytest.approx(100.0 * max(fit.strains["weft"].high for fit in fits))
+    assert found[sewn.PRESSURE] == fits[0].pressed.mean if fits[0].pressed else False
+    assert found[sewn.WORN] == float(all(fit.on for fit in fits))

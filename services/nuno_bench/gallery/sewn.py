@@ -33,9 +33,10 @@ WORN, IPCTK, RESTED, ALL = "worn", "by ipctk", "at rest after [s]", "in all [s]"
 MEASURES = (VERTICES, WORN, CROSSED, IPCTK, BUST, WAIST, WARP, WEFT, PRESSURE, RESTED, SECONDS, ALL)
 TOLD = (
     "Each scene at its end. Worn: 0 where nothing touches the body, or an opening has slipped (nuno fit names it). By "
-    "ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, "
-    "waist: ease. Warp, weft: 95 % of the cloth is strained by less. Pressure: where cloth presses. At rest: -, where "
-    "the scene ended before. In all: of the run with all its services. docs/sewing.md says how fit is measured."
+    "ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, waist: ease. Warp, weft: "
+    "95 % of the cloth is strained by less. Pressure: where cloth presses. Of several garments ease and pressure are "
+    "of the innermost, strain is the largest. At rest: -, where the scene ended before. In all: of the run with all its "
+    "services. docs/sewing.md says how fit is measured."
 )
 
 
@@ -66,13 +67,15 @@ def measure(recording: Recording) -> dict[str, float]:
         found[IPCTK] = float(_crosses(recording, loaded)) if judged else math.nan
     found[RESTED] = report["simulated_seconds"] if rested else math.nan
     found[ALL] = report["prepare_seconds"] + report["wall_seconds"]
-    (fit,) = read_fits(recording)
-    ease = {one.name: 100.0 * one.ease for one in fit.girths if one.ease is not None}
-    strains = {WARP: 100.0 * fit.strains["warp"].high, WEFT: 100.0 * fit.strains["weft"].high}
-    pressed = {} if fit.pressed is None else {PRESSURE: fit.pressed.mean}
-    nan = float("nan")
-    found[WORN] = float(fit.on)
-    return found | {BUST: ease.get("bust", nan), WAIST: ease.get("waist", nan)} | strains | pressed
+    fits = read_fits(recording)
+    # Of several garments, the innermost first, the one that is next to the body there.
+    ease = {one.name: 100.0 * one.ease for fit in reversed(fits) for one in fit.girths if one.ease is not None}
+    for name, yarns in ((WARP, "warp"), (WEFT, "weft")):
+        found[name] = 100.0 * max(fit.strains[yarns].high for fit in fits)
+    if pressed := [fit.pressed.mean for fit in fits if fit.pressed is not None]:
+        found[PRESSURE] = pressed[0]
+    found[WORN] = float(all(fit.on for fit in fits))
+    return found | {BUST: ease.get("bust", math.nan), WAIST: ease.get("waist", math.nan)}
 
 
 def _crosses(recording: Recording, loaded: Loaded) -> bool:
