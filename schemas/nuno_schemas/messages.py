@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict
 
 from nuno_schemas import SCHEMA_VERSION
 
+DESCRIBED = ConfigDict(use_attribute_docstrings=True)
+
 
 class Header(BaseModel):
     """Who sent a message, which one it is, and when in the simulation.
@@ -20,27 +22,41 @@ class Header(BaseModel):
     seq counts from 0 per topic without gaps; digest is the hash of the float64 state.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
     schema_version: int = SCHEMA_VERSION
+    """Of these messages; another one is refused."""
     run: str
+    """The run's id."""
     service: str
+    """By whom."""
     seq: int
+    """From 0 on, of each topic and service: a number that is left out is a message that was missed."""
     frame: int
+    """-1 where it belongs to none."""
     t: float
+    """Simulated time [s]."""
     digest: str = ""
+    """Of the float64 state that it is of."""
 
 
 class FrameStatus(BaseModel):
     """What a service that steps says of each frame."""
 
+    model_config = DESCRIBED
     frame: int
+    """0 is the start."""
     t: float
+    """Simulated time [s]."""
     digest: str
+    """Of the float64 state."""
     state: Literal["running", "paused", "done", "stopped", "diverged", "unconverged"]
+    """What becomes of the run."""
     steps: int
+    """Taken for this frame."""
     step_seconds: float
     """Wall time of the frame's steps [s]."""
     message: str = ""
+    """Why it diverged or was stopped."""
 
 
 class Status(FrameStatus):
@@ -60,8 +76,11 @@ class DyeStatus(FrameStatus):
     time: float
     """Time of the dyeing [s]: t times the dye's speed."""
     mobile: dict[str, float | None]
+    """By dye [full cells]."""
     fixed: dict[str, float | None]
+    """By dye, taken by fibre [full cells]."""
     supplied: dict[str, float]
+    """By dye, until now [full cells]."""
     balance: float | None
     """Largest |mobile + fixed - supplied| / supplied of the dyes; 0 where none was supplied."""
 
@@ -71,8 +90,11 @@ class Penetration(BaseModel):
     contact, where cloth passes through cloth and how near it comes. Float32 positions: to a tenth of a micrometre.
     """
 
+    model_config = DESCRIBED
     frame: int
+    """Whose positions were looked at."""
     t: float
+    """Simulated time [s]."""
     depth: float
     """Largest depth [m], 0 where nothing touches."""
     vertex: int
@@ -82,6 +104,7 @@ class Penetration(BaseModel):
     mean: float
     """Mean depth of those inside [m]."""
     seconds: float
+    """Wall time of the look [s]."""
     crossings: int | None = None
     """Edges of cloth that pass through triangles of cloth, or of bodies that are met as cloth is, and edges of those
     through triangles of cloth; None where that was not looked for.
@@ -99,46 +122,94 @@ class Penetration(BaseModel):
 class Event(BaseModel):
     """Something that happened to a run: control, resume, an error."""
 
+    model_config = DESCRIBED
     frame: int
+    """-1 where it belongs to none."""
     t: float
+    """Simulated time [s]."""
     service: str
+    """By whom."""
     kind: Literal["control", "start", "resume", "error", "warning", "end"]
+    """What happened."""
     text: str
+    """In words."""
     args: dict[str, Any] = {}
+    """What a control request asked for; what an error or the end has to say beside its words."""
 
 
 class Ack(BaseModel):
     """A service that must see every frame has handled this one."""
 
+    model_config = DESCRIBED
     service: str
+    """By whom."""
     frame: int
+    """Handled."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A kind of message: its name under the run, encoding, and whether it is recorded."""
+    """A kind of message: its name under the run, encoding, whether it is recorded, when it comes, and, of what has no
+    schema of its own, what it holds.
+    """
 
     name: str
     encoding: Literal["json", "protobuf"]
     schema: str
     recorded: bool = True
+    when: str = "each frame"
+    holds: str = ""
 
 
-FABRIC = Topic("sim/fabric", "protobuf", "nuno.Arrays")
-STATE = Topic("sim/state", "protobuf", "foxglove.PointCloud")
+FABRIC = Topic(
+    "sim/fabric", "protobuf", "nuno.Arrays", when="at the start, and where an operation changes the cloth",
+    holds="`faces`, `edges` and their rest lengths, `pinned`, `uv`; in the text which vertices are which object's; at "
+    "the start `settled_from` and `settled`, where cloth on coarser triangles began and came to rest",
+)  # fmt: skip
+STATE = Topic("sim/state", "protobuf", "foxglove.PointCloud", holds="positions, float32 about an origin")
 STATUS = Topic("sim/status", "json", "nuno.Status")
-CHECKPOINT = Topic("sim/checkpoint", "protobuf", "nuno.Arrays")
-GEOMETRY = Topic("collision/geometry", "protobuf", "nuno.Arrays")
-BODIES = Topic("collision/bodies", "protobuf", "nuno.Arrays")
+CHECKPOINT = Topic(
+    "sim/checkpoint",
+    "protobuf",
+    "nuno.Arrays",
+    when="as `record.checkpoint_every` says, and at the end",
+    holds="`x`, `v` and the solver's memory, float64",
+)
+GEOMETRY = Topic(
+    "collision/geometry",
+    "protobuf",
+    "nuno.Arrays",
+    when="at the start",
+    holds="shapes of the bodies: capsules, meshes, fields; in the text the names of their frames",
+)
+BODIES = Topic(
+    "collision/bodies", "protobuf", "nuno.Arrays", holds="`rotation` and `translation` of the bodies' frames"
+)
 PENETRATION = Topic("collision/report", "json", "nuno.Penetration")
-CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays")
-CONCENTRATION = Topic("dye/concentration", "protobuf", "nuno.Arrays")
+CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays", when="at the start", holds="the cells of a cloth that is dyed")
+CONCENTRATION = Topic(
+    "dye/concentration",
+    "protobuf",
+    "nuno.Arrays",
+    when="each frame, or as `record.dye_every` says",
+    holds="`phi` and `fixed` in each cell",
+)
 DYE_STATUS = Topic("dye/status", "json", "nuno.DyeStatus")
-DYE_CHECKPOINT = Topic("dye/checkpoint", "protobuf", "nuno.Arrays")
-PICTURE = Topic("render/image", "protobuf", "foxglove.CompressedImage")
-EVENT = Topic("run/event", "json", "nuno.Event")
-REPORT = Topic("run/report", "json", "nuno.Report")
-ACK = Topic("ack", "json", "nuno.Ack", recorded=False)
+DYE_CHECKPOINT = Topic(
+    "dye/checkpoint",
+    "protobuf",
+    "nuno.Arrays",
+    when="as `record.checkpoint_every` says, and at the end",
+    holds="`phi`, `fixed` and the solver's memory, float64",
+)
+PICTURE = Topic(
+    "render/image", "protobuf", "foxglove.CompressedImage", when="as `view.pictures` says", holds="a PNG file"
+)
+EVENT = Topic("run/event", "json", "nuno.Event", when="as they happen, each service on `run/event/SERVICE`")
+REPORT = Topic(
+    "run/report", "json", "nuno.Report", when="at the end, in recordings alone", holds="what `nuno run --report` prints"
+)
+ACK = Topic("ack", "json", "nuno.Ack", recorded=False, when="each frame, each service on `ack/SERVICE`")
 
 TOPICS = {
     topic.name: topic

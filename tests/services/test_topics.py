@@ -21,6 +21,7 @@ from nuno.supervision import runs
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Topic
+from nuno_schemas.messages import TOPICS as TOPICS_KNOWN
 
 TOPICS = {
     "sim/fabric", "sim/state", "sim/status", "collision/geometry", "collision/bodies", "collision/report",
@@ -135,3 +136,13 @@ def test_what_cannot_be_watched_is_said(tmp_path: Path) -> None:
         with pytest.raises(BadInput) as caught:
             nuno.watch(*words)
         assert said in str(caught.value)
+
+
+def test_the_reference_is_that_of_the_schemas(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each field has a meaning, and each topic says when it comes."""
+    assert main(["schema", "--messages"]) == 0
+    said = capsys.readouterr().out
+    assert (ROOT / "docs" / "messages.md").read_text() == said, "nuno schema --messages > docs/messages.md"
+    rows = [line.split(" | ") for line in said.splitlines() if line.startswith("| `")]
+    assert len(rows) > 50 and all(cell.strip("| ") for row in rows for cell in row)
+    assert {topic.name for topic in TOPICS_KNOWN.values()} <= {row[0].strip("| `") for row in rows}

@@ -15,6 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("group", nargs="?", help="only this kind, e.g. nuno.integrators")
     elif parser.get_default("command") == "scenes":
         parser.add_argument("--paths", action="store_true", help="print where they are")
+    else:
+        text = "the reference of what a run publishes instead, as Markdown"
+        parser.add_argument("--messages", action="store_true", help=text)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -22,6 +25,10 @@ def main(args: argparse.Namespace) -> int:
         _list_plugins(args.group)
     elif args.command == "scenes":
         _list_scenes(args.paths)
+    elif args.messages:
+        from nuno.wire.reference import describe_messages
+
+        print(describe_messages(), end="")
     else:
         from nuno.scene.json_schema import scene_schema
 
