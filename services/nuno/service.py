@@ -56,6 +56,8 @@ class Options:
     """Services that acknowledge every frame before the simulation runs far ahead."""
     temporary: bool = False
     """Whether the recording is not to be kept."""
+    real_time: bool = False
+    """Whether frames wait for the clock."""
     folder: Path = field(default_factory=lambda: Path(working_folder()))
     """Where paths begin: all threads share the working folder, and a plugin may leave it at any moment."""
 

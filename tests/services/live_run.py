@@ -111,10 +111,12 @@ class Live:
 class Run(Live):
     """A run of a scene's file."""
 
-    def __init__(self, scene: Path, record: Path, processes: bool = False, paused: bool = False) -> None:
+    def __init__(
+        self, scene: Path, record: Path, processes: bool = False, paused: bool = False, real_time: bool = False
+    ) -> None:
         self.record = record
         deployment = Deployment(processes=processes, paused=paused)
-        super().__init__(scene_file.read(scene), Options(record=record), deployment)
+        super().__init__(scene_file.read(scene), Options(record=record, real_time=real_time), deployment)
 
 
 def start_long(folder: Path, processes: bool = False, **fields: Any) -> Run:

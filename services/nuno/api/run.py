@@ -45,6 +45,7 @@ def run(
     processes: bool = False,
     threads: int = 0,
     progress: bool | None = None,
+    real_time: bool = False,
     **fields: Any,
 ) -> Result:
     """Simulate a scene: a file, the name of a shipped scene, a mapping of its fields, or a `Scene`.
@@ -52,14 +53,15 @@ def run(
     `overrides` change it: "key=value" as after --set, or mappings of such keys to values; `fields` are the scene's own
     but `record`, by keyword: nuno.run("hanging-sheet", {"solver.plugin": "rk4"}, duration="2 s"). `record` is the
     recording's file (default: a temporary one, which goes with the result). `progress`: whether a bar shows how far it
-    is; None where there is a terminal or a notebook to show it in.
+    is; None where there is a terminal or a notebook to show it in. `real_time`: whether frames wait for the clock.
 
     Warns (UserWarning) of what makes the scene or its start doubtful.
     Raises BadInput for a bad scene, RunFailed for a run that failed or diverged, and KeyboardInterrupt for one that a
     signal ended; the recording of both is kept.
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
-        return _run(decide(found), Options(record=_path(record), threads=threads), processes, progress)
+        return _run(decide(found), Options(record=_path(record), threads=threads, real_time=real_time),
+                    processes, progress)  # fmt: skip
 
 
 def resume(

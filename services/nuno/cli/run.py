@@ -38,6 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
     add_flags(parser, {"--mp4": ("FILE", "draw an animation at the end: .mp4 (needs nuno[video]) or .gif", Path)})
+    paced = "no frame is sooner than the clock says; one that is late is told of"
+    parser.add_argument("--real-time", action="store_true", help=paced)
     parser.add_argument("--report", action="store_true", help="print all of the report, and why something is left out")
     paused = "wait before the first frame until: nuno control RUN resume"
     parser.add_argument("--paused", action="store_true", help=paused)
@@ -109,7 +111,8 @@ def _options(args: argparse.Namespace, run: str) -> Options:
         record = runs.record_path(target.parent if target else runs.RECORDINGS, run)
         record = target or record
     view = choose_view(args)
-    return Options(record=record, save=args.save, view=view, resume=args.resume, threads=args.threads)
+    return Options(record=record, save=args.save, view=view, resume=args.resume, threads=args.threads,
+                   real_time=args.real_time)  # fmt: skip
 
 
 def _name_files(options: Options, outcome: supervisor.Outcome) -> None:

@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     })  # fmt: skip
     parser.set_defaults(threads=0, listen=LISTEN)
     parser.add_argument("--view", choices=["window", "web"])
+    parser.add_argument("--real-time", action="store_true", help="simulation: no frame is sooner than the clock says")
     parser.add_argument("--lifeline", action="store_true", help="end when standard input does: so has the supervisor")
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
@@ -70,6 +71,7 @@ def main(args: argparse.Namespace) -> int:
     if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
+    options.real_time = args.real_time
     own = sessions.identity(args.run, args.service)
     with sessions.spoke(args.connect, args.config, PATIENCE, own) as session:
         if args.service in KEEPERS:

@@ -50,6 +50,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
     took = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
     paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
     rows.append(("time", f"{took} (prepared in {prepared:.2g} s{paused})"))
+    if clock := report.get("clock"):
+        late = f"{clock['late']:,} of {clock['frames']:,} were late, by at most {clock['most']:.2g} s"
+        rows.append(("clock", f"frames waited for it; {late if clock['late'] else 'none was late'}"))
     parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}
     inside = {name: seconds for name, seconds in report.get("step_seconds", {}).items() if seconds >= 0.0005}
     if inside:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
 from nuno.service import Context, ack_topic, asks_to_finish
+from nuno.stepping.clock import Clock
 from nuno.stepping.stepped import Stepped, Stepper
 from nuno.wire.arrays import encode_arrays
 from nuno.wire.bus import WAITING_AFTER, Inbox, Message
@@ -48,15 +49,13 @@ class Driver(ABC):
         self.follows = follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
-        self.state = "paused"
-        self.until: int | None = None
-        """Frame at which a run that was told to step pauses again."""
+        self.state, self.until = "paused", cast(int | None, None)
+        """And the frame at which a run that was told to step pauses again."""
         self.finish: Question | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
-        self.message = ""
-        self.begin = stepper.t
-        self.paused_seconds = 0.0
+        self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
+        self.clock = Clock(self) if context.options.real_time and not follows else None
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
@@ -79,8 +78,10 @@ class Driver(ABC):
 
     def step_frame(self) -> Stepped:
         """Step one frame and publish it."""
-        frame = self.stepper.step()
+        begin, frame = time.perf_counter(), self.stepper.step()
         self.seconds["steps"] += frame.seconds
+        if self.clock is not None:
+            self.clock.hold(begin)
         self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
         return frame
 
@@ -196,8 +197,7 @@ class Driver(ABC):
         with self.context.bus.alive():
             while self.state == "paused" and self.finish is None and not self.due:
                 self.listen(0.5)
-            begin = time.perf_counter()
-            ended = "failed"
+            begin, ended = time.perf_counter(), "failed"
             if self.finish is None:
                 self.publish_constant()
                 self.publish(self.stepper.present(), show=True)
@@ -295,5 +295,6 @@ class Driver(ABC):
         end = {"state": ended, "message": self.message, "frame": stepper.frame, "t": stepper.t}
         times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
         steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
-        both = {"digest": stepper.digest(), "paused_seconds": paused, "seconds": self.seconds}
+        clock = None if self.clock is None else self.clock.told()
+        both = {"digest": stepper.digest(), "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
         return end | times | steps | both | self.facts(ended)

@@ -104,4 +104,5 @@ def serve_command(
     for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]
+    command += ["--real-time"] if options.real_time else []
     return [*command, "--threads", str(options.threads), "--quiet", "--lifeline"]
