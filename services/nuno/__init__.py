@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nuno.api.plan import Plan, plan
-    from nuno.api.recordings import export, verify
+    from nuno.api.recordings import export, states, verify
+    from nuno.api.recordings import open_file as open
     from nuno.api.result import Result
     from nuno.api.run import resume, run
     from nuno.api.scene import Scene
     from nuno.api.watch import Heard, watch
-    from nuno.moments import Moment, states
+    from nuno.moments import Moment
     from nuno.recording.reader import Recording
-    from nuno.recording.reader import open_recording as open
 
     sweep: Any
     """nuno_bench.sweep.grid.sweep"""
@@ -31,13 +31,13 @@ __all__ = [
 ]  # fmt: skip
 PLACES = {
     "nuno.api.plan": ("Plan", "plan"),
-    "nuno.api.recordings": ("export", "verify"),
+    "nuno.api.recordings": ("export", "open", "states", "verify"),
     "nuno.api.result": ("Result",),
     "nuno.api.run": ("resume", "run"),
     "nuno.api.scene": ("Scene",),
     "nuno.api.watch": ("Heard", "watch"),
-    "nuno.moments": ("Moment", "states"),
-    "nuno.recording.reader": ("Recording", "open"),
+    "nuno.moments": ("Moment",),
+    "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),
 }
 """The module of each name."""
@@ -51,5 +51,5 @@ def __getattr__(name: str) -> Any:
     # Loaded when first used: a service's process needs none of them.
     for place, names in PLACES.items():
         if name in names:
-            return getattr(import_module(place), "open_recording" if name == "open" else name)
+            return getattr(import_module(place), "open_file" if name == "open" else name)
     raise AttributeError(name)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from nuno.exports.animations import RATE
 from nuno.exports.camera import AZIMUTHS, Side
 from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import Colour
 from nuno.recording.reader import Recording
+from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView, Form
 
+Length = str | float
 MESHES = (".obj", ".ply", ".glb")
 FILES = {
     "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
@@ -57,21 +61,30 @@ class Asked(BaseModel):
     yarns: Path | None = None
     form: Form | None = None
     samples: int | None = None
-    radius: str | None = None
+    radius: str | float | None = None
     curl: float | None = None
     colour: Painted = "auto"
     frame: int | None = None
     start: float | None = None
     end: float | None = None
-    fps: float = 25.0
+    fps: float = RATE
     size: str | None = None
     style: str | None = None
     view: DyeView | None = None
     side: Side | None = None
     turn: float | None = Field(default=None, gt=0.0, le=3600.0, allow_inf_nan=False)
     scale: int | None = None
-    crop: list[str] | None = None
+    crop: tuple[Length, Length, Length, Length] | None = None
     overrides: tuple[str, ...] = ()
+
+
+def ask(**fields: Any) -> Asked:
+    """What is asked for. Raises BadInput for a name or a value that is none, by its flag."""
+    try:
+        return Asked(**fields)
+    except ValidationError as error:
+        found = explain(error, fields, (), "export", {}, Asked)
+        raise replace(found, file=None, field=f"--{found.field}") from None
 
 
 def write(recording: Recording, asked: Asked) -> list[Path]:
@@ -135,7 +148,7 @@ def _export_yarns(recording: Recording, asked: Asked, path: Path) -> Path:
 
     form: Form = asked.form or "smooth"
     given: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
-    if "," in given.get("radius", ""):
+    if "," in str(given.get("radius", "")):
         given["radius"] = given["radius"].split(",")
     made = export_yarns(recording, path, asked.frame, form, given)
     print(tell_yarns(form, made.facts), file=sys.stderr)
@@ -170,7 +183,7 @@ def _check(recording: Recording, asked: Asked) -> None:
         if getattr(asked, name) is not None:
             raise BadInput("for yarns as curves", field=f"--{name}", remedy="add --yarns out.npz")
     if not any(getattr(asked, name) for name in FILES):
-        remedy = "for example: nuno export RECORDING --npz out.npz --png out.png"
+        remedy = "for example --npz out.npz --png out.png"
         raise BadInput("nothing to export was asked for", remedy=remedy)
     pictured = bool(asked.png or asked.gif or asked.mp4)
     if asked.side and (not pictured or asked.style):
@@ -185,6 +198,10 @@ def _check(recording: Recording, asked: Asked) -> None:
         raise BadInput(
             "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
         )
+    others = [name for name in FILES if name not in ("gif", "mp4") and getattr(asked, name) is not None]
+    if asked.frame is not None and asked.turn is None and not others:
+        raise BadInput("an animation has all frames", field="--frame", value=asked.frame,
+                       remedy="--start and --end give a part of it, --turn goes round one")  # fmt: skip
     only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
     if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
         problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"
@@ -220,7 +237,7 @@ def _changes(asked: Asked) -> Changes:
     return Changes(asked.view, asked.scale, _crop(asked.crop), (*side, *overrides))
 
 
-def _crop(sides: list[str] | None) -> Crop | None:
+def _crop(sides: tuple[Length, Length, Length, Length] | None) -> Crop | None:
     if sides is None:
         return None
     left, top, right, bottom = sides
@@ -229,7 +246,7 @@ def _crop(sides: list[str] | None) -> Crop | None:
     except ValidationError as error:
         problem = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
         remedy = "left, top, right and bottom, for example --crop 2mm 2mm 4mm 3mm"
-        raise BadInput(problem, field="--crop", value=" ".join(sides), remedy=remedy) from None
+        raise BadInput(problem, field="--crop", value=" ".join(map(str, sides)), remedy=remedy) from None
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -71,9 +71,10 @@ def test_edges_are_rounded_by_their_radius(rounding: float) -> None:
 WRONG = {
     "no size": ({"shape": "box"}, "needs its size"),
     "too round": ({"shape": "box", "size": [0.4, 0.7, 0.3], "rounding": "16 cm"}, "at most 0.1498"),
-    "a leg's size": ({"shape": "leg", "size": [0.4, 0.7, 0.3]}, "only solids have size"),
-    "a box's top": ({"shape": "box", "size": [0.4, 0.7, 0.3], "top": 0.5}, "only solids have top"),
+    "a leg's size": ({"shape": "leg", "size": [0.4, 0.7, 0.3]}, "size are for shape: box"),
+    "a box's top": ({"shape": "box", "size": [0.4, 0.7, 0.3], "top": 0.5}, "a box is as wide above as below"),
     "a solid's arms": ({"shape": "cone", "size": [0.4, 0.7, 0.3], "arms": "50 deg"}, "only mannequins"),
+    "a file's size": ({"shape": "box", "file": "a.obj", "size": [0.4, 0.7, 0.3]}, "a file has its scale"),
     "a flat one": ({"shape": "cylinder", "size": [0.4, 0.0, 0.3]}, "greater than 0"),
 }
 

@@ -85,11 +85,11 @@ class Surface(Config):
 
     def _check_solid(self) -> None:
         """Raises ValueError for a solid that is none, and for what only solids have."""
-        foreign = (
-            {"size", "rounding", "top"} if self.shape not in SOLIDS else {"top"} if self.shape != "cone" else set()
-        )
-        if given := foreign & self.model_fields_set:
-            raise ValueError(f"only solids have {' and '.join(sorted(given))} to choose (top: a cone)")
+        given = {"size", "rounding", "top"} & self.model_fields_set
+        if given and (self.shape not in SOLIDS or self.file is not None):
+            raise ValueError(f"{' and '.join(sorted(given))} are for shape: {', '.join(SOLIDS)}; a file has its scale")
+        if "top" in given and self.shape != "cone":
+            raise ValueError(f"a {self.shape} is as wide above as below; a cone has a top")
         if self.shape not in SOLIDS or self.file is not None:
             return
         if self.size is None:

@@ -54,7 +54,8 @@ def cone_mesh(size: tuple[float, float, float], top: float, rounding: float, res
     size [m] is the base's width, the height, and the base's depth; round it go `resolution` vertices.
     """
     radius, height = 0.5 * size[0], size[1]
-    outline = _outline(radius, top * radius, height, rounding, 2.0 * math.pi * radius / resolution)
+    step = max(2.0 * math.pi * radius, 4.0 * radius + 2.0 * height) / resolution
+    outline = _outline(radius, top * radius, height, rounding, step)
     turn = 2.0 * math.pi * np.arange(resolution) / resolution
     ring = np.stack([np.sin(turn), np.zeros(resolution), np.cos(turn)], axis=1)
     inside = outline[1:-1]

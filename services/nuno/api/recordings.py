@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
-
-from pydantic import ValidationError
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
 from nuno.recording.reader import Recording, open_recording
-from nuno.scene.explain import explain
 from nuno.supervision import runs
+from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
+    from nuno.moments import Moment
     from nuno.verification import Verification
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
@@ -28,6 +27,9 @@ def path_of(recording: Recorded) -> Path:
     """Raises BadInput where there is no last one."""
     if isinstance(recording, str | os.PathLike):
         return runs.find_recording(Path(recording))
+    if not isinstance(getattr(recording, "path", None), Path):
+        limit = 'a file, "last", an open recording, or the result of a run'
+        raise BadInput("this is no recording", field="recording", value=recording, limit=limit)
     return recording.path
 
 
@@ -39,6 +41,20 @@ def opened(recording: Recorded) -> Iterator[Recording]:
         return
     with open_recording(path_of(recording)) as found:
         yield found
+
+
+def open_file(recording: str | os.PathLike[str]) -> Recording:
+    """A recording's file, or "last", opened: finished or not. Close it, or use it in a `with`. Raises BadInput."""
+    with in_python():
+        return open_recording(path_of(recording))
+
+
+def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]:
+    """Frames of a recording (default: all) as they were, in float64: see nuno.moments.states. Raises BadInput."""
+    from nuno import moments
+
+    with in_python(), opened(recording) as found:
+        yield from moments.states(found, frames, forces)
 
 
 def verify(recording: Recorded, threads: int = 0) -> Verification:
@@ -59,13 +75,9 @@ def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any
     pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are those of --set. Raises
     BadInput.
     """
-    from nuno.exporting import Asked, write
+    from nuno.exporting import ask, write
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"
     with in_python(), opened(recording) as found:
-        try:
-            asked = Asked(**what, overrides=tuple(as_texts(overrides)))
-        except ValidationError as error:
-            raise explain(error, what, (), "export", {}, Asked) from None
-        return write(found, asked)
+        return write(found, ask(**{**what, "overrides": tuple(as_texts([*what.get("overrides", ()), *overrides]))}))

@@ -7,7 +7,7 @@ import io
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -68,16 +68,13 @@ class Result:
 
         Raises BadInput without pandas.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError:
-            raise missing("a table", "pandas") from None
         with self.recording as recording:
-            return DataFrame(recording.series())
+            return table_of(recording.series())
 
-    def plot(self, *names: str) -> Axes:
+    def plot(self, *names: str | Sequence[str]) -> Axes:
         """Series over time, on axes of matplotlib: columns of `to_dataframe`, or what several begin with, as "energy".
 
+        Unless named, it is the energy, or of a cloth that is dyed alone what is mobile and what is fixed.
         Raises BadInput for what is no series, and without matplotlib.
         """
         try:
@@ -85,14 +82,15 @@ class Result:
         except ImportError:
             raise missing("a plot", "matplotlib") from None
         with self.recording as recording:
-            series = recording.series()
+            series, own = recording.series(), ("mobile", "fixed") if recording.dyed_alone else ("energy",)
         known = [name for name in series if name not in ("t", "frame")]
         groups = sorted({*known, *(name.split("_")[0] for name in known)})
         wanted = list[str]()
-        for name in names or ("energy",):
+        asked = [one for name in names for one in ([name] if isinstance(name, str) else name)]
+        for name in asked or own:
             found = [one for one in known if one == name or one.startswith(f"{name}_")]
             if not found:
-                raise BadInput("no such series", field="names", value=name, remedy=nearest(name, groups))
+                raise BadInput("no such series", field="names", value=name, remedy=nearest(str(name), groups))
             wanted += found
         axes: Axes = pyplot.subplots(layout="constrained")[1]
         for name in wanted:
@@ -122,7 +120,7 @@ class Result:
         try:
             import rerun_notebook  # noqa: F401
         except ImportError:
-            raise missing("the viewer in a notebook", "'rerun-sdk[notebook]'") from None
+            raise missing("the viewer in a notebook", "'nuno[notebook]'") from None
         import rerun as rr
 
         with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
@@ -141,6 +139,15 @@ class Result:
             f'<img alt="the last frame" style="max-width: 640px" src="data:image/png;base64,{image}">'
             f"<details><summary>{self.state} at {self.t:g} s</summary><table>{rows}</table></details>"
         )
+
+
+def table_of(data: Any) -> DataFrame:
+    """Columns by name, or a list of rows. Raises BadInput without pandas."""
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        raise missing("a table", "pandas") from None
+    return DataFrame(data)
 
 
 def missing(what: str, package: str) -> BadInput:

@@ -84,9 +84,9 @@ def resume(
         return _run(decide(found), options, processes, progress)
 
 
-def run_loaded(scene: Loaded, threads: int = 0) -> Result:
-    """Simulate a scene that has been read, into a temporary recording. Raises as `run`."""
-    return _run(decide(scene), Options(threads=threads), False, False)
+def run_loaded(scene: Loaded, record: Path, threads: int = 0) -> Result:
+    """Simulate a scene that has been read. Raises as `run`."""
+    return _run(decide(scene), Options(record=record, threads=threads, temporary=True), False, False)
 
 
 def _path(record: str | os.PathLike[str] | None) -> Path | None:

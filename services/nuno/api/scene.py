@@ -11,13 +11,14 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from nuno.api.words import in_python
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override, item_at, number_or_name, parts_of
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.scene import Scene as Fields
 
 GIVEN = "the scene given"
@@ -28,13 +29,14 @@ Folder = str | os.PathLike[str]
 class Given(NamedTuple):
     """What a scene is read from: its own file, name or mapping, overrides as texts, folders of its files."""
 
-    source: Folder | Mapping[str, Any]
+    source: Path | Mapping[str, Any]
     texts: tuple[str, ...]
     roots: tuple[Path, ...]
 
 
 class Scene:
-    """A scene that has been read and checked, and never changes: `copy` gives another.
+    """A scene that has been read and checked: `copy` gives another, and this one stays as it is. That of a file is read
+    again where it is run, from where it lay.
 
     Its fields are attributes, in SI units and with their defaults: scene.duration, scene.solver.plugin. What was
     written is under its key: scene["solver.dt"], scene["objects.0.model"]; and `str` gives the whole as YAML.
@@ -51,9 +53,18 @@ class Scene:
         and `roots` as in `nuno.run`. Raises BadInput.
         """
         with in_python():
-            self._given = _add(scene, as_texts([*overrides, fields]), roots)
+            given = _add(scene, as_texts([*overrides, fields]), roots)
+            if isinstance(given.source, Path):  # for whoever leaves this folder
+                folders = tuple(root.absolute() for root in given.roots)
+                given = given._replace(source=given.source.absolute(), roots=folders)
+            self._given = given
             with loaded(self) as found:
                 self._data, self._fields = found.data, found.scene
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not name.startswith("_"):
+            raise AttributeError(f"a scene stays as it is: make another, scene.copy({name}=...)")
+        super().__setattr__(name, value)
 
     def copy(self, *overrides: str | Mapping[str, Any], **fields: Any) -> Scene:
         """Another scene, changed as by the overrides of `nuno.run`. Raises BadInput."""
@@ -76,8 +87,17 @@ class Scene:
         """What is written at a.b.0.c. Raises KeyError where nothing is."""
         found = item_at(self._data, tuple(number_or_name(part) for part in parts_of(key)))
         if found is None:
-            raise KeyError(key)
+            known = self._ipython_key_completions_()
+            raise KeyError(f"{key} is not written in the scene; {nearest(key, known)}")
         return deepcopy(found)
+
+    def __contains__(self, key: object) -> bool:
+        """Whether something is written there."""
+        return isinstance(key, str) and item_at(self._data, tuple(map(number_or_name, parts_of(key)))) is not None
+
+    def __iter__(self) -> Iterator[str]:
+        """The fields that are written."""
+        return iter(self._data)
 
     def _ipython_key_completions_(self) -> list[str]:
         return [".".join(map(str, place)) for place in yaml_lines.places(self._data) if place]
@@ -106,16 +126,21 @@ def as_texts(overrides: Sequence[object]) -> list[str]:
             raise BadInput(problem, "overrides", value=item, limit=limit, remedy=remedy)
         for key, value in item.items():
             try:
-                texts.append(as_override(key, value))
+                texts.append(as_override(key, value.tolist() if isinstance(value, np.generic | np.ndarray) else value))
             except yaml.YAMLError:
                 problem, remedy = "holds what a scene cannot say", "use numbers, text, lists and mappings"
                 raise BadInput(problem, "overrides", field=str(key), value=value, remedy=remedy) from None
     return texts
 
 
-def _add(scene: Folder | Mapping[str, Any] | Scene, texts: Sequence[str], roots: Sequence[Folder]) -> Given:
+def _add(scene: object, texts: Sequence[str], roots: Sequence[Folder]) -> Given:
+    if isinstance(scene, Mapping):
+        return Given(deepcopy(scene), tuple(texts), (Path.cwd(), *(Path(root).absolute() for root in roots)))
+    if isinstance(scene, str | os.PathLike):
+        return Given(shipped.find(os.fspath(scene)), tuple(texts), tuple(map(Path, roots)))
     if not isinstance(scene, Scene):
-        return Given(deepcopy(scene), tuple(texts), tuple(map(Path, roots)))
+        limit = "a file, the name of a shipped scene, a mapping of its fields, or a Scene"
+        raise BadInput("this is no scene", field="scene", value=scene, limit=limit)
     before = scene._given
     return Given(before.source, (*before.texts, *texts), (*before.roots, *map(Path, roots)))
 
@@ -127,7 +152,7 @@ def loaded(
     """The scene, which services in processes of their own can read meanwhile. Raises BadInput."""
     given = _add(scene, overrides, roots)
     if not isinstance(given.source, Mapping):
-        yield scene_file.read(shipped.find(os.fspath(given.source)), given.texts, given.roots)
+        yield scene_file.read(given.source, given.texts, given.roots)
         return
     try:
         text = json.dumps(dict(given.source))
@@ -137,4 +162,4 @@ def loaded(
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         path = Path(folder) / "scene.yaml"
         path.write_text(text)
-        yield scene_file.read(path, given.texts, (Path.cwd(), *given.roots), GIVEN)
+        yield scene_file.read(path, given.texts, given.roots, GIVEN)

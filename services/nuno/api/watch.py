@@ -56,24 +56,29 @@ class Heard:
 class Watching:
     """What is heard of a run, from when this is made until it ends: an iterator of `Heard`, which can be closed."""
 
-    def __init__(self, run: str, endpoint: str, topics: tuple[str, ...], config: str | None) -> None:
-        self._topics, self._stack = topics, contextlib.ExitStack()
+    def __init__(self, run: str, endpoint: str, topics: tuple[str, ...], config: str | None, announced: bool) -> None:
+        """announced: whether the run is one of this machine's, whose services may still be on their way."""
+        self._topics, self._stack, self._over = topics, contextlib.ExitStack(), False
         with in_python():
             bus = Bus(self._stack.enter_context(spoke(endpoint, config)), run, "watch")
         self._stack.callback(bus.close)
         self._inbox, self._life = Inbox(bus, [ALL], newest_only=True), Watch(bus)
-        bus.present()  # once this is answered, the hub knows of who listens
+        # Once this is answered, the hub knows of who listens.
+        if not bus.present() and not announced:
+            self.close()
+            remedy = "check the run's id, as it was told where it was started"
+            raise BadInput("no such run is going on there", field="run", value=run, limit=endpoint, remedy=remedy)
+        self._own = run if announced else ""
 
     def __iter__(self) -> Watching:
         return self
 
     def __next__(self) -> Heard:
-        while True:
+        while not self._over:
             item = self._inbox.get(LISTENING)
             if not isinstance(item, Message):
-                if self._life.gone(SUPERVISOR):
+                if self._life.gone(SUPERVISOR) or not (self._life.alive() or self._own in runs.running()):
                     self.close()
-                    raise StopIteration
             elif not self._topics or any(_below(item.topic, one) for one in self._topics):
                 try:
                     value = _decoder(item.topic)(item.payload)
@@ -81,9 +86,11 @@ class Watching:
                     self._inbox.refuse(item)
                     continue
                 return Heard(item.topic, item.header.frame, item.header.t, value, item.skipped)
+        raise StopIteration
 
     def close(self) -> None:
         """Listen no more."""
+        self._over = True
         self._stack.close()
 
     def __enter__(self) -> Watching:
@@ -107,10 +114,13 @@ def watch(run: str = "last", *topics: str, connect: str | None = None, config: s
     with in_python():
         known = [name for name in TOPICS if name != REPORT.name]
         for topic in topics:
-            if not any(_below(topic, name) for name in known):
-                raise BadInput("no such topic", field="topics", value=topic, remedy=nearest(topic, known))
+            if not isinstance(topic, str) or not any(_below(topic, name) for name in known):
+                raise BadInput("no such topic", field="topics", value=topic, remedy=nearest(str(topic), known))
+        if connect and run == runs.LAST:
+            problem, remedy = "which run of another host is meant is not said", "give its id, as it was told there"
+            raise BadInput(problem, field="run", value=run, remedy=remedy)
         name, endpoint = (run, connect) if connect else runs.find(run)
-    return Watching(name, endpoint, topics, config)
+    return Watching(name, endpoint, topics, config, announced=not connect)
 
 
 def _below(topic: str, name: str) -> bool:

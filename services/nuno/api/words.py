@@ -10,17 +10,13 @@ from typing import Any
 
 from nuno_schemas.errors import BadInput
 
-WORDS = (
-    (r"--set (\S+)", r'"\1"'),
-    (r"--root DIR", "roots=[DIR]"),
-    (r"--record FILE", "record=FILE"),
-    (r"--set\b", "overrides"),
-    (r"--over\b", "over"),
-    (r"--root\b", "roots"),
-    (r"--([a-z]+) ([A-Za-z0-9_.]+\.[a-z0-9]+)", r'\1="\2"'),
-    (r"--([a-z]+)\b", r"\1"),
-)
-"""Flags of the command line, and what they are as arguments."""
+RENAMED = {"set": "overrides", "root": "roots"}
+FILES = "csv forces gif glb mp4 npz obj pattern ply png rrd usd yarns"
+SETTINGS = "colour crop curl end form fps frame radius samples scale side size start style turn view"
+FLAGS = f"{FILES} {SETTINGS} dask jobs out over record resume root set threads".split()
+"""Of the command line, that are arguments of a call by the same name, but for those that are RENAMED."""
+FLAG = re.compile(rf"(?<![^\s('\"])--({'|'.join(FLAGS)})\b(?: (DIR|FILE\b|\S+=\S+|[A-Za-z0-9_]+\.[a-z0-9]+))?")
+"""With what it is given, where that is an example."""
 
 
 @contextlib.contextmanager
@@ -33,10 +29,20 @@ def in_python() -> Iterator[None]:
 
 
 def _translated(error: BadInput) -> BadInput:
-    changed: dict[str, Any] = {}
-    for name in ("problem", "file", "field", "limit", "remedy"):
-        text = getattr(error, name)
-        for flag, argument in WORDS:
-            text = re.sub(flag, argument, text) if text is not None else None
-        changed[name] = text
+    texts = {name: getattr(error, name) for name in ("problem", "field", "limit", "remedy")}
+    if error.file is not None and error.file.startswith("--"):  # what was given with a flag
+        texts["file"] = error.file
+    changed: dict[str, Any] = {name: FLAG.sub(_argument, text) for name, text in texts.items() if text is not None}
+    if error.field is not None:
+        changed["field"] = changed["field"].removeprefix("--")
     return replace(error, **changed)
+
+
+def _argument(found: re.Match[str]) -> str:
+    name, given = RENAMED.get(found[1], found[1]), found[2]
+    if given is None:
+        return name
+    if found[1] == "set":
+        return f'"{given}"'
+    value = given if given == "FILE" else f"[{given}]" if given == "DIR" else f'"{given}"'
+    return f"{name}={value}"

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import get_args
 
 from nuno.cli.common import add_flags, add_set, warn
-from nuno.exporting import FILES, Asked, Painted, write
+from nuno.exporting import FILES, Asked, Painted, ask, write
+from nuno.exports.animations import RATE
 from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
@@ -51,7 +52,7 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "
                     "pressure on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera"),
     })  # fmt: skip
-    which.set_defaults(fps=25.0)
+    which.set_defaults(fps=RATE)
 
 
 def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
@@ -70,6 +71,6 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        for path in write(recording, Asked(**{name: getattr(args, name) for name in Asked.model_fields})):
+        for path in write(recording, ask(**{name: getattr(args, name) for name in Asked.model_fields})):
             print(path)
     return 0

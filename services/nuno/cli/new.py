@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def main(args: argparse.Namespace) -> int:
         file.write_text(comment(loaded), encoding="utf-8")
     except OSError as error:
         raise BadInput(f"cannot write there: {error.strerror}", value=str(file)) from None
-    print(f"written {file}  (change it, and: nuno run {file})")
+    print(f"written {file}  (change it, and: nuno run {shlex.quote(str(file))})")
     return 0
 
 

@@ -96,7 +96,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     picture = not args.no_view and options.view is None and options.record is not None
     with log.written(run, args.log or beside):
         code = execute(loaded, options, deployment, picture, args.report)
-    if args.mp4 is not None and options.record is not None and options.record.is_file():
+    if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
         from nuno.exports.animations import export_animation
 
         print("drawing the animation", flush=True)

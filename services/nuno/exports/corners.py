@@ -28,7 +28,8 @@ def _panels(arrays: Arrays, names: tuple[str, ...], faces: int, points: int) -> 
     """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the corners."""
     if "panel_of" not in arrays:
         return None
-    of, edge, seam = arrays["panel_of"], arrays["panel_edge"], arrays["panel_seam"]
+    of, seam = arrays["panel_of"], arrays["panel_seam"]
+    edge = arrays.get("panel_edge", np.full((faces, 3), -1, np.int32))  # earlier recordings have none
     unit = np.asarray(arrays["panel_unit"], np.float64)
     pairs = read_indices("panel_pairs", arrays["panel_pairs"], 2, points)
     if of.shape != (faces,) or not (-1 <= of.min(initial=-1) <= of.max(initial=-1) < len(names)):

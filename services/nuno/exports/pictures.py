@@ -92,13 +92,14 @@ class Painter:
         self.camera = place_camera(self.view, meshes, size, ROOM if self.legend else 0.0)
 
     def stand_back(self, frame: Frame) -> None:
-        """Fit the camera so that the frame is in the picture from all around."""
+        """Fit the camera so that the frame is in the picture from all around, whatever the view's target."""
         meshes = self.meshes(frame)
         points = np.concatenate([mesh.vertices for mesh in meshes])
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) * [1.0, 1.0, 0.0]
         around = [replace(mesh, vertices=turn(mesh.vertices - middle, angle) + middle)
                   for mesh in meshes for angle in 2.0 * np.pi * np.arange(LOOKS) / LOOKS]  # fmt: skip
-        self.camera = place_camera(self.view, around, self.camera.size, ROOM if self.legend else 0.0)
+        view = self.view.model_copy(update={"target": None, "distance": None})
+        self.camera = place_camera(view, around, self.camera.size, ROOM if self.legend else 0.0)
 
     def draw(self, frame: Frame, angle: float = 0.0) -> Picture:
         """(h, w, 3) uint8 sRGB; the eye gone round by an angle [rad]."""

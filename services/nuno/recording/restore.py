@@ -14,9 +14,10 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
+from nuno_schemas.scene import Scene
 
 SETTLED = "settled_from", "settled"
 """Arrays of `sim/fabric` that are `Loaded.settled`."""
@@ -68,7 +69,10 @@ def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
 def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded, str]]:
     """The scene of a recording, to go on with it, and from where, in words. Raises BadInput for what cannot change."""
     for item in overrides:
-        if item.partition("=")[0].split(".")[0] not in RESUMABLE:
+        field = item.partition("=")[0].split(".")[0]
+        if field not in Scene.model_fields:
+            raise BadInput("no such field", "--set", field=field, remedy=nearest(field, RESUMABLE))
+        if field not in RESUMABLE:
             raise BadInput(
                 "this field cannot change when a run goes on from a checkpoint",
                 "--set",

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--over", action="append", default=[], metavar="KEY=A,B,...",
-        help="a field and its values: objects.0.model.fabric=denim,jersey; again for another, with all combinations",
+        help="a field and its values: objects.0.model.fabric=denim,jacket; again for another, with all combinations",
     )  # fmt: skip
     parser.add_argument("--side", choices=["scene", *AZIMUTHS, "none"], default="scene",
                         help="from where each end is drawn (default: by the scene's own camera)")  # fmt: skip
@@ -32,14 +32,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run all combinations, print the table; 1 where one was not done."""
-    over = dict(map(values_of, args.over))
+    over = dict[str, list[Any]]()
+    for key, values in map(values_of, args.over):
+        if key in over:
+            raise BadInput("a field is swept over once", field="--over", value=key, remedy="give all its values in one")
+        over[key] = values
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
         require([folder / grid.KEPT])
     with places.opened(args) as where:
         place = grid.Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
-        made = grid.run_all(loaded, over, place, args.side.replace("none", ""))
+        try:
+            made = grid.run_all(loaded, over, place, args.side.replace("none", ""))
+        except KeyboardInterrupt:
+            print("to go on with it, give the same command with --resume", file=sys.stderr)
+            raise
+    made.keep()
     print(made.table().text())
     return int(any(row[grid.STATE] not in ("done", "stopped") for row in made.rows))
 

@@ -6,6 +6,7 @@ this machine. Results are the same bits wherever they come from; only times diff
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import platform
@@ -91,6 +92,8 @@ class Processes(Executor):
 
     def close(self) -> None:
         _kill(self._pool)
+        del self._pool
+        gc.collect()  # its semaphores go with it, also where the program ends without looking back
 
 
 def as_completed(

@@ -8,21 +8,24 @@ import io
 import itertools
 import math
 import os
+import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from nuno.api.result import Result, missing
+import numpy as np
+
+from nuno.api.result import Result, table_of
 from nuno.api.run import run_loaded
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.exports.camera import AZIMUTHS
 from nuno.exports.tables import heading
 from nuno.scene.explain import GIVEN
-from nuno.scene.override import as_override
+from nuno.scene.scene_file import Loaded
 from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.result import number
@@ -47,10 +50,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep: overrides of a packed scene, which side of its end is drawn ("" for none), and how many
-    threads it may take (0: all).
+    """One run of a sweep, and its number.
+
+    It is of a packed scene with these overrides, drawn at its end from a side ("" for none), on so many threads (0:
+    all).
     """
 
+    number: int
     packed: Packed
     overrides: tuple[str, ...]
     side: str
@@ -69,14 +75,19 @@ class Sweep:
     scene: str
     over: Mapping[str, Sequence[Any]]
     rows: Sequence[Row]
+    folder: Path | None = None
+    where: str = ""
+    others: machine.Others = field(default_factory=machine.Others, repr=False)
+    """What else the machine did meanwhile."""
+
+    def keep(self) -> None:
+        """Write page, JSON and CSV into its folder, if it has one; once its processes are over, whose times count."""
+        if self.folder is not None:
+            self.report(machine.about(self.others, where=self.where)).write_beside(self.folder / "sweep")
 
     def to_dataframe(self) -> DataFrame:
         """The rows without pictures. Raises BadInput without pandas."""
-        try:
-            from pandas import DataFrame
-        except ImportError:
-            raise missing("a table", "pandas") from None
-        return DataFrame(self.lines())
+        return table_of(self.lines())
 
     def lines(self) -> list[Row]:
         """The rows without pictures, each with all columns."""
@@ -86,8 +97,9 @@ class Sweep:
     def table(self) -> page.Table:
         """The values and what came of them, without what is the same, or lacking, in all rows."""
         lines = self.lines()
-        told = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE
-                or (name not in (DIGEST, WHY) and len({repr(line[name]) for line in lines}) > 1)]  # fmt: skip
+        own = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE]
+        others = [name for name in (lines[0] if lines else ()) if name not in (*own, DIGEST, WHY)]
+        told = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
         return page.Table(list(map(heading, told)), [[_cell(line[name]) for name in told] for line in lines])
 
     def report(self, about: Mapping[str, str]) -> page.Report:
@@ -133,7 +145,7 @@ def sweep(
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
     side: str = "scene",
-    jobs: int | None = None,
+    jobs: int = 1,
     dask: str | None = None,
     told: Callable[[str], None] | None = None,
     **fields: Any,
@@ -144,18 +156,18 @@ def sweep(
     The scene, its overrides, roots and fields as in `nuno.run`. What is done is kept in the folder `out`, if one is
     given, where `resume` goes on with it, and where page, JSON and CSV are written at the end. side: what is drawn of
     each end: "scene" by the scene's own camera, a side of `Result.picture`, or "" for nothing. jobs: processes of this
-    machine, all cores by default; dask: a scheduler's address, whose workers compute instead. `told` hears what is
-    done.
+    machine; more than one are for a notebook, or a script whose work is below `if __name__ == "__main__":`. dask: a
+    scheduler's address, whose workers compute instead. `told` hears what is done.
 
     A run that is refused, fails or is lost has a row that says so. Raises BadInput where a value is refused whatever
     the others are, before anything runs.
     """
-    with (
-        in_python(),
-        loaded(scene, as_texts([*overrides, fields]), roots) as found,
-        closing(chosen(jobs, dask)) as where,
-    ):
-        return run_all(found, over, Place(where, None if out is None else Path(out), resume, told or _unheard), side)
+    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
+        with closing(chosen(jobs if dask is None else None, dask)) as where:
+            place = Place(where, None if out is None else Path(out), resume, told or _unheard)
+            made = run_all(found, over, place, side)
+        made.keep()
+        return made
 
 
 def _unheard(text: str) -> None:
@@ -172,60 +184,87 @@ class Place:
     told: Callable[[str], None]
 
 
-def run_all(scene: Any, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
-    """See `sweep`; scene is a Loaded."""
+def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
+    """See `sweep`."""
+    over = _values(over)
     if side not in ("", "scene", *AZIMUTHS):
         raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *AZIMUTHS)))
-    if not over or not all(over.values()):
-        raise BadInput("nothing to sweep over", field="--over", remedy="name fields and their values")
+    if side in AZIMUTHS and not scene.scene.moves:
+        problem, remedy = "a cloth that is dyed alone lies flat", "leave it out"
+        raise BadInput(problem, field="--side", value=side, remedy=remedy)
+    if place.resume and place.folder is None:
+        raise BadInput("what is gone on with is not said", field="--resume", remedy="name the folder: out=...")
     packed = pack_loaded(scene)
-    for key, value in ((key, value) for key, values in over.items() for value in values):
-        with _as_swept(), unpacked(packed, [as_override(key, value)]):
-            pass
-    about = {"scene": packed.digest, "over": {key: list(map(repr, values)) for key, values in over.items()},
-             "side": side, "versions": versions()}  # fmt: skip
-    kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume)
     combinations = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
+    texts = [tuple(as_texts([one])) for one in combinations]
+    _check(packed, combinations, texts)
+    # As a list: of two sweeps over the same fields in another order, other combinations have the same number.
+    told_by = [[key, list(map(repr, values))] for key, values in over.items()]
+    about = {"scene": packed.digest, "over": told_by, "side": side, "versions": versions()}
+    kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume)
     found: dict[int, Row] = {} if kept is None else {line["number"]: line["row"] for line in kept.lines}
     others, threads = machine.Others(), 1 if place.where.width > 1 else 0
-    texts = [tuple(as_override(key, value) for key, value in one.items()) for one in combinations]
-    numbers = {text: i for i, text in enumerate(texts)}
-    left = [Point(packed, text, side, threads) for i, text in enumerate(texts) if i not in found]
+    left = [Point(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in found]
     for point, came in place.where.run(measure, left):
-        i = numbers[point.overrides]
         row = _refused(came) if isinstance(came, BadInput | Lost) else came
-        found[i] = {**combinations[i], **row}
+        found[point.number] = {**combinations[point.number], **row}
         if kept is not None:
-            kept.add({"number": i, "row": found[i]})
+            kept.add({"number": point.number, "row": found[point.number]})
         why = f", {row[WHY]}" if WHY in row else ""
         place.told(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
-    made = Sweep(scene.scene.name, over, [found[i] for i in range(len(texts))])
-    if place.folder is not None:
-        about_it = machine.about(others, where=place.where.where)
-        made.report(about_it).write_beside(place.folder / "sweep")
-    return made
+    rows = [found[i] for i in range(len(texts))]
+    return Sweep(scene.scene.name, over, rows, place.folder, place.where.where, others)
 
 
-@contextmanager
-def _as_swept() -> Iterator[None]:
-    """Name the flag that a refused value is from."""
-    try:
-        yield
-    except BadInput as error:
-        raise replace(error, file="--over" if error.file == GIVEN else error.file) from None
+def _values(over: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    """Lists of plain values. Raises BadInput for none, and for a text, whose letters are hardly meant."""
+    found = dict[str, list[Any]]()
+    if not isinstance(over, Mapping):
+        raise BadInput("a sweep goes over a mapping of fields to values", field="--over", value=over)
+    for key, values in over.items():
+        if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
+            problem, remedy = "a field is swept over a list of values", f"{{{key!r}: [{values!r}]}}"
+            raise BadInput(problem, field="--over", value=values, remedy=remedy)
+        found[key] = [value.item() if isinstance(value, np.generic) else value for value in values]
+    if not found or not all(found.values()):
+        raise BadInput("nothing to sweep over", field="--over", remedy="name fields and their values")
+    return found
+
+
+def _check(packed: Packed, combinations: Sequence[Mapping[str, Any]], texts: Sequence[tuple[str, ...]]) -> None:
+    """Raises BadInput for a value with which every combination is refused as it is read."""
+    refusals: dict[int, BadInput | None] = {}
+
+    def refusal(i: int) -> BadInput | None:
+        if i not in refusals:
+            try:
+                with unpacked(packed, texts[i]):
+                    refusals[i] = None
+            except BadInput as error:
+                refusals[i] = replace(error, file="--over" if error.file == GIVEN else error.file)
+        return refusals[i]
+
+    for text in dict.fromkeys(text for each in texts for text in each):
+        own = [i for i, each in enumerate(texts) if text in each]
+        if all(refusal(i) is not None for i in own):
+            raise cast(BadInput, refusal(own[0]))
 
 
 def _refused(came: BadInput | Lost) -> Row:
-    why = " ".join(str(came).removeprefix(f"{GIVEN}: ").split())
+    why = "; ".join(" ".join(line.split()) for line in str(came).removeprefix(f"{GIVEN}: ").splitlines())
     return {STATE: "lost" if isinstance(came, Lost) else "refused", WHY: why}
 
 
 def measure(point: Point) -> Row:
     """Run one combination. Raises BadInput where it is refused."""
-    with warnings.catch_warnings(), unpacked(point.packed, point.overrides) as scene:
+    with (
+        warnings.catch_warnings(),
+        tempfile.TemporaryDirectory(prefix="nuno-") as folder,
+        unpacked(point.packed, point.overrides) as scene,
+    ):
         warnings.simplefilter("ignore")  # of each run again; what they say is in its report
         try:
-            result = run_loaded(scene, point.threads)
+            result = run_loaded(scene, Path(folder) / "run.mcap", point.threads)
         except RunFailed as error:
             return {STATE: "failed", WHY: str(error).partition("; recording kept in")[0]}
         return {STATE: result.state} | _figures(result) | {DIGEST: result.digest} | _picture(result, point.side)
@@ -244,7 +283,10 @@ def _picture(result: Result, side: str) -> Row:
     stream = io.BytesIO()
     with result.recording as recording:
         size = None if recording.dyed_alone else SIZE
-    image = result.picture(None if side == "scene" else side, None, size=size)
+    try:
+        image = result.picture(None if side == "scene" else side, None, size=size)
+    except BadInput as error:
+        return {WHY: f"no picture: {error.problem}"}
     image.thumbnail(SIZE)
     image.save(stream, "PNG")
     return {PICTURE: base64.b64encode(stream.getvalue()).decode()}

@@ -37,5 +37,7 @@ def chosen(jobs: int | None, dask: str | None) -> Executor:
         from nuno_bench.sweep.cluster import Cluster
 
         return Cluster(dask)
+    if jobs is not None and jobs < 1:
+        raise BadInput("at least one is needed", field="--jobs", value=jobs)
     number = jobs or machine.cores()
     return Processes(number) if number > 1 else Executor()
