@@ -125,7 +125,7 @@ def test_a_panel_that_reaches_into_the_body_is_named(tmp_path: Path) -> None:
         put_on(tmp_path, "tube.json", column((1.5, 1.5), (-0.5, 2.5)), 0.02)
 
 
-@pytest.mark.quick(name=["shirt", "p09"], edge=[0.03])
+@pytest.mark.quick(name=["shirt"], edge=[0.03])
 @pytest.mark.parametrize("edge", [0.02, 0.03])
 @pytest.mark.parametrize("name", REAL)
 def test_real_garments_start_clear_of_their_body(shared_data: Path, name: str, edge: float) -> None:

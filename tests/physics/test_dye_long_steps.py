@@ -120,6 +120,7 @@ def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(
     assert system.supply is None or (end.phi >= system.supply).all()
 
 
+@pytest.mark.quick(name=["sdirk2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_what_is_legal_but_extreme_is_done(name: str) -> None:
     base = random_cells(14, 13)

@@ -169,6 +169,7 @@ def test_oklab_of_white_and_of_a_shaded_colour() -> None:
     assert to_oklab(0.125 * colour) == pytest.approx(0.5 * to_oklab(colour), rel=1e-12)
 
 
+@pytest.mark.full
 def test_colours_find_the_layers_of_the_shipped_photograph(maker: ModuleType) -> None:
     """Its yarns are known. A pixel in fifty is wrong: those on the borders of yarns, where the lens mixes both."""
     photograph = read_photograph(SCENES / "photograph.jpg")

@@ -102,6 +102,7 @@ def test_nothing_rests_inside_of_a_body_by_more_than_the_tolerance() -> None:
     assert closest_points(tree, points.T[still]).distance.min() > -tolerance - 2.0 * MASS * G / k
 
 
+@pytest.mark.full
 def test_force_turns_and_moves_with_the_body() -> None:
     x, faces = meshes.torus(40, 20, 0.3, 0.1)
     body, field = field_body(x, faces, 2e-3, friction=0.4)

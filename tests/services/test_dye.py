@@ -110,6 +110,7 @@ def _weaker(self: Any, config: Any) -> Any:
     return Isotherm("langmuir", 0.5 * config.K)
 
 
+@pytest.mark.quick(solver=["rkl2"])
 @pytest.mark.parametrize("solver", ["explicit", "rkl2", "implicit"])
 def test_a_resumed_run_ends_in_the_same_bits(solver: str, tmp_path: Path) -> None:
     """Of dye alone, whose kernel is chosen by the start: by its end no cell is as full as at the start."""

@@ -34,6 +34,7 @@ def test_times_are_the_first_whole_steps_at_or_after_them(time: float, dt: float
     assert first_step(time, dt) == step
 
 
+@pytest.mark.full
 def test_nothing_is_given_before_its_start_nor_after_its_stop(tmp_path: Path) -> None:
     """Of a dye that does not spread: half a frame is 50 steps."""
     still = [RED | {"D0": 0.0}]

@@ -20,6 +20,7 @@ from nuno_schemas.messages import PENETRATION, STATE
 TOLERANCE = 2e-3
 
 
+@pytest.mark.full
 def test_an_open_body_is_told_of_by_name_and_measured_by_its_winding_number(tmp_path: Path) -> None:
     """A piece of cloth is put 1 cm into a ball with a hole below: its depth is that below the triangles."""
     ball = trimesh.creation.icosphere(3, 0.3)

@@ -160,6 +160,7 @@ def test_objects_that_change_keep_where_they_came_to_rest(tmp_path: Path) -> Non
         np.testing.assert_allclose(fabric.position, run.state.x[piece.start : piece.stop], atol=1e-12)
 
 
+@pytest.mark.full
 def test_what_a_recording_has_of_other_triangles_is_not_taken(tmp_path: Path) -> None:
     scene = write(tmp_path, {})
     loaded = scene_file.read(scene)
