@@ -107,7 +107,8 @@ def test_the_table_is_that_of_the_file(result: nuno.Result, tmp_path: Path) -> N
 
 def test_plots_are_of_the_series(result: nuno.Result) -> None:
     axes, table = result.plot("energy", "stretch"), result.to_dataframe()
-    drawn = {line.get_label(): line.get_data() for line in axes.lines}
+    drawn = {str(line.get_label()).partition(" [")[0]: line.get_data() for line in axes.lines}
+    assert {str(line.get_label()).partition(" [")[2] for line in axes.lines} == {"J]", "1]"}
     assert set(drawn) == {name for name in table if name.startswith("energy_")} | {"stretch"}
     for name, (t, values) in drawn.items():
         np.testing.assert_array_equal(t, table["t"])

@@ -81,6 +81,8 @@ class Result:
             from matplotlib import pyplot
         except ImportError:
             raise missing("a plot", "matplotlib") from None
+        from nuno.exports.tables import heading
+
         with self.recording as recording:
             series, own = recording.series(), ("mobile", "fixed") if recording.dyed_alone else ("energy",)
         known = [name for name in series if name not in ("t", "frame")]
@@ -94,7 +96,7 @@ class Result:
             wanted += found
         axes: Axes = pyplot.subplots(layout="constrained")[1]
         for name in wanted:
-            axes.plot(series["t"], series[name], label=name)
+            axes.plot(series["t"], series[name], label=heading(name))
         axes.set_xlabel("t [s]")
         axes.legend(frameon=False)
         return axes
