@@ -222,3 +222,11 @@ FRAMES = (STATE.name, CONCENTRATION.name)
 """Topics of which a run has one message a frame, and which services that must see every frame acknowledge."""
 STATUSES: dict[str, type[FrameStatus]] = {STATUS.name: Status, DYE_STATUS.name: DyeStatus}
 CHECKPOINTS = (CHECKPOINT.name, DYE_CHECKPOINT.name)
+MODELS: dict[str, type[BaseModel]] = {
+    "nuno.Status": Status,
+    "nuno.DyeStatus": DyeStatus,
+    "nuno.Penetration": Penetration,
+    "nuno.Event": Event,
+    "nuno.Ack": Ack,
+}
+"""Of what is JSON, by the name of its schema."""

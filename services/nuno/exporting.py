@@ -6,20 +6,23 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nuno.exports.animations import RATE
 from nuno.exports.camera import AZIMUTHS, Side
-from nuno.exports.dyed_pictures import Changes
-from nuno.exports.pictures import Colour
+from nuno.exports.target import RATE, together
 from nuno.recording.reader import Recording
 from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView, Form
 
+if TYPE_CHECKING:
+    from nuno.exports.dyed_pictures import Changes
+    from nuno.exports.pictures import Colour
+
 Length = str | float
+"""With its unit, or in metres."""
 MESHES = (".obj", ".ply", ".glb")
 FILES = {
     "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
@@ -89,8 +92,6 @@ def ask(**fields: Any) -> Asked:
 
 def write(recording: Recording, asked: Asked) -> list[Path]:
     """All that is asked for, or nothing. Raises BadInput."""
-    from nuno.exports.target import together
-
     _check(recording, asked)
     with together():
         return _export(recording, asked)
@@ -101,7 +102,7 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
     from nuno.exports import animations, meshes, pictures, tables
 
     size, changes, written = _size(asked.size), _changes(asked), list[Path]()
-    colour = cast(Colour, asked.colour)  # of pictures: the others are refused
+    colour = cast("Colour", asked.colour)  # of pictures: the others are refused
     if asked.npz:
         written.append(tables.export_npz(recording, asked.npz, frame=asked.frame))
     if asked.forces:
@@ -232,6 +233,8 @@ def _check(recording: Recording, asked: Asked) -> None:
 
 def _changes(asked: Asked) -> Changes:
     """Of all pictures but those of a style, whose own settings are none of theirs."""
+    from nuno.exports.dyed_pictures import Changes
+
     overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))
     side = () if asked.side is None else (f"view.azimuth={AZIMUTHS[asked.side]:g}deg",)
     return Changes(asked.view, asked.scale, _crop(asked.crop), (*side, *overrides))

@@ -8,6 +8,16 @@ from typing import Any
 import numpy as np
 import yaml
 
+CHAIN: dict[str, Any] = {
+    "nuno": 1,
+    "name": "chain",
+    "duration": 0.1,
+    "frame_rate": 50,
+    "solver": {"plugin": "symplectic_euler", "dt": "1 ms"},
+    "objects": [{"name": "chain", "model": {"plugin": "net", "file": "chain.npz"}}],
+}
+"""The scene of the net that `write_chain` writes."""
+
 
 def write_chain(folder: Path, vertices: int = 6) -> None:
     """chain.npz: masses on a line, the first one pinned."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from scenes import write_chain, write_scene
+from scenes import CHAIN, write_chain, write_scene
 
 import nuno
 from nuno.cli import main
@@ -25,14 +25,6 @@ def test_the_module_lists_what_it_offers() -> None:
     assert all(callable(getattr(nuno, name)) for name in nuno.__all__)
 
 
-CHAIN = {
-    "nuno": 1,
-    "name": "chain",
-    "duration": 0.1,
-    "frame_rate": 50,
-    "solver": {"plugin": "symplectic_euler", "dt": "1 ms"},
-    "objects": [{"name": "chain", "model": {"plugin": "net", "file": "chain.npz"}}],
-}
 REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
     "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
     "an override's form": (lambda _: nuno.run(CHAIN, "solver"), 'for example "solver.dt=1ms"'),

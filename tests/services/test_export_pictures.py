@@ -10,16 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 from recorded_sheet import RATE, Sheet, write
-from scenes import write_scene
 
 from nuno.cli import main
 from nuno.exports import paint
 from nuno.exports.animations import _choose_palette, _write_gif, export_animation
-from nuno.exports.camera import turned
-from nuno.exports.cloth import read_frame
-from nuno.exports.dyed_pictures import Changes
 from nuno.exports.paint import SIDES, tubes
-from nuno.exports.pictures import Painter, choose_frames, draw_turn, export_picture
+from nuno.exports.pictures import Painter, choose_frames, export_picture
 from nuno.recording.reader import open_recording
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput
@@ -258,67 +254,3 @@ def test_tubes_stand_round_their_edges() -> None:
             middle = (vertices[a] + vertices[b] + vertices[c]) / 3
             outward = middle - x[i] - ((middle - x[i]) @ axis) * axis
             assert normal @ outward > 0
-
-
-def test_a_turn_comes_round_and_every_side_is_in_the_picture(path: Path, tmp_path: Path) -> None:
-    """Once round one frame, in as many pictures as its time and rate have; a quarter on, it is the next side."""
-    with open_recording(path) as recording:
-        frame = read_frame(recording, 5)
-        pictures = list(draw_turn(recording, frame, 8, SIZE))
-        painter = Painter(recording, [frame], SIZE)
-        painter.stand_back(frame)
-        assert turned(painter.camera, 2.0 * np.pi).eye == pytest.approx(painter.camera.eye)
-        quarter = turned(painter.camera, 0.5 * np.pi)
-        on = painter.camera.eye - painter.camera.target
-        assert quarter.eye - painter.camera.target == pytest.approx([-on[1], on[0], on[2]])
-        # A later azimuth is to the same side.
-        sides = [Changes(overrides=(f"view.azimuth={angle}deg",)) for angle in (0, 90)]
-        cameras = [Painter(recording, [frame], SIZE, changes=one).camera for one in sides]
-        ways = [camera.eye - camera.target for camera in cameras]
-        flat = [way * [1, 1, 0] / np.linalg.norm(way * [1, 1, 0]) for way in ways]
-        assert flat[1] == pytest.approx([-flat[0][1], flat[0][0], 0.0])
-    assert len(pictures) == 8 and len({picture.tobytes() for picture in pictures}) == 8
-    for picture in pictures:
-        edge = np.concatenate([picture[0], picture[:, 0], picture[:, -1]]).astype(np.int64)
-        assert np.abs(np.diff(edge, axis=0)).max() < 40  # of the background alone
-    out = export_animation(path, tmp_path / "turn.gif", SIZE, fps=5.0, turn=2.0, frame=5)
-    with Image.open(out) as image:
-        assert getattr(image, "n_frames", 1) == 10
-
-
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
-        (["--side", "left", "--csv", "a.csv"], "--side: for pictures and animations"),
-        (["--turn", "2", "--png", "a.png"], "--turn: for animations"),
-        (["--turn", "2", "--gif", "a.gif", "--start", "0"], "a turn is round one frame"),
-        (["--turn", "2", "--gif", "a.gif", "--frame", "999"], "no such frame"),
-    ],
-)
-def test_sides_and_turns_are_of_what_is_drawn(
-    flags: list[str],
-    said: str,
-    path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", str(path), *flags]) == 2
-    assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
-
-
-def test_a_run_is_animated_at_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Where it is recorded; a name that is none is refused before it runs."""
-    monkeypatch.chdir(tmp_path)
-    path = str(write_scene(tmp_path, duration=0.2))
-    assert main(["run", path, "--no-view", "--mp4", "a.gif"]) == 0
-    with Image.open(tmp_path / "a.gif") as image:
-        assert getattr(image, "n_frames", 1) > 1
-    assert "animation  a.gif" in capsys.readouterr().out
-    for flags, said in ((["--mp4", "a.mpg"], "no such kind"), (["--mp4", "b.gif", "--no-record"], "leave --no-record")):
-        assert main(["run", path, *flags]) == 2
-        assert said in capsys.readouterr().err
-    assert not (tmp_path / "b.gif").exists() and len(list((tmp_path / "recordings").glob("*.mcap"))) == 1

@@ -54,11 +54,11 @@ def test_a_new_scene_stands_by_itself(
 ) -> None:
     """With the files that it needs; it is not written over."""
     monkeypatch.chdir(tmp_path)
-    assert main(["new", kind, "2nd try.yaml" if kind == "dye" else f"my-{kind}.yaml"]) == (2 if kind == "dye" else 0)
+    file = tmp_path / ("2nd try.yaml" if kind == "dye" else f"my-{kind}.yaml")
+    assert main(["new", kind, file.name]) == 0
     assert main(["new", kind]) == 0  # what it needs is there already, and the same
     capsys.readouterr()
-    file = tmp_path / (f"{kind}.yaml" if kind == "dye" else f"my-{kind}.yaml")
-    assert scene_file.read(file).scene.name == file.stem
+    assert scene_file.read(file).scene.name == ("garment-2nd-try" if kind == "dye" else file.stem)
     text = file.read_text()
     assert main(["new", kind, file.name]) == 2
     assert "not written over" in capsys.readouterr().err and file.read_text() == text

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import write_chain, write_scene
+from scenes import CHAIN, write_chain, write_scene
 
 import nuno
 from nuno.cli import main
@@ -22,14 +22,6 @@ from nuno_bench.sweep import grid
 from nuno_bench.sweep.command import values_of
 from nuno_schemas.errors import BadInput
 
-CHAIN = {
-    "nuno": 1,
-    "name": "chain",
-    "duration": 0.1,
-    "frame_rate": 50,
-    "solver": {"plugin": "symplectic_euler", "dt": "1 ms"},
-    "objects": [{"name": "chain", "model": {"plugin": "net", "file": "chain.npz"}}],
-}
 OVER = {"solver.plugin": ["symplectic_euler", "rk4"], "solver.dt": [1e-3, "2 ms", 1.0]}
 
 

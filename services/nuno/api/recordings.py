@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
+from nuno.exports import target
 from nuno.recording.reader import Recording, open_recording
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
@@ -33,14 +34,9 @@ def path_of(recording: Recorded) -> Path:
     return recording.path
 
 
-@contextlib.contextmanager
-def opened(recording: Recorded) -> Iterator[Recording]:
+def opened(recording: Recorded) -> AbstractContextManager[Recording]:
     """It, which is closed again unless it was open before. Raises BadInput."""
-    if isinstance(recording, Recording):
-        yield recording
-        return
-    with open_recording(path_of(recording)) as found:
-        yield found
+    return target.opened(recording if isinstance(recording, Recording) else path_of(recording))
 
 
 def open_file(recording: str | os.PathLike[str]) -> Recording:
@@ -80,4 +76,4 @@ def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"
     with in_python(), opened(recording) as found:
-        return write(found, ask(**{**what, "overrides": tuple(as_texts([*what.get("overrides", ()), *overrides]))}))
+        return write(found, ask(overrides=tuple(as_texts(overrides)), **what))

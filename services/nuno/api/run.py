@@ -78,8 +78,7 @@ def resume(
 
     Raises BadInput too for a recording without a checkpoint, or whose run has come to its end.
     """
-    path = path_of(recording)
-    with in_python(), resumed_scene(path, as_texts([*overrides, fields])) as (found, _):
+    with in_python(), resumed_scene(path := path_of(recording), as_texts([*overrides, fields])) as (found, _):
         options = Options(record=_path(record), threads=threads, resume=path)
         return _run(decide(found), options, processes, progress)
 

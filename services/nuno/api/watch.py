@@ -10,28 +10,13 @@ from typing import Any
 from nuno.api.words import in_python
 from nuno.service import SUPERVISOR
 from nuno.supervision import runs
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
-from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.arrays import decode_arrays, decode_picture, decode_points
+from nuno.wire.bus import ALL, Bus, Inbox, Message
 from nuno.wire.sessions import spoke
 from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.messages import (
-    ACK,
-    EVENT,
-    PENETRATION,
-    PICTURE,
-    REPORT,
-    STATE,
-    STATUSES,
-    TOPICS,
-    Ack,
-    Event,
-    Penetration,
-    Topic,
-)
+from nuno_schemas.messages import MODELS, PICTURE, REPORT, STATE, TOPICS
 
-ALL = Topic("**", "json", "")
-"""One subscription to all topics: between several, messages overtake each other."""
 LISTENING = 0.2
 """How often it is asked whether the run is over while nothing comes [s]."""
 
@@ -82,7 +67,7 @@ class Watching:
             elif not self._topics or any(_below(item.topic, one) for one in self._topics):
                 try:
                     value = _decoder(item.topic)(item.payload)
-                except (BadMessage, ValueError):
+                except ValueError:  # BadMessage is one
                     self._inbox.refuse(item)
                     continue
                 return Heard(item.topic, item.header.frame, item.header.t, value, item.skipped)
@@ -128,13 +113,7 @@ def _below(topic: str, name: str) -> bool:
 
 
 def _decoder(topic: str) -> Callable[[bytes], Any]:
-    if topic in STATUSES:
-        return STATUSES[topic].model_validate_json
-    own: dict[str, Callable[[bytes], Any]] = {
-        PENETRATION.name: Penetration.model_validate_json, STATE.name: decode_points, PICTURE.name: decode_picture,
-    }  # fmt: skip
-    if _below(topic, EVENT.name):
-        return Event.model_validate_json
-    if _below(topic, ACK.name):
-        return Ack.model_validate_json
-    return own.get(topic, decode_arrays)
+    schema = next((known.schema for name, known in TOPICS.items() if _below(topic, name)), "")
+    if schema in MODELS:
+        return MODELS[schema].model_validate_json
+    return {STATE.schema: decode_points, PICTURE.schema: decode_picture}.get(schema, decode_arrays)

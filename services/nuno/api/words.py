@@ -6,17 +6,23 @@ import contextlib
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from nuno_schemas.errors import BadInput
 
 RENAMED = {"set": "overrides", "root": "roots"}
-FILES = "csv forces gif glb mp4 npz obj pattern ply png rrd usd yarns"
-SETTINGS = "colour crop curl end form fps frame radius samples scale side size start style turn view"
-FLAGS = f"{FILES} {SETTINGS} dask jobs out over record resume root set threads".split()
-"""Of the command line, that are arguments of a call by the same name, but for those that are RENAMED."""
-FLAG = re.compile(rf"(?<![^\s('\"])--({'|'.join(FLAGS)})\b(?: (DIR|FILE\b|\S+=\S+|[A-Za-z0-9_]+\.[a-z0-9]+))?")
-"""With what it is given, where that is an example."""
+OTHERS = ("dask", "jobs", "out", "over", "record", "resume", "root", "set", "threads")
+"""Flags that are arguments of a call, beside those of `nuno export`; by the same name unless they are RENAMED."""
+
+
+@cache
+def _flag() -> re.Pattern[str]:
+    """A flag, with what it is given where that is an example."""
+    from nuno.exporting import Asked
+
+    names = "|".join([*Asked.model_fields, *OTHERS])
+    return re.compile(rf"(?<![^\s('\"])--({names})\b(?: (DIR|FILE\b|\S+=\S+|[A-Za-z0-9_]+\.[a-z0-9]+))?")
 
 
 @contextlib.contextmanager
@@ -32,7 +38,7 @@ def _translated(error: BadInput) -> BadInput:
     texts = {name: getattr(error, name) for name in ("problem", "field", "limit", "remedy")}
     if error.file is not None and error.file.startswith("--"):  # what was given with a flag
         texts["file"] = error.file
-    changed: dict[str, Any] = {name: FLAG.sub(_argument, text) for name, text in texts.items() if text is not None}
+    changed: dict[str, Any] = {name: _flag().sub(_argument, text) for name, text in texts.items() if text is not None}
     if error.field is not None:
         changed["field"] = changed["field"].removeprefix("--")
     return replace(error, **changed)

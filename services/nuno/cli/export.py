@@ -8,8 +8,8 @@ from typing import get_args
 
 from nuno.cli.common import add_flags, add_set, warn
 from nuno.exporting import FILES, Asked, Painted, ask, write
-from nuno.exports.animations import RATE
 from nuno.exports.camera import Side
+from nuno.exports.target import RATE
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
 from nuno_schemas.look import DyeView, Form

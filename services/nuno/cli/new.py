@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import re
 import shlex
 import shutil
 from pathlib import Path
 
+from nuno.cli.worn import name_garments
 from nuno.scene import scene_file, shipped
 from nuno.scene.commented import comment
 from nuno.scene.override import as_override
@@ -39,10 +39,10 @@ def main(args: argparse.Namespace) -> int:
         raise BadInput(
             "nothing of this kind to start from", value=args.kind, remedy=nearest(args.kind, [*KINDS, *known])
         )
-    file: Path = args.file or Path(f"{name.rsplit('/', 1)[-1] if args.kind not in KINDS else args.kind}.yaml")
+    file: Path = args.file or Path(f"{args.kind.rsplit('/', 1)[-1]}.yaml")
     if file.suffix not in (".yaml", ".yml"):
         raise BadInput("a scene is YAML", field="FILE", value=str(file), remedy=f"{file.stem}.yaml")
-    title = re.sub("[^A-Za-z0-9_-]", "-", file.stem)[:64]
+    (title,) = name_garments([file.stem])
     loaded = scene_file.read(known[name], [as_override("name", title)])
     files = {file.parent / beside: place for beside, place in assets(loaded).items()}
     missing = {path: place for path, place in files.items() if not _same(path, place)}

@@ -84,7 +84,8 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     if args.mp4 is not None:
-        from nuno.exports.animations import RATE, check_animation
+        from nuno.exports.animations import check_animation
+        from nuno.exports.target import RATE
 
         if options.record is None:
             raise BadInput("an animation is drawn of the recording", field="--mp4", remedy="leave --no-record out")

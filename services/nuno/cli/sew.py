@@ -6,18 +6,19 @@ import argparse
 import json
 import shlex
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from nuno import registry
 from nuno.cli.common import add_flags
-from nuno.cli.presets import find_presets
 from nuno.cli.top import align
 from nuno.cli.worn import Garment, describe_worn, is_own, name_garments
+from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
 from nuno_schemas.units import to_si
 
@@ -69,10 +70,7 @@ def wear(args: argparse.Namespace) -> int:
     if len(fabrics) not in (1, len(args.patterns)):
         raise BadInput("fabrics and patterns do not go together", field="--fabric", value=f"{len(fabrics)} fabrics",
                        limit=f"one, or {len(args.patterns)}, one for each pattern")  # fmt: skip
-    known = find_presets("fabrics")
-    for fabric in fabrics:
-        if fabric not in known:
-            raise BadInput("no such fabric", field="--fabric", value=fabric, remedy=nearest(fabric, known))
+    _check_fabrics(fabrics)
     own = args.body == MANNEQUIN and not MANNEQUIN.exists()
     beside = ({} if own else {"body": args.body}) | ({"motion": args.motion} if args.motion else {})
     files = [("pattern", pattern) for pattern in args.patterns] + list(beside.items())
@@ -101,6 +99,18 @@ def wear(args: argparse.Namespace) -> int:
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)
+
+
+def _check_fabrics(fabrics: list[str]) -> None:
+    """Before a scene is written. Raises BadInput."""
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    for fabric in fabrics:
+        data = {"file": "pattern", "fabric": fabric}
+        try:
+            model.Config.model_validate(data)
+        except ValidationError as error:
+            found = explain(error, data, (), "sew", {}, model.Config)
+            raise replace(found, file=None, field="--fabric") from None
 
 
 def _check_edge(edge: str) -> None:

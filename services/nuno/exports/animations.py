@@ -16,15 +16,13 @@ import numpy as np
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
 from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames, draw_turn
-from nuno.exports.target import Progress, check_target, opened, writing
+from nuno.exports.target import RATE, Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
 
 if TYPE_CHECKING:
     from PIL import Image
 
-RATE = 25.0
-"""Pictures a second, unless asked otherwise."""
 GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
 """Pictures a second that a GIF's hundredths of a second give exactly."""
 SIZE, DYED_SIDE = (640, 480), 500

@@ -18,6 +18,8 @@ from nuno_schemas.errors import BadInput
 Progress = Callable[[int, int], None]
 """Called with the steps done and all steps."""
 
+RATE = 25.0
+"""Pictures a second of an animation, unless asked otherwise."""
 MAGIC: dict[str, tuple[int, bytes]] = {
     ".npz": (0, b"PK\x03\x04"),
     ".csv": (0, b"frame,"),

@@ -12,13 +12,11 @@ from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.scene.provenance import assets, describe_run
 from nuno.service import Context, each_message
 from nuno.wire.arrays import BadMessage
-from nuno.wire.bus import Inbox, Message
+from nuno.wire.bus import ALL, Inbox, Message
 from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import ACK, FRAMES, REPORT, Header, Topic
+from nuno_schemas.messages import ACK, FRAMES, REPORT, Header
 
-ALL = Topic("**", "json", "")
-"""One subscription to all topics: between several, messages overtake each other."""
 DRAIN_SECONDS = 10.0
 """How long it must be quiet at the end until what was sent but has not arrived is given up. On a slow disk what has
 arrived may take longer than that to write, and is still written."""

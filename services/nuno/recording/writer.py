@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
 from nuno.wire.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, TOPICS, DyeStatus, Event, Header, Penetration, Status, Topic
+from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
 
 FLUSH_SECONDS = 0.5
 """At most this much wall time is lost when the process is killed."""
@@ -32,14 +32,9 @@ def topic_of(name: str) -> Topic | None:
     return topic if topic is not None and topic.recorded else None
 
 
-_MODELS: dict[str, type[BaseModel]] = {
-    "nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event, "nuno.DyeStatus": DyeStatus,
-}  # fmt: skip
-
-
 def check_payload(topic: Topic, payload: bytes) -> None:
     """Raises BadMessage for bytes that are not of their topic's encoding; arrays are not decoded."""
-    model = _MODELS.get(topic.schema)
+    model = MODELS.get(topic.schema)
     if topic.encoding == "protobuf":
         check_protobuf(payload)
     elif model is not None:
@@ -53,7 +48,7 @@ def schema_of(topic: Topic) -> tuple[str, bytes]:
     """Encoding and text of a topic's schema."""
     if topic.encoding == "protobuf":
         return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else foxglove_schema(topic.schema)
-    model = _MODELS.get(topic.schema)
+    model = MODELS.get(topic.schema)
     schema = model.model_json_schema() if model else {"title": topic.schema, "type": "object"}
     return "jsonschema", json.dumps(schema).encode()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -49,8 +49,9 @@ class Driver(ABC):
         self.follows = follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
-        self.state, self.until = "paused", cast(int | None, None)
-        """And the frame at which a run that was told to step pauses again."""
+        self.state = "paused"
+        self.until: int | None = None
+        """Frame at which a run that was told to step pauses again."""
         self.finish: Question | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
@@ -100,8 +101,7 @@ class Driver(ABC):
 
     def publish_arrays(self, digest: str) -> None:
         """The present state as float32."""
-        start = time.perf_counter()
-        payload = self.stepper.encode()
+        start, payload = time.perf_counter(), self.stepper.encode()
         self.shown = self.stepper.frame
         self.seconds["encoding"] += time.perf_counter() - start
         self._put(self.stepper.published, payload, digest)

@@ -26,6 +26,8 @@ SHORTEST, LONGEST = 20e-6, 1e-3
 """Pauses [s] between two looks for an answer, first and at last."""
 TIMEOUT = b"Timeout"
 """zenoh's own answer, of whichever session on the way, where none came in time."""
+ALL = Topic("**", "json", "")
+"""One subscription to all topics: between several, messages overtake each other."""
 FURTHEST = 100_000
 """A message this far ahead of the last is none of the run's: believing it would refuse all others."""
 

@@ -8,15 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from nuno_schemas.messages import TOPICS, Ack, DyeStatus, Event, Header, Penetration, Status
+from nuno_schemas.messages import MODELS, TOPICS, Header, Topic
 
-MODELS: dict[str, type[BaseModel]] = {
-    "nuno.Status": Status,
-    "nuno.DyeStatus": DyeStatus,
-    "nuno.Penetration": Penetration,
-    "nuno.Event": Event,
-    "nuno.Ack": Ack,
-}
 FOXGLOVE = "https://docs.foxglove.dev/docs/visualization/message-schemas/introduction"
 INTRODUCTION = f"""\
 # Messages
@@ -59,7 +52,7 @@ def describe_messages() -> str:
     return "\n".join([*parts, f"\n{ARRAYS}"])
 
 
-def _holds(topic: Any) -> str:
+def _holds(topic: Topic) -> str:
     link = topic.schema.lower().replace(".", "")
     return topic.holds or f"[{topic.schema}](#{link})"
 
@@ -75,7 +68,7 @@ def _fields(model: type[BaseModel]) -> str:
 
 
 def _type(annotation: Any) -> str:
-    """As JSON has it."""
+    """As Python has it, but for null."""
     text = annotation.__name__ if isinstance(annotation, type) and "[" not in str(annotation) else str(annotation)
     text = text.removeprefix("typing.").replace("None", "null").replace("typing.", "")
     if text.startswith("Literal["):

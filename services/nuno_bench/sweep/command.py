@@ -57,7 +57,7 @@ def values_of(item: str) -> tuple[str, list[Any]]:
     """A field's key and the values that are given for it, as YAML has them. Raises BadInput."""
     key, equals, text = item.partition("=")
     if not key or not equals:
-        remedy = "for example --over solver.dt='0.2 ms, 0.4 ms'"
+        remedy = "for example --over solver.dt='1/6000 s, 1/3000 s'"
         raise BadInput("a sweep goes over KEY=A,B,...", field="--over", value=item, remedy=remedy)
     try:
         values = yaml_lines.parse_value(f"[{text}]")

@@ -12,7 +12,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -70,15 +70,15 @@ class Sweep:
     over  values of each field, by its key
     rows  of each combination: its values by key, FIGURES in SI units, the last frame's series, STATE, WHY, DIGEST, and
           the PICTURE as a PNG in base64
+    folder, where, others  where it is kept, if anywhere, and computed, and what else the machine did meanwhile
     """
 
     scene: str
     over: Mapping[str, Sequence[Any]]
     rows: Sequence[Row]
-    folder: Path | None = None
-    where: str = ""
-    others: machine.Others = field(default_factory=machine.Others, repr=False)
-    """What else the machine did meanwhile."""
+    folder: Path | None
+    where: str
+    others: machine.Others
 
     def keep(self) -> None:
         """Write page, JSON and CSV into its folder, if it has one; once its processes are over, whose times count."""
@@ -151,7 +151,7 @@ def sweep(
     **fields: Any,
 ) -> Sweep:
     """Run a scene for each combination of values: nuno.sweep("hanging-sheet", {"objects.0.model.fabric": ["denim",
-    "jersey"], "solver.dt": ["0.2 ms", "0.4 ms"]}, duration="1 s").
+    "jacket"], "solver.dt": ["1/6000 s", "1/3000 s"]}, duration="1 s").
 
     The scene, its overrides, roots and fields as in `nuno.run`. What is done is kept in the folder `out`, if one is
     given, where `resume` goes on with it, and where page, JSON and CSV are written at the end. side: what is drawn of
