@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_integrators.forces import find_forces, undisturbed
+from nuno_integrators.forces import find_forces, find_touched, undisturbed
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_integrators.rest import unbalance
@@ -36,7 +36,7 @@ from nuno_kernels.step.packing import (
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
-from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 
 
 @dataclass
@@ -172,6 +172,12 @@ class Compiled(ABC):
         packed = _set_poses(undisturbed(work.packed), poses)
         extra = _enter(system, state, work, state.t)
         return find_forces(system, state, packed, work.x, work.v, extra, poses)
+
+    def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
+        """See nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(undisturbed(work.packed), poses)
+        return find_touched(system, packed, work.x, work.v, _enter(system, state, work, state.t), poses[1])
 
     def about(self, system: System) -> str:
         """Threads for this system, and what limits them."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from nuno_kernels.forces.yarn_tension import link_tensions
@@ -10,7 +12,7 @@ from nuno_kernels.step.packing import call_each, own_terms, parts, silence
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.system import Forces, System
+from nuno_schemas.system import Forces, System, Touched
 
 
 def undisturbed(packed: Packed) -> Packed:
@@ -31,12 +33,10 @@ def find_forces(
     balance (nuno_contact.sliding.balance).
     """
     mass, names = system.fabric.mass[:, None], parts(packed)
-    bare = packed._replace(inverse_mass=np.ones(x.shape[1]), gravity=np.zeros(3), damping=0.0)
+    bare = _bare(packed)
 
     def force(variant: Packed, python: Extra = None) -> Float:
-        found = np.empty_like(x)
-        evaluate(x, v, 0.0, found, variant, python)
-        return np.ascontiguousarray(found.T)
+        return _force(variant, x, v, 0.0, python)
 
     kinds = {"gravity": mass * np.asarray(system.gravity, np.float64)}
     if system.damping != 0.0:
@@ -53,9 +53,59 @@ def find_forces(
     return Forces(kinds, moved, link_tensions(system.fabric, state.x))
 
 
+def find_touched(system: System, packed: Packed, x: Float, v: Float, extra: Extra, poses: Poses) -> Touched:
+    """What each body does to the vertices in the state x, v (3, n), with bodies as at the end of the interval, where
+    `poses` has them: what its contact gives where nothing else acts.
+    """
+    bare, mass = _bare(packed), system.fabric.mass[:, None]
+    total = _force(bare, x, v, 1.0, extra)
+    total += mass * np.asarray(system.gravity, np.float64) - system.damping * mass * v.T
+    by: dict[str, Float] = {}
+    for term, names in _with_bodies(system, packed):
+        for number, name in enumerate(names):
+            alone = role_of(type(term), "alone")(term, number)
+            if kernels_of(term).unbalance is None:
+                by[name] = _force(_only(bare, term, alone), x, v, 1.0, None)
+            else:  # what is slid on holds against all that acts, and against what those before have left of it
+                left = _held(x, total, _only(bare, term, alone), poses)
+                by[name], total = left - total, left
+    return Touched(by, total)
+
+
+def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, ...]]]:
+    """Terms that are contact with bodies, as they are packed, and the bodies' names; those that slide last."""
+    own = {id(term): term for term in (*packed.forces, *packed.bodies)}
+    found: list[tuple[Any, tuple[str, ...]]] = []
+    for term in system.terms:
+        for kind in () if callable(term.data) or not term.bodies else map(type, term.data):
+            key = next(key for key, one in own.items() if type(one) is kind)  # terms of a type keep their order
+            found.append((own.pop(key), term.bodies))
+    return sorted(found, key=lambda one: kernels_of(one[0]).unbalance is not None)
+
+
+def _only(bare: Packed, term: Any, alone: Any) -> Packed:
+    """The same system, of the same types, in which a term acts by itself, as `alone` stands in for it."""
+    forces, bodies = (tuple(alone if one is term else one for one in terms) for terms in (bare.forces, bare.bodies))
+    on = [np.array([one is term for one in terms], np.bool_) for terms in (bare.forces, bare.bodies)]
+    return bare._replace(forces=forces, forces_on=on[0], bodies=bodies, bodies_on=on[1])
+
+
+def _bare(packed: Packed) -> Packed:
+    """The same system, whose accelerations are newtons: of masses of 1 kg, without gravity and damping."""
+    return packed._replace(inverse_mass=np.ones(len(packed.inverse_mass)), gravity=np.zeros(3), damping=0.0)
+
+
+def _force(packed: Packed, x: Float, v: Float, s: float, python: Extra) -> Float:
+    """(n, 3) forces [N] of a bare system at fraction s of the interval."""
+    found = np.empty_like(x)
+    evaluate(x, v, s, found, packed, python)
+    return np.ascontiguousarray(found.T)
+
+
 def _held(x: Float, total: Float, packed: Packed, poses: Poses) -> Float:
     """(n, 3) what surfaces and friction leave of the forces on vertices, as at rest; `total` itself where none do."""
-    holding = [term for term in packed.bodies if kernels_of(term).unbalance is not None]
+    acting = [term for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
+    holding = [term for term in acting if kernels_of(term).unbalance is not None]
     if not holding:
         return total
     held = np.array(total.T, order="C")

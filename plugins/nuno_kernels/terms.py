@@ -101,6 +101,7 @@ class Kernels:
                                                    bring to a linear step's right side; whether they are others than
                                                    before
     unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
+    alone(term, body) -> term                      the same in which only one of its bodies acts, by number
     counts(term) -> mapping                        counts for a step's report
     """
 
@@ -145,6 +146,7 @@ class Kernels:
     cut: Any = None
     foresee: Any = None
     unbalance: Any = None
+    alone: Any = None
     counts: Any = None
     stick: Any = None
     hold_over: Any = None

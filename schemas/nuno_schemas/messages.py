@@ -119,6 +119,40 @@ class Penetration(BaseModel):
     """
 
 
+class BodyContact(BaseModel):
+    """What a body feels of the cloth at the end of a frame, in the world's axes."""
+
+    model_config = DESCRIBED
+    body: str
+    """Its name."""
+    force: tuple[float, float, float]
+    """Of all cloth that touches it or is attached to it [N]."""
+    torque: tuple[float, float, float]
+    """The same about the origin of the body's first frame [N m]; of one that does not move, of the world."""
+    attached: tuple[float, float, float]
+    """The part of the force that cloth which is attached to it pulls with [N]."""
+    vertices: int
+    """Of the cloth, that touch it."""
+    area: float
+    """Of the cloth around these [m^2]."""
+    pressure: float
+    """Largest force along the cloth's normal over area, of a vertex [Pa]."""
+    mean_pressure: float
+    """Of all these vertices together [Pa]."""
+
+
+class Contact(BaseModel):
+    """Simulation, once a frame where the scene's record has `contact_forces`: what bodies feel."""
+
+    model_config = DESCRIBED
+    frame: int
+    """Whose end it is."""
+    t: float
+    """Simulated time [s]."""
+    bodies: list[BodyContact]
+    """All of the scene, in its order."""
+
+
 class Event(BaseModel):
     """Something that happened to a run: control, resume, an error."""
 
@@ -175,6 +209,14 @@ CHECKPOINT = Topic(
     when="as `record.checkpoint_every` says, and at the end",
     holds="`x`, `v` and the solver's memory, float64",
 )
+CONTACT = Topic("sim/contact", "json", "nuno.Contact", when="each frame, where `record.contact_forces` is set")
+TOUCHES = Topic(
+    "sim/touches",
+    "protobuf",
+    "nuno.Arrays",
+    when="each frame, where `record.contact_forces` is set",
+    holds="of each touch `vertex`, `body`, `force` on the body [N] and `pressure` [Pa]; in the text the bodies' names",
+)
 GEOMETRY = Topic(
     "collision/geometry",
     "protobuf",
@@ -214,8 +256,8 @@ ACK = Topic("ack", "json", "nuno.Ack", recorded=False, when="each frame, each se
 TOPICS = {
     topic.name: topic
     for topic in (
-        FABRIC, STATE, STATUS, CHECKPOINT, GEOMETRY, BODIES, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS,
-        DYE_CHECKPOINT, PICTURE, EVENT, REPORT, ACK,
+        FABRIC, STATE, STATUS, CHECKPOINT, CONTACT, TOUCHES, GEOMETRY, BODIES, PENETRATION, CLOTH, CONCENTRATION,
+        DYE_STATUS, DYE_CHECKPOINT, PICTURE, EVENT, REPORT, ACK,
     )
 }  # fmt: skip
 FRAMES = (STATE.name, CONCENTRATION.name)
@@ -226,6 +268,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "nuno.Status": Status,
     "nuno.DyeStatus": DyeStatus,
     "nuno.Penetration": Penetration,
+    "nuno.Contact": Contact,
     "nuno.Event": Event,
     "nuno.Ack": Ack,
 }

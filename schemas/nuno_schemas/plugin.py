@@ -22,7 +22,7 @@ from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 from nuno_schemas.skin import Skin
-from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 from nuno_schemas.written import Fields, Written
 
 GROUPS: Mapping[str, str] = {
@@ -213,6 +213,12 @@ class Integrator(Plugin, Protocol):
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """What acts in a state, by kind of force, with bodies as at the start of the interval of `poses`, and as fast:
         what an explicit method's next step begins with. Changes neither state nor memory.
+        """
+        ...
+
+    def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
+        """What each body does to the cloth in a state, with bodies as at the end of the interval of `poses`, and as
+        fast. Changes neither state nor memory.
         """
         ...
 

@@ -88,6 +88,9 @@ class Record(Part):
         description="interval of the amounts of dye that are recorded and shown [s], of all frames unless given; "
         "beside the first, the last and those of checkpoints",
     )
+    contact_forces: bool = Field(
+        default=False, description="whether the force and pressure on each body are found in each frame, and recorded"
+    )
 
 
 MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "rest_speed", "cloth_contact")

@@ -32,6 +32,8 @@ class Term:
     facts: Mapping[str, float] = field(default_factory=dict)
     """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
     than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
+    bodies: tuple[str, ...] = ()
+    """Names of those that it is contact with, by the numbers that they have in it."""
 
     @property
     def in_python(self) -> bool:
@@ -101,6 +103,16 @@ class StepReport:
     """How far the vertex farthest from rest is from it, of a scene until balance; see Integrator.unbalance."""
     unsettled: int = 0
     """Vertices farther from rest than a scene until balance allows."""
+
+
+@dataclass(frozen=True)
+class Touched:
+    """What bodies do to a fabric in one state, and all that acts on it, both in newtons."""
+
+    by: Mapping[str, Float]
+    """(n, 3) of each body's contact, by its name; as in `Forces`"""
+    total: Float
+    """(n, 3) of everything; on vertices that are carried along it is what they pull at what carries them"""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
-from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, STILL, TOUCHING
+from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOUCHING
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
 from nuno_contact.reaction import elastic_stiffness
@@ -85,6 +85,15 @@ def count_cut(m: Meeting, held: Bool) -> None:
     m.so_far[HELD_CUT] += int((held & ~free).sum())
 
 
+def act_alone(m: Meeting, body: int) -> Meeting:
+    """The same meeting in which cloth meets one of the bodies alone: all other pairs neither push nor rub."""
+    near = m.near[: m.number[NEAR]]
+    own = (m.piece[m.pair[near]] == len(m.meets) - len(m.body_law) + body).any(axis=1)
+    stiffness, damping = np.zeros_like(m.pair_stiffness), np.zeros_like(m.pair_damping)
+    stiffness[near], damping[near] = m.pair_stiffness[near] * own, m.pair_damping[near] * own
+    return m._replace(pair_stiffness=stiffness, pair_damping=damping)
+
+
 register(
     Meeting,
     name="cloth_contact",
@@ -111,6 +120,7 @@ register(
     project=project,
     energy=measure_pairs,
     counts=count_meetings,
+    alone=act_alone,
 )
 
 

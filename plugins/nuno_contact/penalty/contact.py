@@ -183,6 +183,12 @@ def limit_approach(contact: Contact, rate: float) -> None:
     contact.rate[0] = min(rate, AT_ONCE)
 
 
+def act_alone(contact: Contact, body: int) -> Contact:
+    """The same contact with one of its bodies: the others neither push nor rub."""
+    own = (np.arange(len(contact.friction)) == body)[:, None]
+    return contact._replace(stiffness=contact.stiffness * own, damping=contact.damping * own)
+
+
 register(
     Contact,
     name="contact",
@@ -190,6 +196,7 @@ register(
     settle=commit_contact,
     interval=set_poses,
     approach=limit_approach,
+    alone=act_alone,
     project="nuno_contact.penalty.projection:project",
     counts=count_contacts,
     memory=("anchor", "anchor_frame"),

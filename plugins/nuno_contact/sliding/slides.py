@@ -213,6 +213,12 @@ def find_room(s: Slides, x: Float, span: float, threads: int | None) -> None:
     find_rooms(x, s, s.tally.shape[0], threads)
 
 
+def act_alone(slides: Slides, body: int) -> Slides:
+    """The same with one of its bodies: vertices are as far from the others as can be."""
+    own = (np.arange(len(slides.root)) == body)[:, None]
+    return slides._replace(clear=np.where(own, slides.clear, np.inf))
+
+
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
     """Write the interval into `slides`, in place."""
     write_interval(slides, poses0, poses1)
@@ -230,6 +236,7 @@ register(
     hold=hold_slides,
     slow=slow_slides,
     begin=find_room,
+    alone=act_alone,
     unbalance="nuno_contact.sliding.balance:hold_forces",
     interval=set_slide_poses,
     counts=count_slides,

@@ -217,7 +217,8 @@ def build_system(
     fields = {body.name: of.field for body, of in zip(loaded.scene.bodies, loaded.contacts, strict=True)}
     for contact, numbers in group_contacts(loaded):
         if geometry is not None and len((own := geometry.of_bodies(numbers)).kind):
-            terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
+            term = _prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields)
+            terms.append(replace(term, bodies=own.bodies))
     met = loaded.scene.met_bodies
     if (meeting := loaded.cloth_contact) is not None:
         if not len(fabric.faces):
@@ -225,7 +226,8 @@ def build_system(
             raise loaded.at("cloth_contact", BadInput(problem, remedy="leave cloth_contact out"))
         objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
         bodies = [] if geometry is None or not met else [geometry.of_bodies(met), poses]
-        terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies))
+        term = _prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies)
+        terms.append(replace(term, bodies=tuple(loaded.scene.bodies[i].name for i in met)))
     return System(fabric, gravity, _most_damping(loaded.scene), tuple(terms), threads, carried)
 
 

@@ -29,6 +29,8 @@ UNITS = {
     "dt": "s",
     "dt_limit": "s",
 }
+FAMILIES = {"energy_": "J", "wrinkles_": "m", "force_": "N", "pressure_": "Pa"}
+"""Of columns whose names begin so."""
 
 
 def export_npz(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
@@ -128,5 +130,5 @@ def export_csv(source: Recording | Path | str, path: Path) -> Path:
 
 def heading(name: str) -> str:
     """A column's name with its unit, if it has one: `dt [s]`."""
-    unit = "J" if name.startswith("energy_") else "m" if name.startswith("wrinkles_") else UNITS.get(name)
+    unit = next((unit for start, unit in FAMILIES.items() if name.startswith(start)), UNITS.get(name))
     return name if unit is None else f"{name} [{unit}]"

@@ -18,6 +18,7 @@ from nuno_schemas.messages import (
     BODIES,
     CHECKPOINT,
     CHECKPOINTS,
+    CONTACT,
     DYE_CHECKPOINT,
     DYE_STATUS,
     EVENT,
@@ -28,6 +29,7 @@ from nuno_schemas.messages import (
     STATE,
     STATUS,
     STATUSES,
+    Contact,
     Event,
 )  # fmt: skip
 
@@ -195,8 +197,9 @@ def open_recording(path: Path | str) -> Recording:
 
 def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
     """frame, t [s], steps, step_seconds, energy_* [J], stretch, and from the collision service depth [m],
-    inside, mean [m], and of cloth that meets cloth crossings and distance [m]; of a cloth that is dyed mobile_*,
-    fixed_* and supplied_* by dye, balance, and time, that of the dyeing [s]; NaN where one is missing.
+    inside, mean [m], and of cloth that meets cloth crossings and distance [m]; by body force_BODY_x, _y and _z [N]
+    and pressure_BODY, the largest [Pa], where those are recorded; of a cloth that is dyed mobile_*, fixed_* and
+    supplied_* by dye, balance, and time, that of the dyeing [s]; NaN where one is missing.
     """
     rows: dict[int, dict[str, Any]] = {}
     for message in recording.messages(STATUSES):
@@ -215,6 +218,12 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
             {name: value.get(name) for name in ("depth", "inside", "mean")}
             | {name: value[name] for name in ("crossings", "distance") if value.get(name) is not None}
         )
+    for message in recording.messages([CONTACT.name]):
+        contact = Contact.model_validate(recording.json(message.payload))
+        row = rows.setdefault(contact.frame, {"frame": contact.frame, "t": contact.t})
+        for felt in contact.bodies:
+            row |= {f"force_{felt.body}_{axis}": value for axis, value in zip("xyz", felt.force, strict=True)}
+            row |= {f"pressure_{felt.body}": felt.pressure}
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
     return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
 

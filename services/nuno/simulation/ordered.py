@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int, Memory, State
-from nuno_schemas.system import Forces, StepLimit, StepReport, System
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 
 
 class Ordered:
@@ -57,6 +57,11 @@ class Ordered:
         found: Forces = self._plugin.forces(system, self._ordered(state), memory, poses)
         parts = {name: self._given(part) for name, part in found.parts.items()}
         return Forces(parts, self._given(found.acceleration), found.tension)
+
+    def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
+        """See Integrator."""
+        found: Touched = self._plugin.touched(system, self._ordered(state), memory, poses)
+        return Touched({name: self._given(part) for name, part in found.by.items()}, self._given(found.total))
 
     def _ordered(self, state: State) -> State:
         """A state as it is stepped, an array of its own."""

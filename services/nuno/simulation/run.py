@@ -33,7 +33,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.operation import arranges
-from nuno_schemas.system import Forces, StepLimit, StepReport, System
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
@@ -65,7 +65,7 @@ class Simulation(Changing):
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
-        self.start_poses = self.poses = poses
+        self.start_poses = self.before = self.poses = poses
         self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
@@ -141,7 +141,7 @@ class Simulation(Changing):
         """See `Stepper`: with the bodies where `find_poses` has them."""
         end = self.find_poses(self.frame + 1)
         frame = self.advance(self.poses, end)
-        self.poses = end
+        self.before, self.poses = self.poses, end
         return frame
 
     def present(self) -> Stepped:
@@ -152,6 +152,13 @@ class Simulation(Changing):
         """What acts in the present state, at the start of the next frame."""
         after = self.find_poses(self.frame + 1)
         return self.forces(None if after is None or self.poses is None else (self.poses, after))
+
+    def present_touched(self) -> Touched | None:
+        """What each body does to the cloth in the present state; None without bodies."""
+        if self.before is None or self.poses is None:
+            return None
+        found: Touched = self.solver.plugin.touched(self.system, self.state, self.memory, (self.before, self.poses))
+        return found
 
     def advance(self, start: Poses | None, end: Poses | None) -> Stepped:
         """Simulate one frame between two sets of poses."""
@@ -245,7 +252,7 @@ class Simulation(Changing):
         self.take_over(point)
         self.applied = max(self.applied, self.due(self.frame - 1))
         self.state.t = self.t
-        self.poses = self.find_poses(self.frame)
+        self.before = self.poses = self.find_poses(self.frame)
 
     def set(self, item: str) -> None:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""

@@ -23,6 +23,7 @@ from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
+from nuno.simulation.touching import feel
 from nuno.stepping.again import resume
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
 from nuno.stepping.stepped import Stepped
@@ -30,7 +31,7 @@ from nuno.wire.arrays import encode_arrays
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import FABRIC
+from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES
 from nuno_schemas.system import StepReport
 
 NOW = "sim/ask/now"
@@ -48,7 +49,7 @@ class ClothDriver(Driver):
         self.simulation = simulation
         self.coming: deque[Callable[[], Poses]] = deque()
         """Poses of the next frames, asked for already."""
-        self.seconds["bodies"] = 0.0
+        self.seconds |= {"bodies": 0.0} | ({"contact forces": 0.0} if self.scene.record.contact_forces else {})
         self.answers[NOW] = self.encode_now
         self.inbox.answer(NOW)
         self.counts: dict[str, int] = {}
@@ -98,6 +99,17 @@ class ClothDriver(Driver):
         if self.simulation.alter_due():
             self.publish_fabric(self.simulation.frame + 1)
         return super().step_frame()
+
+    def publish(self, frame: Stepped, show: bool) -> None:
+        """See `Driver`; with what bodies feel, where the scene wants that."""
+        super().publish(frame, show)
+        if self.scene.record.contact_forces and self.simulation.geometry is not None:
+            start = time.perf_counter()
+            contact, touches = feel(self.simulation)
+            text = {"bodies": list(self.simulation.geometry.bodies)}
+            self.seconds["contact forces"] += time.perf_counter() - start
+            self._put(CONTACT, contact.model_dump_json().encode())
+            self._put(TOUCHES, encode_arrays(touches, text))
 
     def next_poses(self, frame: int) -> Poses:
         """Poses at the end of the next frame.

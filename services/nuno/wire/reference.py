@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -49,7 +49,14 @@ def describe_messages() -> str:
     parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_said(Header)}\n", _fields(Header)]
     for name, model in MODELS.items():
         parts += [f"\n## {name}\n\n{_said(model)}\n", _fields(model)]
+        held = [one for field in model.model_fields.values() for one in get_args(field.annotation) if _is_model(one)]
+        for one in held:
+            parts += [f"\n### {one.__name__}\n\n{_said(one)}\n", _fields(one)]
     return "\n".join([*parts, f"\n{ARRAYS}"])
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _holds(topic: Topic) -> str:
@@ -70,7 +77,7 @@ def _fields(model: type[BaseModel]) -> str:
 def _type(annotation: Any) -> str:
     """As Python has it, but for null."""
     text = annotation.__name__ if isinstance(annotation, type) and "[" not in str(annotation) else str(annotation)
-    text = text.removeprefix("typing.").replace("None", "null").replace("typing.", "")
+    text = text.replace("None", "null").replace("typing.", "").replace("nuno_schemas.messages.", "")
     if text.startswith("Literal["):
         return " or ".join(f"`{word}`" for word in re.findall(r"'([^']*)'", text))
     return f"`{text}`".replace("|", "or")
