@@ -155,12 +155,14 @@ class Hinges:
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
-    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips".
+    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips"; local (b, 3) where they are in the frame
+    [m], None: where they start.
     """
 
     vertices: Annotated[Int, "b", Bounds(0, below="n")]
     body: str
     frame: str
+    local: Annotated[Float, "b", 3] | None = None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,22 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """A body beside cloth, at one time.
+
+    frames       names of its f frames
+    rotation     (f, 4) unit quaternions w, x, y, z, and translation (f, 3) [m] of them
+    distance     (f, n) of each vertex from the surface of what a frame carries, negative inside; inf where it carries
+                 nothing [m]
+    """
+
+    frames: Annotated[tuple[str, ...], "f"]
+    rotation: Annotated[Float, "f", 4]
+    translation: Annotated[Float, "f", 3]
+    distance: Annotated[Float, "f", "n"]
+
+
+@dataclass(frozen=True)
 class Changed:
     """A fabric that takes the place of the one it was made of, and its state, while a run goes on.
 
@@ -89,6 +105,18 @@ class Alteration(Operation, Protocol):
 
     def resolve(self, config: Any, files: Files) -> Any:
         """The configuration with what its files hold in the place of their names. Raises BadInput."""
+        ...
+
+
+class Holding(Alteration, Protocol):
+    """An alteration that is made beside a body: it is applied by `apply_beside`."""
+
+    def body(self, config: Any) -> str:
+        """Name of the body."""
+        ...
+
+    def apply_beside(self, config: Any, fabric: Fabric, state: State, body: Beside) -> Outcome:
+        """As `apply`."""
         ...
 
 

@@ -28,6 +28,10 @@ ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fix
 """What a solver advances in place."""
 
 
+class Lacking(BadInput, AttributeError):
+    """A plugin lacks what its kind has: said so where it is used, and None to whoever asks whether it is there."""
+
+
 class Foreign:
     """Stands for a plugin; every method of it is guarded.
 
@@ -45,7 +49,7 @@ class Foreign:
             raise AttributeError(name)
         if not hasattr(self._plugin, name) and (name == "Config" or (self._group, name) in CHECKS):
             remedy = "its package is not of this version's plugin protocol: update it, or write to its maker"
-            raise BadInput(f"{self._who} has no {name}", remedy=remedy)
+            raise Lacking(f"{self._who} has no {name}", remedy=remedy)
         value = getattr(self._plugin, name)
         return self._guarded(name, value) if callable(value) and not isinstance(value, type) else value
 

@@ -204,6 +204,7 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.integrators", "limit"): (StepLimit, lambda found, args: check_layout("", found)),
     ("nuno.integrators", "advance"): (StepReport, lambda found, args: check_layout("", found)),
     ("nuno.operations", "apply"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
+    ("nuno.operations", "apply_beside"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
     ("nuno.operations", "arrange"): (
         Arranged, lambda found, args: check_layout("", found, {"n": _of(Fabric, args).number}),
     ),

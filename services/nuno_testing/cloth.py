@@ -9,7 +9,7 @@ import numpy as np
 from nuno import registry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
-from nuno_schemas.operation import Outcome
+from nuno_schemas.operation import Beside, Outcome
 from nuno_testing.subject import Subject, made_twice
 
 
@@ -59,9 +59,18 @@ MODELS = (it_is_built_the_same_again, each_spring_and_hinge_is_there_once, trian
 
 
 def applied(subject: Subject, fabric: Fabric) -> Outcome:
-    """What is made of a fabric at rest, without bodies."""
+    """What is made of a fabric at rest, without bodies, or on the surface of the one that it is made beside."""
     state = State(fabric.position.copy(), 0.0 * fabric.position)
-    made: Outcome = made_twice(lambda: subject.plugin.apply(subject.config, fabric, state, None), fabric, state)
+
+    def make() -> Outcome:
+        if not hasattr(subject.plugin, "apply_beside"):
+            made: Outcome = subject.plugin.apply(subject.config, fabric, state, None)
+            return made
+        still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, fabric.number))
+        beside: Outcome = subject.plugin.apply_beside(subject.config, fabric, state, Beside(("body",), *still))
+        return beside
+
+    made: Outcome = made_twice(make, fabric, state)
     return made
 
 
@@ -71,7 +80,7 @@ def it_makes_the_same_again_and_leaves_its_arguments_alone(subject: Subject) -> 
     try:
         made = applied(subject, knit.build(knit.Config(form="tube", wales=8, courses=15), None, 0))
     except BadInput:
-        made = applied(subject, sheet.build(sheet.Config(cells="triangles"), None, 0))
+        made = applied(subject, sheet.build(sheet.Config(cells="triangles", pin=("top-left",)), None, 0))
     assert np.isfinite(list(made.facts.values())).all()
     if (curves := made.curves) is None:
         return

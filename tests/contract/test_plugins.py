@@ -54,7 +54,9 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
     "nuno.contacts": {"penalty": {}, "sliding": {}},
     "nuno.cloth_contacts": {"offset": {}},
     "nuno.operations": {
+        "attach": {"body": "hand", "within": "1 cm"},
         "pressure": {},
+        "release": {"vertices": [0]},
         "repair": {},
         "smooth": {},
         "untangle": {},

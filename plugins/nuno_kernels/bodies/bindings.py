@@ -59,7 +59,7 @@ def carry_bound(bindings: Bindings, moved: Displaced, s: float) -> None:
 
 def make_bindings(vertices: Int, local: Float, frame: Int) -> Bindings:
     """Bindings of (b,) vertices to frames by number; `set_binding_poses` comes before any use."""
-    count = int(frame.max()) + 1
+    count = int(frame.max(initial=-1)) + 1
     return Bindings(
         np.ascontiguousarray(vertices, np.int64),
         np.ascontiguousarray(frame, np.int64),

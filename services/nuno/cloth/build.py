@@ -182,8 +182,8 @@ def bind(
 ) -> list[Carried]:
     """Bound vertices, and where they are in the frames that carry them along.
 
-    Local coordinates are those of the start, so cloth is put on where the scene places it.
-    Raises BadInput for a body or frame that does not exist, or that the cloth is far from.
+    Local coordinates are those of the start, so cloth is put on where the scene places it; but for what is attached
+    later. Raises BadInput for a body or frame that does not exist, or that the cloth is far from.
     """
     carried = []
     frames = geometry.frames if geometry else ()
@@ -193,14 +193,16 @@ def bind(
             if geometry is None or poses is None or name not in frames:
                 remedy = nearest(name, frames)
                 raise BadInput("cloth is attached to a frame that no body has", value=name, remedy=remedy)
-            index = frames.index(name)
-            check_worn(fabric.position[binding.vertices], geometry, poses, index)
+            index, local = frames.index(name), binding.local
+            if local is None:
+                check_worn(fabric.position[binding.vertices], geometry, poses, index)
         except BadInput as error:
             vertex = int(binding.vertices[0])
             piece = next(i for i, piece in enumerate(pieces) if vertex < piece.stop)
             raise loaded.at(f"objects[{piece}].model.attach", error) from None
-        inverse = rotation_matrices(poses.rotation[index]).T
-        local = turn(inverse, fabric.position[binding.vertices] - poses.translation[index])
+        if local is None:
+            inverse = rotation_matrices(poses.rotation[index]).T
+            local = turn(inverse, fabric.position[binding.vertices] - poses.translation[index])
         carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32)))
     return carried
 
@@ -211,6 +213,9 @@ def build_system(
     """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
     carried = tuple(bind(loaded, fabric, pieces, geometry, poses))
+    if not carried and may_attach(loaded):  # steps are compiled for what may be carried
+        none = np.zeros(0, np.int32)
+        carried = (Carried(none, np.zeros((0, 3)), none),)
     terms = []
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
@@ -229,6 +234,11 @@ def build_system(
         term = _prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies)
         terms.append(replace(term, bodies=tuple(loaded.scene.bodies[i].name for i in met)))
     return System(fabric, gravity, _most_damping(loaded.scene), tuple(terms), threads, carried)
+
+
+def may_attach(loaded: Loaded) -> bool:
+    """Whether the scene says that something is attached to a body while it goes on."""
+    return any(hasattr(one.plugin, "apply_beside") for one in loaded.operations)
 
 
 def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:

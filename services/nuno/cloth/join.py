@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Panels, Springs
+from nuno_schemas.fabric import Corners, Fabric, Hinges, Panels, Springs
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.yarns import Yarns
 
@@ -36,7 +36,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         Springs.join(springs) if springs else None,
         _join_hinges(hinges) if hinges else None,
         np.concatenate([no_uv, *(np.zeros((f.number, 2), np.float32) if f.uv is None else f.uv for f in fabrics)]),
-        tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
+        tuple(replace(b, vertices=(b.vertices + at).astype(np.int32)) for f, at in moved for b in f.bindings),
         yarns=Yarns.join(yarns) if yarns else None,
         cells=np.concatenate(cells).astype(np.int32) if cells else None,
         membrane=_join_membranes(membranes) if membranes else None,

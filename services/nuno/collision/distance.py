@@ -14,6 +14,7 @@ from nuno.collision.mesh import Columns, are_inside, columns_of, distances, make
 from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, SKIN, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 from nuno_schemas.field import DistanceField
+from nuno_schemas.operation import Beside
 
 
 def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
@@ -22,6 +23,19 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
     Points that are not finite, as in the last frame of a diverged run, are outside of everything.
     """
     return _lowest(points, geometry, poses, range(len(geometry.kind)))
+
+
+def beside(points: Float, geometry: Geometry, poses: Poses, name: str) -> Beside:
+    """A body, by its name, beside (n, 3) points."""
+    number = geometry.bodies.index(name)
+    own = [i for i, frame in enumerate(geometry.frames) if frame.split("/", 1)[0] == name]
+    carried = [np.flatnonzero((geometry.frame == frame) & (geometry.body == number)).tolist() for frame in own]
+    return Beside(
+        tuple(geometry.frames[frame].split("/", 1)[1] for frame in own),
+        poses.rotation[own],
+        poses.translation[own],
+        np.array([_lowest(points, geometry, poses, chosen) for chosen in carried]),
+    )
 
 
 def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:

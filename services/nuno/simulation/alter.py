@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -106,11 +107,23 @@ def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     for part, (_, names) in PARTS.items():
         held = getattr(fabric, part)
         arrays |= {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
-    return arrays | {f"bindings.{i}": binding.vertices for i, binding in enumerate(fabric.bindings)}
+    for i, binding in enumerate(fabric.bindings):
+        arrays[f"bindings.{i}"] = binding.vertices
+        arrays |= {} if binding.local is None else {f"bindings.{i}.local": binding.local}
+    return arrays
 
 
-def fabric_from(arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float]) -> Fabric:
-    """The fabric that a checkpoint holds, `built` being that of the scene. Raises BadInput where it is damaged."""
+def frames_bound(fabric: Fabric) -> list[list[str]]:
+    """Body and frame of each binding of a fabric, for a checkpoint."""
+    return [[binding.body, binding.frame] for binding in fabric.bindings]
+
+
+def fabric_from(
+    arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float], bound: Sequence[Sequence[str]]
+) -> Fabric:
+    """The fabric that a checkpoint holds, `built` being that of the scene and `bound` what its `frames_bound` were.
+    Raises BadInput where it is damaged.
+    """
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
         for part, (kind, names) in PARTS.items():
@@ -119,8 +132,8 @@ def fabric_from(arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str
         if built.corners is not None:  # panels stay as they are cut: no operation changes triangles that have corners
             parts["corners"] = replace(parts["corners"], panels=built.corners.panels)
         bindings = tuple(
-            Binding(arrays[f"bindings.{i}"].astype(np.int32), binding.body, binding.frame)
-            for i, binding in enumerate(built.bindings)
+            Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
+            for i, (body, frame) in enumerate(bound)
         )
     except KeyError as error:
         raise BadInput(f"the checkpoint lacks {error} of a changed fabric") from None

@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
+from nuno.collision.distance import beside
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.scene_file import Chosen
-from nuno.simulation.alter import fabric_arrays, fabric_from, parse
+from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.ordered import Ordered
 from nuno.simulation.relax import Stillness
 from nuno.stepping.stepped import Stepper
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.plugin import Rested
@@ -131,7 +132,7 @@ class Changing(Stepper):
         piece, fabrics = self.pieces[index], list(self.parts())
         own = slice(piece.start, piece.stop)
         state = State(self.state.x[own].copy(), self.state.v[own].copy(), self.state.t)
-        outcome: Outcome = chosen.plugin.apply(chosen.config, fabrics[index], state, None)
+        outcome = self._apply(chosen, fabrics[index], state)
         made = outcome.changed
         if made is None:
             raise BadInput("the operation changed nothing", value=chosen.name)
@@ -166,6 +167,20 @@ class Changing(Stepper):
         changed.balanced = False
         changed.changes[-1]["measured"] = [changed.heights(len(changed.changes) - 1)]
         self.become(changed)
+
+    def _apply(self, chosen: Chosen, fabric: Fabric, state: State) -> Outcome:
+        """What an operation makes of one object, beside the body that it is made with. Raises BadInput."""
+        if not hasattr(chosen.plugin, "apply_beside"):
+            made: Outcome = chosen.plugin.apply(chosen.config, fabric, state, None)
+            return made
+        name, known = chosen.plugin.body(chosen.config), [body.name for body in self.loaded.scene.bodies]
+        if name not in known or self.geometry is None or self.poses is None:
+            remedy = nearest(name, known) if known else "give the scene the body"
+            raise BadInput("there is no such body", field="body", value=name, remedy=remedy)
+        held: Outcome = chosen.plugin.apply_beside(
+            chosen.config, fabric, state, beside(state.x, self.geometry, self.poses, name)
+        )
+        return held
 
     def become(self, changed: Self) -> None:
         """Go on as a copy of this that something has been changed in: what is refused has then changed nothing here."""
@@ -206,7 +221,8 @@ class Changing(Stepper):
         if self.numbers is not None:
             arrays[NUMBERS] = self.numbers
         origins = {str(i): dict(fabrics[i].origin) for i in changed}
-        return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins}
+        bound = {str(i): frames_bound(fabrics[i]) for i in changed}
+        return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins, "bound": bound}
 
     def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
@@ -228,7 +244,7 @@ class Changing(Stepper):
         fabrics = list(self.parts())
         for number, origin in origins.items():
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
-            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin)
+            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, text["bound"][number])
         self.changes = list(text["changes"])
         self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))

@@ -1,0 +1,35 @@
+"""What taking hold and letting go share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Int, State
+from nuno_schemas.operation import Changed, Outcome
+
+VertexNumber = Annotated[int, Field(ge=0)]
+VERTICES = "or just these, by their numbers in the object"
+
+
+def check_vertices(given: tuple[int, ...], fabric: Fabric) -> Int:
+    """Numbers (k,) of vertices. Raises BadInput for none, one that there is not, and one that is named twice."""
+    chosen = np.array(given, np.int64)
+    if not len(chosen):
+        raise BadInput("no vertex is named", field="vertices", value=[], limit="one or more")
+    if chosen.max() >= fabric.number:
+        limit = f"0 to {fabric.number - 1}"
+        raise BadInput("there is no such vertex", field="vertices", value=int(chosen.max()), limit=limit)
+    names, counts = np.unique(chosen, return_counts=True)
+    if counts.max() > 1:
+        raise BadInput("this vertex is named twice", field="vertices", value=int(names[counts.argmax()]))
+    return chosen.astype(np.int32)
+
+
+def unchanged(fabric: Fabric, state: State, facts: Mapping[str, float]) -> Outcome:
+    """A fabric of the same vertices, where they are."""
+    return Outcome(facts, changed=Changed(fabric, state, np.arange(fabric.number, dtype=np.int32)))

@@ -1,0 +1,73 @@
+"""The operation `release`: vertices that were held, by a body or where they are, move freely from now on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from nuno_cloth.holding.common import VERTICES, VertexNumber, check_vertices, unchanged
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.plugin import Config, Files
+
+
+class ReleaseConfig(Config):
+    """What is let go of: what a body carries, or vertices by number, or of a body's only these."""
+
+    body: str | None = Field(default=None, description="name of the body that carries them")
+    vertices: tuple[VertexNumber, ...] | None = Field(default=None, description=VERTICES)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _says_what(cls, data: Any) -> Any:
+        if isinstance(data, dict) and not ({"body", "vertices"} & data.keys()):
+            raise PydanticCustomError("release_what", "say what is let go of: body: NAME, or vertices: [...]")
+        return data
+
+
+class Release:
+    """They go on at the velocity that they were carried at; nothing is changed where it is refused."""
+
+    name: ClassVar[str] = "release"
+    Config: ClassVar[type[BaseModel]] = ReleaseConfig
+
+    def compile(self) -> None:
+        """There is nothing to compile."""
+
+    def resolve(self, config: ReleaseConfig, files: Files) -> ReleaseConfig:
+        """It names no files."""
+        return config
+
+    def apply(self, config: ReleaseConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """The fabric without holding them. Raises BadInput for a body that carries nothing, and for vertices that are
+        not held.
+        """
+        held = fabric.pinned.copy()
+        if config.body is not None:
+            carriers = [binding.body for binding in fabric.bindings]
+            if config.body not in carriers:
+                remedy = nearest(config.body, carriers) if carriers else "attach it first"
+                raise BadInput("nothing is attached to this body", field="body", value=config.body, remedy=remedy)
+            held[:] = False
+            for binding in fabric.bindings:
+                held[binding.vertices] |= binding.body == config.body
+        if config.vertices is not None:
+            chosen = check_vertices(config.vertices, fabric)
+            if (free := ~held[chosen]).any():
+                holder = "held" if config.body is None else f"attached to {config.body}"
+                raise BadInput(f"this vertex is not {holder}", field="vertices", value=int(chosen[np.argmax(free)]))
+            held[:] = False
+            held[chosen] = True
+        kept = [(binding, ~held[binding.vertices]) for binding in fabric.bindings]
+        bindings = tuple(
+            replace(one, vertices=one.vertices[stays], local=None if one.local is None else one.local[stays])
+            for one, stays in kept
+            if stays.any()
+        )
+        made = replace(fabric, pinned=fabric.pinned & ~held, bindings=bindings)
+        return unchanged(made, state, {"vertices": float(held.sum()), "held": float(made.pinned.sum())})

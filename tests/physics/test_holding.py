@@ -1,0 +1,151 @@
+"""Cloth that bodies take hold of and let go of while it moves: where it is carried, and how it goes on."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from nuno.scene.scene_file import read
+from nuno.simulation.run import Simulation
+from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.errors import BadInput
+
+GRAVITY = np.array([0.0, -9.81, 0.0])
+
+
+def hand(**fields: Any) -> Simulation:
+    """A sheet of 10 cm, falling, over a ball that moves along x and turns about y, with any field replaced."""
+    motion = {
+        "plugin": "keyframes",
+        "times": [0, 1],
+        "positions": [[0, 0, 0], [0.5, 0, 0]],
+        "rotations": [[0, 0, 0], [0, 2, 0]],
+    }
+    model = {
+        "plugin": "sheet",
+        "size": [0.1, 0.1],
+        "resolution": [5, 5],
+        "plane": "xz",
+        "centre": [0, 0.06, 0],
+        "pin": [],
+    }
+    data = {
+        "nuno": 1, "name": "hand", "duration": 0.5, "frame_rate": 50, "solver": "symplectic_euler",
+        "objects": [{"name": "cloth", "model": model | {"fabric": "interlock"}}],
+        "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "radius": 0.05}, "motion": motion}],
+    }  # fmt: skip
+    folder = Path(fields.pop("folder"))
+    (folder / "hand.yaml").write_text(yaml.safe_dump(data | fields))
+    return Simulation.with_bodies(read(folder / "hand.yaml"), threads=1)
+
+
+def local(simulation: Simulation) -> np.ndarray:
+    """Where the vertices are in the ball's frame [m]."""
+    poses = simulation.poses
+    assert poses is not None
+    return np.asarray((simulation.state.x - poses.translation[0]) @ rotation_matrices(poses.rotation)[0])
+
+
+@pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler", "xpbd", "rk4"])
+def test_what_is_attached_keeps_its_place_in_the_frame(tmp_path: Path, solver: str) -> None:
+    """From the moment on at which it is taken, however the body moves and turns; the rest moves in it."""
+    simulation = hand(folder=tmp_path, solver=solver)
+    for _ in range(3):
+        simulation.step()
+    simulation.add("attach: {body: ball, within: 2 cm}")
+    taken, start = np.flatnonzero(simulation.fabric.pinned), local(simulation)
+    assert 0 < len(taken) < simulation.fabric.number
+    for _ in range(10):
+        simulation.step()
+        assert np.abs(local(simulation) - start)[taken].max() < 1e-12
+    free = ~simulation.fabric.pinned
+    assert np.abs(local(simulation) - start)[free].max() > 1e-4
+
+
+def test_what_is_released_goes_on_as_it_was_carried_and_falls(tmp_path: Path) -> None:
+    """Its centre of mass: in symplectic Euler's free fall, from the velocity that it had."""
+    bodies = [{"name": "far", "collider": {"plugin": "sphere", "centre": [0, 9, 0], "radius": 0.1}}]
+    simulation = hand(folder=tmp_path, bodies=bodies)
+    for _ in range(2):
+        simulation.step()
+    simulation.add("attach: {body: far, vertices: [0, 1, 2]}")
+    for _ in range(5):
+        simulation.step()
+    simulation.add("release: {body: far}")
+    mass = simulation.fabric.mass / simulation.fabric.mass.sum()
+    x, v = mass @ simulation.state.x, mass @ simulation.state.v
+    for _ in range(5):
+        simulation.step()
+    steps, dt = 5 * simulation.steps, simulation.dt
+    fallen = x + steps * dt * v + GRAVITY * dt**2 * steps * (steps + 1) / 2
+    assert np.abs(mass @ simulation.state.x - fallen).max() < 1e-12
+
+
+def test_a_scene_takes_and_lets_go_by_itself(tmp_path: Path) -> None:
+    """At the times that it says, as is told; a checkpoint in between holds what is carried, and where."""
+    operations = [
+        {"plugin": "attach", "at": 0.1, "body": "ball", "within": 0.02},
+        {"plugin": "release", "at": 0.3, "body": "ball"},
+    ]
+    simulation = hand(folder=tmp_path, operations=operations)
+    held = []
+    while not simulation.finished:
+        simulation.step()
+        held.append(int(simulation.fabric.pinned.sum()))
+        if simulation.frame == 10:
+            point = deepcopy(simulation.keep())
+    assert held[4] == 0 and min(held[5:15]) > 0 and held[15:] == [0] * 10
+    assert [(c["operation"], c["frame"]) for c in simulation.changes] == [("attach", 5), ("release", 15)]
+    assert simulation.changes[0]["facts"]["vertices"] == held[5]
+    resumed = hand(folder=tmp_path, operations=operations)
+    resumed.resume(point)
+    while not resumed.finished:
+        resumed.step()
+    assert resumed.digest() == simulation.digest()
+
+
+@pytest.mark.parametrize(
+    ("item", "message"),
+    [
+        ("attach: {body: bal}", "there is no such body.*\n.*bal.*\n.*did you mean 'ball'"),
+        ("attach: {body: ball, frame: palm}", "ball has no such frame.*\n.*palm.*\n.*known: body"),
+        ("attach: {body: ball, within: 1 um}", "nothing of the cloth is within reach of ball"),
+        ("attach: {body: ball, vertices: [3, 3]}", "named twice"),
+        ("attach: {body: ball, vertices: [25]}", "no such vertex.*\n.*25.*\n.*0 to 24"),
+        ("attach: {body: ball, vertices: []}", "no vertex is named"),
+        ("attach: {body: ball, within: far}", "attach.*within|within"),
+        ("attach: {body: ball, at: 1 s}", "applied at once"),
+        ("release: {body: ball}", "nothing is attached to this body"),
+        ("release: {vertices: [0]}", "this vertex is not held"),
+        ("release: {}", "say what is let go of"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_held_or_let_go_of_is_named(tmp_path: Path, item: str, message: str) -> None:
+    """And nothing is changed."""
+    simulation = hand(folder=tmp_path)
+    simulation.step()
+    before = simulation.digest(), simulation.fabric
+    with pytest.raises(BadInput, match=message):
+        simulation.add(item)
+    assert (simulation.digest(), simulation.fabric) == before
+
+
+def test_what_is_held_is_not_taken_again(tmp_path: Path) -> None:
+    """Not by another body either, whether it is named or within reach; reaching farther takes what is free."""
+    simulation = hand(folder=tmp_path)
+    simulation.add("attach: {body: ball, within: 2 cm}")
+    first = simulation.fabric.pinned.copy()
+    taken = int(np.flatnonzero(first)[0])
+    with pytest.raises(BadInput, match=rf"held already\n *value: *{taken}\b"):
+        simulation.add(f"attach: {{body: ball, vertices: [{taken}]}}")
+    with pytest.raises(BadInput, match="all that is within reach of ball is held already"):
+        simulation.add("attach: {body: ball, within: 2 cm}")
+    simulation.add("attach: {body: ball, within: 4 cm}")
+    assert simulation.fabric.pinned.sum() > first.sum() and len(simulation.fabric.bindings) == 2
+    simulation.add(f"release: {{body: ball, vertices: [{taken}]}}")
+    assert not simulation.fabric.pinned[taken] and simulation.fabric.pinned[first].sum() == first.sum() - 1
