@@ -18,6 +18,8 @@ Time = Annotated[float, quantity("s")]
 Later = Annotated[float, quantity("s", gt=0)]
 Span = Annotated[float, quantity("s", ge=0)]
 Rate = Annotated[float, quantity("Hz", gt=0)]
+Speed = Annotated[float, quantity("m/s", gt=0)]
+TurnRate = Annotated[float, quantity("rad/s", gt=0)]
 Tempo = Annotated[float, quantity("Hz", ge=0)]
 
 Point = tuple[Length, Length, Length]

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from nuno_schemas import SCHEMA_VERSION
+from nuno_schemas.live import BodyPoses
 
 DESCRIBED = ConfigDict(use_attribute_docstrings=True)
 
@@ -227,6 +228,11 @@ GEOMETRY = Topic(
 BODIES = Topic(
     "collision/bodies", "protobuf", "nuno.Arrays", holds="`rotation` and `translation` of the bodies' frames"
 )
+POSES = Topic(
+    "poses", "json", "nuno.BodyPoses", recorded=False,
+    when="as whoever moves a body says, each body on `poses/BODY`, without a header",
+)  # fmt: skip
+"""Comes from outside, so that it is none of TOPICS; what bodies make of it is on BODIES."""
 PENETRATION = Topic("collision/report", "json", "nuno.Penetration")
 CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays", when="at the start", holds="the cells of a cloth that is dyed")
 CONCENTRATION = Topic(
@@ -269,6 +275,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "nuno.DyeStatus": DyeStatus,
     "nuno.Penetration": Penetration,
     "nuno.Contact": Contact,
+    "nuno.BodyPoses": BodyPoses,
     "nuno.Event": Event,
     "nuno.Ack": Ack,
 }

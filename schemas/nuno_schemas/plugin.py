@@ -21,6 +21,7 @@ from nuno_schemas.bodies import CAPSULE, SKIN, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
+from nuno_schemas.live import Live
 from nuno_schemas.skin import Skin
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 from nuno_schemas.written import Fields, Written
@@ -253,7 +254,9 @@ class BodyShape:
 
 
 class Motion(Plugin, Protocol):
-    """Moves frames over time."""
+    """Moves frames over time. One whose mover is live also says whether its frames wait for the clock, by a method
+    paced(config) -> bool.
+    """
 
     def prepare(self, config: Any, files: Files) -> Mover: ...
 
@@ -271,6 +274,8 @@ class Mover:
     parents: Annotated[Int, "j", Bounds(-1, below="j")]
     offsets: Annotated[Float, "j", 3]
     pose: Callable[[float], tuple[Float, Float]]
+    live: Live | None = None
+    """Of joints that are told where to be while the run goes on; `pose` is then its own."""
 
 
 class Collider(Plugin, Protocol):

@@ -2,8 +2,8 @@
 
 `nuno.run(scene)` simulates, `nuno.plan(scene)` says what that would do and cost, `nuno.Scene` is a scene as an object;
 `nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` go on with it, and `nuno.states`
-gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values, and
-`nuno.watch` listens to a run that goes on.
+gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values;
+`nuno.watch` listens to a run that goes on, and `nuno.drive` moves a body in it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nuno.api.drive import drive
     from nuno.api.plan import Plan, plan
     from nuno.api.recordings import export, states, verify
     from nuno.api.recordings import open_file as open
@@ -26,10 +27,11 @@ if TYPE_CHECKING:
     """nuno_bench.sweep.grid.sweep"""
 
 __all__ = [
-    "Heard", "Moment", "Plan", "Recording", "Result", "Scene", "export", "open", "plan", "resume", "run", "states",
-    "sweep", "verify", "watch",
+    "Heard", "Moment", "Plan", "Recording", "Result", "Scene", "drive", "export", "open", "plan", "resume", "run",
+    "states", "sweep", "verify", "watch",
 ]  # fmt: skip
 PLACES = {
+    "nuno.api.drive": ("drive",),
     "nuno.api.plan": ("Plan", "plan"),
     "nuno.api.recordings": ("export", "open", "states", "verify"),
     "nuno.api.result": ("Result",),

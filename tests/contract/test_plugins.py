@@ -50,6 +50,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "keyframes": {"times": [0, 1, 3], "rotations": [[0, 0, 0], [0, 1, 0.5], [1, 0, 0]], "between": "ease"},
         "bvh": {"file": "walk.bvh"},
         "hula": {},
+        "topic": {"key": "robot/hand", "position": [0, "1 m", 0], "frames": "poses", "silence": "2 s"},
     },
     "nuno.contacts": {"penalty": {}, "sliding": {}},
     "nuno.cloth_contacts": {"offset": {}},

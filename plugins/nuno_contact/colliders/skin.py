@@ -67,6 +67,9 @@ class SkinCollider:
                 "a skin needs a motion with joints", field="motion",
                 remedy="add a motion, bvh or hula, or give the body collider: {plugin: mesh, ...}, which stands still",
             )  # fmt: skip
+        if mover.live is not None:
+            problem, remedy = "a skin is fitted to a motion that is known beforehand", "collider: {plugin: skeleton}"
+            raise BadInput(problem, field="motion", value="topic", remedy=remedy)
         roles = find_roles(mover)
         rig = _read_rig(c, files)
         x, faces = c.make(files, read_closed if rig is None else partial(read_closed, load=rig.surface))

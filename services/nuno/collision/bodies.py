@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from nuno.scene.scene_file import Loaded
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.live import Live
 from nuno_schemas.plugin import BodyShape, Mover
 
 
@@ -21,6 +23,12 @@ class Bodies:
     movers: tuple[Mover | None, ...]
     notes: tuple[str, ...] = ()
     """What the user should know of them, in words."""
+
+    def live(self) -> Iterator[tuple[str, tuple[str, ...], Live]]:
+        """Those that are told where to be while a run goes on: name, joints and where they are."""
+        for name, mover in zip(self.geometry.bodies, self.movers, strict=True):
+            if mover is not None and mover.live is not None:
+                yield name, mover.joints, mover.live
 
     def poses(self, t: float) -> Poses:
         """Poses of all frames at time t [s]."""

@@ -10,7 +10,10 @@ import numpy as np
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.cloth import ClothCheck
 from nuno.collision.distance import penetration
-from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
+from nuno.collision.live import Followers
+from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_poses, encode_geometry, encode_poses
+from nuno.recording.reader import open_recording
+from nuno.recording.restore import told_poses
 from nuno.service import Context, each_message
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
@@ -33,6 +36,9 @@ class Collision:
         self.seconds = 0.0
         self.deepest = self.last = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
+        self.followers = Followers(context, bodies.live()) if bodies is not None and context.loaded.live else None
+        self.followed = 0
+        """The last frame to which they have been brought."""
         self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
         """None where cloth passes through cloth."""
 
@@ -56,11 +62,24 @@ class Collision:
         """Poses of a frame, and their message; the last few are kept, so that each frame's are encoded once."""
         if frame not in self.cache:
             assert self.bodies is not None
+            if self.followers is not None:
+                self._follow(self.bodies, self.followers, frame)
             poses = self.bodies.poses(frame / self.rate)
             self.cache[frame] = poses, encode_poses(poses, frame)
             while len(self.cache) > KEPT:
                 del self.cache[next(iter(self.cache))]
         return self.cache[frame]
+
+    def _follow(self, bodies: Bodies, followers: Followers, frame: int) -> None:
+        """Bring bodies that are told where to be to the end of a frame: to where they were in the recording that the
+        run goes on from, or to where they are told to be now.
+        """
+        if frame in self.context.loaded.told:
+            followers.take_up(decode_poses(self.context.loaded.told[frame]), bodies.geometry.frames)
+            self.followed = frame
+        while self.followed < frame:
+            self.followed += 1
+            followers.go_on(self.followed, 1.0 / self.rate)
 
     def publish(self, header: Header) -> None:
         """Where the bodies are in a published frame; at the first one also what they are, and what is to be said of it.
@@ -107,6 +126,10 @@ class Collision:
 def main(context: Context) -> None:
     """Serve one run's bodies, and look at its cloth, until asked to finish."""
     scene = context.loaded.scene
+    if context.options.resume is not None and context.loaded.live:  # a process of its own has read the scene alone
+        with open_recording(context.options.resume) as recording:
+            until = recording.common_checkpoint().t * scene.frame_rate + 0.5
+            context.loaded.told = {frame: one for frame, one in told_poses(recording).items() if frame <= until}
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)
@@ -124,6 +147,8 @@ def main(context: Context) -> None:
     finish = each_message(context, inbox, handle, collision.answer)
     found: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
+        if collision.followers is not None:
+            found["followed"] = collision.followers.summary()
         found |= {"deepest": collision.deepest, "last_depth": collision.last}
     if collision.cloth is not None:
         found["cloth_contact"] = collision.cloth.summary()

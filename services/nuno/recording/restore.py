@@ -16,7 +16,7 @@ from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
-from nuno_schemas.messages import CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
+from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
 from nuno_schemas.scene import Scene
 
 SETTLED = "settled_from", "settled"
@@ -53,7 +53,15 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
         scene.write_text(json.dumps(data))
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
         loaded.settled = settled_cloth(recording)
+        if loaded.live:
+            loaded.told = told_poses(recording)
         yield loaded
+
+
+def told_poses(recording: Recording) -> dict[int, bytes]:
+    """See Loaded.told."""
+    marks = recording.marks()
+    return {marks[one.log_time][0]: one.payload for one in recording.messages([BODIES.name]) if one.log_time in marks}
 
 
 def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:

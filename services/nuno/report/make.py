@@ -51,6 +51,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
         "cloth_contact": services.get("collision", {}).get("cloth_contact"),
+        "followed": services.get("collision", {}).get("followed", {}),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
         # One that was asked to finish before its first frame has no amounts.

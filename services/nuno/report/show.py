@@ -100,6 +100,13 @@ def _step(report: Report) -> str:
     return f"{text}; limit {limit * 1e3:.4g} ms, {share}"
 
 
+def _followed(told: Report) -> str:
+    """What came for a body that is told where to be."""
+    text = f"{told['heard']:,} poses came, {told['used']:,} were used, {told['refused']:,} refused"
+    behind = f", {told['behind']:,} in which it was not yet where it was told to be" if told["behind"] else ""
+    return f"{text}; {told['without']:,} frames without any{behind}; longest silence {told['silence']:.2g} s"
+
+
 def _dye(report: Report) -> list[tuple[str, str]]:
     """Amounts of each dye in full cells, and how well they are kept."""
     dye = report["dye"]
@@ -161,6 +168,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
     rows += crossed.rows(report.get("cloth_contact"))
+    rows += [("followed", f"{body}: {_followed(told)}") for body, told in report.get("followed", {}).items()]
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))

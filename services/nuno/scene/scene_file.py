@@ -86,8 +86,21 @@ class Loaded:
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
     settled: tuple[Float, Float] | None = None
     """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
+    told: Mapping[int, bytes] = field(default_factory=dict)
+    """Of a recording whose bodies were told where to be: the messages that say where they were, by frame."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""
+
+    @property
+    def live(self) -> bool:
+        """Whether bodies are told where to be while it runs."""
+        return any(hasattr(one.plugin, "paced") for one in self.motions if one is not None)
+
+    @property
+    def paced(self) -> bool:
+        """Whether its frames wait for the clock by themselves, since bodies are told where to be by it."""
+        live = (one for one in self.motions if one is not None and hasattr(one.plugin, "paced"))
+        return any(one.plugin.paced(one.config) for one in live)
 
     @property
     def integrator(self) -> Chosen:

@@ -17,6 +17,7 @@ from nuno.choose.cloth import decide
 from nuno.cloth import build
 from nuno.cloth.numbering import renumber, require_any_numbering
 from nuno.collision.bodies import build_bodies
+from nuno.collision.messages import decode_poses
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
@@ -90,8 +91,12 @@ class Simulation(Changing):
         if not loaded.scene.bodies:
             return cls(loaded, None, None, threads)
         bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
-        simulation = cls(loaded, bodies.geometry, bodies.poses(0.0), threads)
-        simulation.find_poses = lambda frame: bodies.poses(frame / rate)
+
+        def find(frame: int) -> Poses:
+            return decode_poses(loaded.told[frame]) if frame in loaded.told else bodies.poses(frame / rate)
+
+        simulation = cls(loaded, bodies.geometry, find(0), threads)
+        simulation.find_poses = find
         return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:

@@ -56,7 +56,7 @@ class Driver(ABC):
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
         self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
-        self.clock = Clock(self) if context.options.real_time and not follows else None
+        self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")

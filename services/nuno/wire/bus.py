@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from nuno.wire.question import Question
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.messages import Header, Topic
+from nuno_schemas.messages import POSES, Header, Topic
 
 WAITING_AFTER = 5.0
 """Whoever waits this long [s] for another service says so."""
@@ -164,6 +164,8 @@ class Inbox:
 
     def _check(self, sample: zenoh.Sample) -> Message | None:
         topic = str(sample.key_expr).removeprefix(self._bus.key(""))
+        if topic.startswith(f"{POSES.name}/"):  # from outside, and for the collision service alone
+            return None
         try:
             if sample.attachment is None:
                 raise ValueError("no header")

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from nuno_schemas.messages import MODELS, TOPICS, Header, Topic
+from nuno_schemas.messages import MODELS, POSES, TOPICS, Header, Topic
 
 FOXGLOVE = "https://docs.foxglove.dev/docs/visualization/message-schemas/introduction"
 INTRODUCTION = f"""\
@@ -44,7 +44,7 @@ message Arrays {
 def describe_messages() -> str:
     """The page."""
     rows = [[f"`{one.name}`", f"`{one.schema}`", one.encoding, one.when, "yes" if one.recorded else "no", _holds(one)]
-            for one in TOPICS.values()]  # fmt: skip
+            for one in (*TOPICS.values(), POSES)]  # fmt: skip
     parts = [INTRODUCTION, "## Topics\n", _table(["topic", "type", "encoding", "when", "recorded", "holds"], rows)]
     parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_said(Header)}\n", _fields(Header)]
     for name, model in MODELS.items():

@@ -1,0 +1,87 @@
+"""A body that is told where to be while the run goes on: by a tracker, a robot or a game engine, on the bus."""
+
+from __future__ import annotations
+
+import re
+from typing import ClassVar, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, Field, field_validator
+from pydantic_core import PydanticCustomError
+
+from nuno_contact.motions.bvh import BVH, BvhConfig
+from nuno_contact.motions.keyframes import read_rotation
+from nuno_contact.quantities import Later, Number, Point, Speed, TurnRate
+from nuno_schemas.live import Live
+from nuno_schemas.plugin import Config, Files, Mover
+
+KEY = re.compile(r"[^/*$?#\s]+(/[^/*$?#\s]+)*")
+"""A key of zenoh without wildcards."""
+
+
+class TopicConfig(Config):
+    """Where poses come from, and what happens where they are late, stay out, or jump."""
+
+    key: str | None = Field(
+        default=None,
+        description="under which they are published on the bus, as `robot/hand`; nuno/RUN/poses/BODY unless given",
+    )
+    frames: Literal["clock", "poses"] = Field(
+        default="clock",
+        description="clock: frames wait for the clock and take the newest poses; poses: each frame waits for the next "
+        "ones and none is left out, as with a robot's simulator that goes on in step",
+    )
+    silence: Later = Field(
+        default=1.0, description="after this time without poses that is said; a frame waits no longer for them [s]"
+    )
+    silent: Literal["hold", "stop"] = Field(
+        default="hold", description="what follows: the body stays where it is, or the run ends"
+    )
+    fastest: Speed = Field(
+        default=5.0, description="most that it follows at: what jumps is gone to at this speed [m/s]"
+    )
+    fastest_turn: TurnRate = Field(default=30.0, description="the same of its turning [rad/s]")
+    position: Point = Field(default=(0.0, 0.0, 0.0), description="where it waits for the first poses [m]")
+    rotation: tuple[Number, Number, Number, Number] = Field(
+        default=(1.0, 0.0, 0.0, 0.0), description="how it waits for them, a quaternion w, x, y, z"
+    )
+    skeleton: str | None = Field(
+        default=None,
+        description="a BVH file whose joints it has, and waits at the start of; one joint, `body`, unless given",
+    )
+
+    @field_validator("key")
+    @classmethod
+    def _one_key(cls, key: str | None) -> str | None:
+        if key is not None and not KEY.fullmatch(key):
+            problem = "must be names between slashes, without wildcards, such as robot/hand"
+            raise PydanticCustomError("not_a_key", problem)
+        return key
+
+
+class Topic:
+    """One joint, "body", or those of a skeleton, at the poses that come by a topic."""
+
+    name: ClassVar[str] = "topic"
+    Config: ClassVar[type[BaseModel]] = TopicConfig
+
+    def paced(self, config: BaseModel) -> bool:
+        """See nuno_schemas.plugin.Motion."""
+        return cast(TopicConfig, config).frames == "clock"
+
+    def prepare(self, config: BaseModel, files: Files) -> Mover:
+        """Raises BadInput for a skeleton that cannot be read, and a rotation of length 0."""
+        c = cast(TopicConfig, config)
+        if c.skeleton is None:
+            names: tuple[str, ...] = ("body",)
+            parents, offsets = np.array([-1], np.int32), np.zeros((1, 3))
+            rotation = read_rotation(list(c.rotation), "quaternion", "rotation")[None]
+            translation = np.array([c.position], np.float64)
+        else:
+            rest = BVH().prepare(BvhConfig(file=c.skeleton, position=c.position), files)
+            names, parents, offsets = rest.joints, rest.parents, rest.offsets
+            rotation, translation = rest.pose(0.0)
+        live = Live(
+            rotation, translation, c.key, c.frames == "poses", c.silence, c.silent == "stop", c.fastest, c.fastest_turn
+        )
+        return Mover(names, parents, offsets, live.pose, live)

@@ -1,0 +1,80 @@
+"""A body of a run that goes on, told where to be: by a tracker, a robot's program, or whoever plays one."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+import zenoh
+from numpy.typing import ArrayLike
+
+from nuno.api.words import in_python
+from nuno.stepping.driver import CONTROL
+from nuno.supervision import runs
+from nuno.supervision.supervisor import CONTROL_TIMEOUT
+from nuno.wire.bus import Bus
+from nuno.wire.sessions import spoke
+from nuno_schemas.errors import BadInput
+from nuno_schemas.live import BodyPoses
+from nuno_schemas.messages import POSES
+
+STILL = (1.0, 0.0, 0.0, 0.0)
+
+
+class Driving:
+    """What moves one body, and takes hold of cloth with it; it can be closed, and used with `with`."""
+
+    def __init__(self, run: str, body: str, endpoint: str, key: str | None, config: str | None) -> None:
+        self._stack = contextlib.ExitStack()
+        with in_python():
+            session = self._stack.enter_context(spoke(endpoint, config))
+        self._bus = Bus(session, run, "drive")
+        self._publisher = session.declare_publisher(
+            key or self._bus.key(f"{POSES.name}/{body}"),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            reliability=zenoh.Reliability.RELIABLE,
+        )
+
+    def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
+        """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
+        zero; or of a skeleton (j, 3) and (j, 4), of all joints. What the run cannot follow it refuses, and says so.
+        """
+        positions = np.asarray(position, np.float64).reshape(-1, 3)
+        rotations = np.asarray(rotation, np.float64).reshape(-1, 4)
+        sent = BodyPoses.model_validate({"positions": positions.tolist(), "rotations": rotations.tolist()})
+        self._publisher.put(sent.model_dump_json().encode())
+
+    def add(self, item: str) -> dict[str, Any]:
+        """Change the cloth at once, as `nuno control RUN add`: "attach: {body: hand}", "release: {body: hand}"; what
+        became of it. Raises BadInput where the run refuses it, RunFailed where it does not answer.
+        """
+        answer = self._bus.ask_json(CONTROL, {"action": "add", "item": item}, CONTROL_TIMEOUT)
+        if answer.get("ok") is not True:
+            refused = answer.get("refused") or {"problem": str(answer.get("error"))}
+            raise BadInput(**refused)
+        return dict(answer.get("new") or {})
+
+    def close(self) -> None:
+        """Tell it nothing more."""
+        self._stack.close()
+
+    def __enter__(self) -> Driving:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def drive(
+    run: str, body: str, *, key: str | None = None, connect: str | None = None, config: str | None = None
+) -> Driving:
+    """Move a body of a run whose motion is `{plugin: topic}`: with nuno.drive("last", "hand") as hand: hand.send(...).
+
+    run: its id, the beginning of that, or "last"; body: its name in the scene; key: that of its motion, where that has
+    one; connect and config: endpoint and zenoh configuration, for a run on another host, whose id is then needed in
+    full. Raises BadInput for a run that does not go on, RunFailed where it cannot be reached.
+    """
+    with in_python():
+        name, endpoint = (run, connect) if connect else runs.find(run)
+    return Driving(name, body, endpoint, key, config)

@@ -1,0 +1,195 @@
+"""Bodies that another program moves while a run goes on: where they are then, whatever that program sends."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_run import Live as LiveRun
+from live_run import Run
+from scenes import write_scene
+
+import nuno
+from nuno.collision.messages import decode_poses
+from nuno.recording.reader import open_recording
+from nuno.recording.restore import resumed_scene
+from nuno.service import Options
+from nuno.supervision.supervisor import Deployment
+from nuno.wire.sessions import spoke
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.live import Live
+from nuno_schemas.messages import BODIES
+
+SHEET = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "pin": ["top-row"]}
+START = [0.0, 0.0, 0.2]
+LONG = 60.0
+"""A silence that no test lasts for [s]."""
+
+
+def hand(folder: Path, **motion: Any) -> Path:
+    """A sheet that hangs, and a ball in front of it that waits for poses of its own in each of 20 frames."""
+    moved = {"plugin": "topic", "frames": "poses", "position": START, "silence": LONG, "fastest": 50.0} | motion
+    ball = {"name": "hand", "collider": {"plugin": "sphere", "radius": 0.03}, "motion": moved}
+    objects = [{"name": "cloth", "model": SHEET}]
+    return write_scene(folder, objects=objects, bodies=[ball], solver="symplectic_euler", duration=0.4)
+
+
+def poses(number: int = 20) -> list[tuple[list[float], list[float]]]:
+    """The ball goes through where the sheet hangs, and turns."""
+    turns = np.linspace(0.0, 1.0, number)
+    return [
+        ([0.01 * i, 0.0, 0.2 - 0.02 * i], [float(np.cos(a)), 0.0, float(np.sin(a)), 0.0]) for i, a in enumerate(turns)
+    ]
+
+
+def drive(folder: Path, scene: Path, sent: Sequence[tuple[list[float], list[float]]], name: str = "run") -> Run:
+    """A run, over, whose ball was sent these poses."""
+    run = Run(scene, folder / f"{name}.mcap", paused=True)
+    run.wait_until_paused()
+    with nuno.drive(run.run, "hand") as ball:
+        for position, rotation in sent:
+            ball.send(position, rotation)
+        run.control("resume")
+        assert run.join().state == "done"
+    return run
+
+
+def places(path: Path) -> np.ndarray:
+    """(frames, 3) where the ball was."""
+    with open_recording(path) as recording:
+        return np.array([decode_poses(one.payload).translation[0] for one in recording.messages([BODIES.name])])
+
+
+def send(run: Run, key: str, *payloads: bytes | dict[str, Any]) -> None:
+    """What a program that knows nothing of nuno does."""
+    with spoke(run.endpoint) as session:
+        for payload in payloads:
+            session.put(key, payload if isinstance(payload, bytes) else json.dumps(payload).encode())
+        run.control("resume")
+        run.join()
+
+
+def test_each_frame_has_the_poses_that_were_sent_for_it(tmp_path: Path) -> None:
+    """All of them, in their order, to the last bit; the cloth is pushed by it, and the recording alone is enough to
+    have the run again, and its frames in between.
+    """
+    sent = poses()
+    run = drive(tmp_path, hand(tmp_path), sent)
+    path = run.record
+    assert places(path).tolist() == [START, *(position for position, _ in sent)]
+    found = nuno.verify(path)
+    assert found.frame is None and found.compared == 21
+    still = nuno.run(hand(tmp_path, silence=0.01), progress=False)
+    with nuno.open(path) as recording:
+        assert np.abs(recording.last_checkpoint().x - still.x).max() > 0.01
+        (moment,) = nuno.states(path, [13])
+        assert moment.frame == 13
+    assert run.report["followed"]["hand"] | {"silence": 0.0} == {
+        "heard": 20, "used": 20, "refused": 0, "without": 0, "behind": 0, "silence": 0.0
+    }  # fmt: skip
+
+
+def test_a_run_that_goes_on_from_a_checkpoint_is_told_the_rest(tmp_path: Path) -> None:
+    """The same poses from there on end in the same bits."""
+    sent, scene = poses(), hand(tmp_path)
+    whole = drive(tmp_path, scene, sent, "whole").record
+    run = Run(scene, tmp_path / "half.mcap", paused=True)
+    run.wait_until_paused()
+    with nuno.drive(run.run, "hand") as ball:
+        for position, rotation in sent[:7]:
+            ball.send(position, rotation)
+        run.step_to(7)
+        run.stop()
+    with resumed_scene(tmp_path / "half.mcap", ()) as (loaded, _):
+        options = Options(record=tmp_path / "on.mcap", resume=tmp_path / "half.mcap")
+        on = LiveRun(loaded, options, Deployment(paused=True))
+        on.wait_until_paused()
+        with nuno.drive(on.run, "hand") as ball:
+            for position, rotation in sent[7:]:
+                ball.send(position, rotation)
+            on.control("resume")
+            assert on.join().state == "done"
+    assert places(tmp_path / "on.mcap").tolist() == places(whole).tolist()
+    with nuno.open(whole) as one, nuno.open(tmp_path / "on.mcap") as other:
+        assert one.last_checkpoint().digest == other.last_checkpoint().digest
+    assert nuno.verify(tmp_path / "on.mcap").frame is None
+
+
+def test_what_cannot_be_followed_is_refused_and_named(tmp_path: Path) -> None:
+    """The next good poses are taken in its place, so that nothing is lost; each kind is told once."""
+    run = Run(hand(tmp_path, key="robot/hand"), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    nan = b'{"position": [NaN, 0, 0], "rotation": [1, 0, 0, 0]}'
+    two = {"positions": [[0, 0, 0], [0, 0, 0]], "rotations": [[1, 0, 0, 0], [1, 0, 0, 0]]}
+    bad = [b"hello", nan, two, {"position": [0, 0, 0]}, {"position": [0, 0, 0], "rotation": [0, 0, 0, 0]}, nan]
+    good = [{"position": position, "rotation": rotation} for position, rotation in poses()]
+    send(run, "robot/hand", *bad, *good)
+    assert places(tmp_path / "run.mcap")[1:].tolist() == [one["position"] for one in good]
+    told = run.report["followed"]["hand"]
+    assert (told["heard"], told["used"], told["refused"]) == (26, 20, 6)
+    with open_recording(tmp_path / "run.mcap") as recording:
+        warnings = [event.text for event in recording.events() if event.kind == "warning"]
+    for words in ("no poses, which are JSON", "not finite", "another skeleton", "a rotation of no length"):
+        assert sum(words in text and "body hand" in text for text in warnings) == 1, words
+
+
+def test_a_jump_is_gone_to_at_the_greatest_speed(tmp_path: Path) -> None:
+    """One metre at 5 m/s takes ten frames of 20 ms, in a straight line; where it ends is where it was told to be."""
+    sent = [([1.0, 0.0, 0.2], [1.0, 0.0, 0.0, 0.0])] * 20
+    run = drive(tmp_path, hand(tmp_path, fastest=5.0), sent)
+    x = places(run.record)[:, 0]
+    assert np.allclose(np.diff(x)[:10], 0.1, rtol=1e-9) and x[11:].tolist() == [1.0] * 10
+    assert run.report["followed"]["hand"]["behind"] == 9
+    with open_recording(run.record) as recording:
+        warnings = [event.text for event in recording.events() if event.kind == "warning"]
+    assert sum("0.9 m farther on than it gets in a frame" in text for text in warnings) == 1
+
+
+def test_silence_is_said_and_ends_a_run_that_cannot_do_without(tmp_path: Path) -> None:
+    """Which keeps its recording; others go on with the body where it is."""
+    held = nuno.run(hand(tmp_path, silence=0.01), record=tmp_path / "held.mcap")
+    assert held.state == "done" and held.report["followed"]["hand"]["without"] == 20
+    assert places(tmp_path / "held.mcap").tolist() == [START] * 21
+    with open_recording(tmp_path / "held.mcap") as recording:
+        assert sum("has heard nothing for" in event.text for event in recording.events()) == 1
+    with pytest.raises(RunFailed, match=r"the body hand has heard nothing for .*silent: stop"):
+        nuno.run(hand(tmp_path, silence=0.01, silent="stop"), record=tmp_path / "stopped.mcap")
+    assert (tmp_path / "stopped.mcap").is_file()
+
+
+def test_by_the_clock_the_newest_poses_are_taken(tmp_path: Path) -> None:
+    """Frames wait for the clock by themselves; of what lies there at the first the last is followed."""
+    run = Run(hand(tmp_path, frames="clock"), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    send(run, f"nuno/{run.run}/poses/hand", *({"position": p, "rotation": r} for p, r in poses()))
+    assert run.report["clock"]["frames"] == 20 and run.report["wall_seconds"] > 0.39
+    told = run.report["followed"]["hand"]
+    assert told["heard"] == told["used"] == 20 and told["without"] >= 18
+    assert places(tmp_path / "run.mcap")[-1].tolist() == poses()[-1][0]
+
+
+def test_joints_keep_together_on_their_way() -> None:
+    """Of all the one with the farthest way decides; rotations stay unit ones, and neither is ever faster than told."""
+    random = np.random.default_rng(3)
+    for _ in range(50):
+        turns = random.normal(size=(2, 4, 4))
+        turns /= np.linalg.norm(turns, axis=2, keepdims=True)
+        start, goal = random.normal(size=(2, 4, 3))
+        live = Live(turns[0].copy(), start.copy(), fastest=2.0, fastest_turn=3.0)
+        left = 1.0
+        for _ in range(1000):
+            before = live.rotation.copy(), live.translation.copy()
+            left = live.follow(turns[1], goal, 0.02)
+            ways = np.linalg.norm(live.translation - before[1], axis=1)
+            assert ways.max() <= 0.04 * (1 + 1e-12)
+            assert np.abs(np.linalg.norm(live.rotation, axis=1) - 1.0).max() < 1e-12
+            angles = 2.0 * np.arccos(np.clip(np.abs((live.rotation * before[0]).sum(axis=1)), 0.0, 1.0))
+            assert angles.max() < 0.06 * (1 + 1e-6)
+            if left == 0.0:
+                break
+        assert left == 0.0
+        assert (live.translation.tolist(), live.rotation.tolist()) == (goal.tolist(), turns[1].tolist())
