@@ -36,10 +36,15 @@ FILES = {
     "glb": "the cloth and bodies in a frame; a folder: every frame",
     "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
     "rrd": "a file for the rerun viewer",
+    "foxglove": "cloth and bodies as meshes, curves and log for Foxglove or Lichtblick, .mcap, and its .layout.json",
     "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
 }
 """What can be written, by its flag."""
+WHOLE = ("gif", "mp4", "foxglove")
+"""Of these, what has all frames of a run."""
+SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove")
+"""Of these, beside MESHES, what a cloth that is dyed alone has not: it has no shape."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
@@ -60,6 +65,7 @@ class Asked(BaseModel):
     glb: Path | None = None
     usd: Path | None = None
     rrd: Path | None = None
+    foxglove: Path | None = None
     pattern: Path | None = None
     yarns: Path | None = None
     form: Form | None = None
@@ -125,6 +131,10 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
         from nuno.exports.usd import export_usd
 
         written.append(export_usd(recording, asked.usd, asked.frame, _progress))
+    if asked.foxglove:
+        from nuno.exports.foxglove import export_foxglove
+
+        written += export_foxglove(recording, asked.foxglove, _progress)
     if asked.png and asked.style:
         from nuno.exports.yarns import export_yarn_picture
 
@@ -179,6 +189,10 @@ def _check(recording: Recording, asked: Asked) -> None:
         from nuno.exports.usd import check_usd
 
         check_usd(asked.usd)
+    if asked.foxglove:
+        from nuno.exports.foxglove import check_foxglove
+
+        check_foxglove(asked.foxglove)
     require(None, asked.rrd, "--rrd")
     for name in () if asked.yarns else ("form", *YARNS):
         if getattr(asked, name) is not None:
@@ -199,10 +213,10 @@ def _check(recording: Recording, asked: Asked) -> None:
         raise BadInput(
             "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
         )
-    others = [name for name in FILES if name not in ("gif", "mp4") and getattr(asked, name) is not None]
+    others = [name for name in FILES if name not in WHOLE and getattr(asked, name) is not None]
     if asked.frame is not None and asked.turn is None and not others:
-        raise BadInput("an animation has all frames", field="--frame", value=asked.frame,
-                       remedy="--start and --end give a part of it, --turn goes round one")  # fmt: skip
+        raise BadInput("what is to be written has all frames", field="--frame", value=asked.frame,
+                       remedy="--start and --end give a part of an animation, --turn goes round one")  # fmt: skip
     only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
     if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
         problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"
@@ -211,9 +225,7 @@ def _check(recording: Recording, asked: Asked) -> None:
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
     if recording.dyed_alone:
-        shapes = [
-            name for name in ("forces", "yarns", "pattern", "usd", *(m[1:] for m in MESHES)) if getattr(asked, name)
-        ]
+        shapes = [name for name in (*SHAPED, *(m[1:] for m in MESHES)) if getattr(asked, name)]
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)

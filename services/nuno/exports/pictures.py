@@ -27,7 +27,8 @@ from nuno.exports.cloth import (
     read_pressure,
 )
 from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
-from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, paint_stretch, paint_yarns, tubes
+from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, tubes
+from nuno.exports.shapes import paint_piece
 from nuno.exports.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
@@ -252,23 +253,13 @@ def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Me
     """A piece at its own points x (n, 3) as it is, or in colours (n, 3); a net as thin tubes along its springs."""
     if not len(piece.faces):
         vertices, faces, owner = tubes(x, piece.edges)
-        painted = np.repeat(_paint(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
+        painted = np.repeat(paint_piece(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
         return Mesh(vertices, faces, painted, two_sided=False)
     if piece.image is not None and (laid := piece.laid_out) is not None:
         # v points up on cloth and down in images. Vertices at one place share their normals where they are drawn.
         uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
         return Mesh(x[laid.vertex], laid.faces, uv=uv, image=piece.image)
-    return Mesh(x, piece.faces, _paint(piece, x) if colours is None else colours)
-
-
-def _paint(piece: ShownPiece, x: Float) -> Float:
-    """Linear light of vertices (n, 3), or of a net's links (e, 3): of their yarns, the piece's own, else by stretch."""
-    net = not len(piece.faces)
-    if net and piece.yarns is not None:
-        return paint_yarns(piece.yarns)
-    if piece.colour is not None or not len(piece.edges):
-        return np.tile(parse_hex(piece.colour or PLAIN), (len(piece.edges) if net else len(x), 1))
-    return paint_stretch(piece.link_stretch(x) if net else piece.stretch(x))
+    return Mesh(x, piece.faces, paint_piece(piece, x) if colours is None else colours)
 
 
 def require_pressure(recording: Recording) -> Pressures:

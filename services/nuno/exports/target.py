@@ -33,6 +33,8 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".gif": (0, b"GIF8"),
     ".mp4": (4, b"ftyp"),
     ".rrd": (0, b"RRF"),
+    ".mcap": (17, b"\0\0\0\0\x0b\0\0\0nuno export"),  # no profile, and the library: a recording has others
+    ".json": (0, b'{\n "globalVariables": {\n  "nuno"'),
 }
 """How a file of each kind begins: offset and bytes."""
 

@@ -1,0 +1,218 @@
+"""A recording as an MCAP file that Foxglove and Lichtblick show: meshes, bodies, curves and log, and its layout."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from foxglove import messages
+from mcap.writer import CompressionType, Writer
+
+from nuno.exports.foxglove_layout import EVENTS, SCENE, arrange
+from nuno.exports.shapes import CLOTH, Shape, Show, Turn
+from nuno.exports.target import Progress, check_target, opened, writing
+from nuno.recording.mcap_file import CHUNK_BYTES
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Recorded
+from nuno.recording.writer import topic_of
+from nuno.wire.arrays import foxglove_schema
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import BODIES, EVENT, STATE, Event
+
+SUFFIX, LAYOUT = ".mcap", ".layout.json"
+LIBRARY = "nuno export"
+"""In the file's header, by which it is told from a recording."""
+LOOKS = 16
+"""Moments that the camera is fitted to."""
+LINE = 2.0
+"""Width of a net's links [pixels]."""
+LEVELS = {"error": messages.LogLevel.Error, "warning": messages.LogLevel.Warning}
+"""Of events, by their kind; of the others Info."""
+
+
+def export_foxglove(source: Recording | Path | str, path: Path, progress: Progress | None = None) -> list[Path]:
+    """Write a whole recording, .mcap, and beside it the layout that shows it, .layout.json; both paths.
+
+    scene/cloth is a foxglove.SceneUpdate a frame, one entity an object, whose name it has; scene/bodies the rigid
+    bodies, once, in their frames, which scene/frames moves; scene/skins those that bend, each frame. Log times are
+    times of the scene. Every JSON topic of the recording is there under its own name, message by message, and events
+    are in `log`, too. Raises BadInput for another ending, what would be lost, a recording of dye alone, positions that
+    are not finite, and damage.
+    """
+    beside = check_foxglove(path)
+    with opened(source) as recording, writing(path, SUFFIX) as new, writing(beside, ".json") as layout:
+        with new.open("wb") as stream:
+            export = _Export(recording, stream)
+            export.write(progress)
+        layout.write_text(json.dumps(export.layout(), indent=1) + "\n", encoding="utf-8")
+    return [path, beside]
+
+
+def check_foxglove(path: Path) -> Path:
+    """The place of the layout. Raises BadInput for another ending, and what would be lost."""
+    check_target(path, SUFFIX)
+    check_target(beside := path.with_suffix(LAYOUT), ".json")
+    return beside
+
+
+class _Export:
+    """Writes a recording's messages, each at its own time, to a stream."""
+
+    def __init__(self, recording: Recording, stream: BinaryIO) -> None:
+        self.recording, self.show = recording, Show(recording)
+        self.json = [name for name in recording.counts if (topic := topic_of(name)) and topic.encoding == "json"]
+        self.kinds = describe_topics(recording, self.json)
+        self.points: list[Float] = []
+        """What the camera is fitted to (n, 3) [m]."""
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._channels: dict[str, int] = {}
+
+    def write(self, progress: Progress | None) -> None:
+        """Write all of it. Raises BadInput."""
+        self._writer.start(profile="", library=LIBRARY)
+        start = next(self.recording.messages([STATE.name])).log_time
+        self._put(SCENE.fixed, "foxglove.FrameTransforms", start, encode_turns(self.show.fixed, start))
+        rigid = [entity(shape, frame, start) for frame, shape in self.show.bodies]
+        if rigid:
+            self._put(SCENE.bodies, "foxglove.SceneUpdate", start, messages.SceneUpdate(entities=rigid).encode())
+        number, done, poses = self.recording.counts[STATE.name], 0, None
+        looks = set(np.linspace(0, number - 1, LOOKS).round().astype(int).tolist())
+        for message in self.recording.messages([STATE.name, BODIES.name, *self.json]):
+            at = message.log_time
+            if message.topic == STATE.name:
+                self._put(SCENE.cloth, "foxglove.SceneUpdate", at, encode_shapes(self.show.cloth(message), at))
+                if done in looks:
+                    self.points.append(self.show.points(message, poses))
+                done += 1
+                if progress is not None:
+                    progress(done, number)
+            elif message.topic == BODIES.name:
+                poses = self.show.poses(message)
+                self._put(SCENE.frames, "foxglove.FrameTransforms", at, encode_turns(self.show.turns(poses), at))
+                if skins := self.show.skins(poses):
+                    self._put(SCENE.skins, "foxglove.SceneUpdate", at, encode_shapes(skins, at))
+            else:
+                self._pass_on(message)
+        self._writer.finish()
+
+    def layout(self) -> dict[str, Any]:
+        """What shows the file as it was written."""
+        frames = [turn.child for turn in self.show.fixed] + self.show.frames
+        return arrange(self.recording, self.points, self.show.floor, frames, set(self._channels), self.kinds)
+
+    def _pass_on(self, message: Recorded) -> None:
+        """A message of a JSON topic as it is, and an event as a line of the log, too."""
+        self._put_raw(message.topic, message.log_time, message.payload, message.seq)
+        if message.topic.startswith(f"{EVENT.name}/"):
+            self._put(EVENTS, "foxglove.Log", message.log_time, encode_event(self.recording, message))
+
+    def _put(self, topic: str, schema: str, at: int, payload: bytes) -> None:
+        if topic not in self._channels:
+            known = self._writer.register_schema(schema, "protobuf", foxglove_schema(schema))
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
+        self._writer.add_message(self._channels[topic], log_time=at, publish_time=at, data=payload)
+
+    def _put_raw(self, topic: str, at: int, payload: bytes, sequence: int) -> None:
+        if topic not in self._channels:
+            kind = topic_of(topic)
+            name, text = kind.schema if kind else topic, json.dumps(self.kinds[topic]).encode()
+            known = self._writer.register_schema(name, "jsonschema", text)
+            self._channels[topic] = self._writer.register_channel(topic, "json", known)
+        channel = self._channels[topic]
+        self._writer.add_message(channel, log_time=at, publish_time=at, data=payload, sequence=sequence)
+
+
+def describe_topics(recording: Recording, topics: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """A JSON Schema of what each topic's messages hold.
+
+    Those of the recording itself say what could be in a message, and have alternatives and mappings with any keys.
+    Lichtblick's reader (mcap-support/src/parseJsonSchema.ts, from Foxglove Studio) refuses a topic whose schema does.
+    """
+    found: dict[str, list[Any]] = defaultdict(list)
+    for message in recording.messages(topics):
+        found[message.topic].append(recording.json(message.payload))
+    return {name: describe(found[name]) or {"type": "object", "properties": {}} for name in topics}
+
+
+def describe(values: Sequence[Any]) -> dict[str, Any] | None:
+    """A JSON Schema of values: of objects with the properties that any has, of arrays of one kind of item. None where
+    they are of several kinds, of none, or arrays in arrays.
+    """
+    values = [value for value in values if value is not None]
+    kinds = {"number" if type(value) in (int, float) else type(value).__name__ for value in values}
+    if len(kinds) != 1:
+        return None
+    kind = kinds.pop()
+    if kind == "dict":
+        names = dict.fromkeys(name for value in values for name in value)
+        parts = {name: describe([value[name] for value in values if name in value]) for name in names}
+        return {"type": "object", "properties": {name: part for name, part in parts.items() if part is not None}}
+    if kind == "list":
+        items = describe([item for value in values for item in value])
+        return None if items is None or items["type"] == "array" else {"type": "array", "items": items}
+    return {"type": {"bool": "boolean", "str": "string"}.get(kind, kind)}
+
+
+def encode_shapes(shapes: Sequence[Shape], at: int) -> bytes:
+    """A foxglove.SceneUpdate of shapes in the frame CLOTH, at a time [ns]: each replaces the last of its name."""
+    encoded: bytes = messages.SceneUpdate(entities=[entity(shape, CLOTH, at) for shape in shapes]).encode()
+    return encoded
+
+
+def entity(shape: Shape, frame: str, at: int) -> messages.SceneEntity:
+    """A shape that goes with a frame."""
+    tints = [messages.Color(r=r, g=g, b=b, a=1.0) for r, g, b in shape.colours.tolist()]
+    colour = {"color": tints[0]} if len(tints) == 1 else {"colors": tints}
+    points = [messages.Point3(x=x, y=y, z=z) for x, y, z in shape.x.astype(np.float32).tolist()]
+    own = {"points": points, "indices": shape.indices.reshape(-1).tolist(), "pose": _pose(), **colour}
+    if shape.indices.shape[1] == 3:
+        drawn = {"triangles": [messages.TriangleListPrimitive(**own)]}
+    else:
+        kind = messages.LinePrimitiveLineType.LineList
+        drawn = {"lines": [messages.LinePrimitive(type=kind, thickness=LINE, scale_invariant=True, **own)]}
+    return messages.SceneEntity(timestamp=_stamp(at), frame_id=frame, id=shape.name, frame_locked=True, **drawn)
+
+
+def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
+    """A foxglove.FrameTransforms at a time [ns]."""
+    transforms = []
+    for turn in turns:
+        w, x, y, z = turn.rotation
+        transforms.append(
+            messages.FrameTransform(
+                timestamp=_stamp(at), parent_frame_id=turn.parent, child_frame_id=turn.child,
+                translation=messages.Vector3(**dict(zip("xyz", turn.translation, strict=True))),
+                rotation=messages.Quaternion(x=x, y=y, z=z, w=w),
+            )
+        )  # fmt: skip
+    encoded: bytes = messages.FrameTransforms(transforms=transforms).encode()
+    return encoded
+
+
+def encode_event(recording: Recording, message: Recorded) -> bytes:
+    """A foxglove.Log. Raises BadInput for a message that is no event."""
+    try:
+        event = Event.model_validate_json(message.payload)
+    except ValueError as error:
+        raise BadInput("an event in the recording cannot be read", str(recording.path), value=str(error)) from None
+    level = LEVELS.get(event.kind, messages.LogLevel.Info)
+    encoded: bytes = messages.Log(
+        timestamp=_stamp(message.log_time), level=level, message=event.text, name=event.service
+    ).encode()
+    return encoded
+
+
+def _stamp(at: int) -> messages.Timestamp:
+    seconds, nanos = divmod(at, 10**9)
+    return messages.Timestamp(sec=seconds, nsec=nanos)
+
+
+def _pose() -> messages.Pose:
+    """That of the frame itself."""
+    still = messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+    return messages.Pose(position=messages.Vector3(x=0.0, y=0.0, z=0.0), orientation=still)

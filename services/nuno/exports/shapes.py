@@ -1,0 +1,187 @@
+"""What a recording shows, message by message, for viewers of robots' data: coloured shapes, and frames that move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.collision.messages import decode_poses
+from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_bodies
+from nuno.exports.dyed_pictures import read_dyed_object
+from nuno.exports.paint import BODY, PLAIN, paint_stretch, paint_yarns
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame, Recorded
+from nuno.wire.arrays import BadMessage, decode_points, origin_of
+from nuno_schemas.bodies import Poses
+from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.messages import STATE
+
+ROOT, WORLD, CLOTH = "map", "world", "cloth"
+"""Frames: z up, as these viewers have it; y up, as scenes have it; and about where the cloth is first."""
+UP = (float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
+"""The quaternion w, x, y, z that turns y to z and z to -y."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Triangles (k, 3), or lines (k, 2), between points x (n, 3) [m], of a frame.
+
+    colours  (1, 3) of all, or (n, 3) of each point: sRGB in [0, 1]
+    """
+
+    name: str
+    x: Float
+    indices: Int
+    colours: Float
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Where a frame is in its parent: translation (3,) [m], rotation a unit quaternion w, x, y, z."""
+
+    parent: str
+    child: str
+    translation: tuple[float, ...]
+    rotation: tuple[float, ...]
+
+
+class Show:
+    """A recording's cloth and bodies, for its messages in their order.
+
+    fixed   transforms that hold for the whole run
+    bodies  rigid ones: the name of each one's frame, and its shape there
+    frames  names of the bodies' frames
+    floor   height of the level floor [m], None where there is none
+
+    Cloth and skins are in the frame CLOTH, whose origin is near the cloth at first: viewers have float32. Raises
+    BadInput for a recording of dye alone, one without cloth, and one that is damaged.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording, self._pieces = recording, Pieces(recording)
+        first = next(recording.messages([STATE.name]), None)
+        if first is None:
+            raise BadInput("the recording holds no positions of cloth", str(recording.path))
+        self._dyed = read_dyed_object(recording)
+        self.origin = origin_of(self._points(first))
+        self.fixed = [
+            Turn(ROOT, WORLD, (0.0, 0.0, 0.0), UP),
+            Turn(WORLD, CLOTH, _row(self.origin), (1.0, 0.0, 0.0, 0.0)),
+        ]
+        self._bodies = read_bodies(recording)
+        self.frames: list[str] = [str(name) for name in recording.geometry()[1].get("frames", ())]
+        self.floor = None if self._bodies is None else self._bodies.floor
+        self.bodies = self._rigid()
+
+    def cloth(self, message: Recorded) -> list[Shape]:
+        """The cloth in a message of `sim/state`. Raises BadInput where it is damaged or not finite."""
+        x, t = self._points(message), message.t
+        number, digest = self.recording.marks().get(message.log_time, (message.seq, ""))
+        pieces = self._pieces.at(t)
+        check_size(self.recording, pieces, Frame(number, t, digest, x))
+        if not np.isfinite(x).all():
+            problem, remedy = "the frame's positions are not finite", "export single frames before it: --glb, --frame N"
+            raise BadInput(problem, str(self.recording.path), value=number, remedy=remedy)
+        dressed = pieces if self._dyed is None else self._dyed.dress(pieces, t)
+        return [shape_piece(piece, x[piece.start : piece.stop] - self.origin) for piece in dressed]
+
+    def poses(self, message: Recorded) -> Poses:
+        """Where the bodies are by a message of `collision/bodies`. Raises BadInput where it is damaged."""
+        try:
+            poses = decode_poses(message.payload)
+            if len(poses.rotation) != len(self.frames):
+                raise BadMessage(f"{len(poses.rotation)} poses for {len(self.frames)} frames")
+            return poses
+        except BadMessage as error:
+            raise BadInput(f"the bodies at {message.t:g} s are damaged: {error}", str(self.recording.path)) from None
+
+    def turns(self, poses: Poses) -> list[Turn]:
+        """Where the bodies' frames are in the world."""
+        rows = zip(self.frames, poses.translation, poses.rotation, strict=True)
+        return [Turn(WORLD, name, _row(shift), _row(turn)) for name, shift, turn in rows]
+
+    def skins(self, poses: Poses) -> list[Shape]:
+        """The bodies that bend."""
+        if (bodies := self._bodies) is None:
+            return []
+        shapes = []
+        for first, skin in bodies.skins:
+            own, joint = slice(first, first + len(skin.joint)), int(bodies.frame[first])
+            x = poses.bend(skin, joint, bodies.vertices[own]) - self.origin
+            faces = bodies.faces[(bodies.faces[:, 0] >= first) & (bodies.faces[:, 0] < own.stop)] - first
+            shapes.append(Shape(self.frames[joint].split("/")[0], x, faces, _sole(BODY)))
+        return shapes
+
+    def points(self, message: Recorded, poses: Poses | None) -> Float:
+        """(n, 3) of everything in the world at one moment [m]."""
+        bodies = np.zeros((0, 3)) if poses is None or self._bodies is None else self._bodies.at(poses)
+        return np.concatenate([self._points(message), bodies])
+
+    def _points(self, message: Recorded) -> Float:
+        try:
+            return decode_points(message.payload)
+        except BadMessage as error:
+            raise BadInput(f"the cloth at {message.t:g} s is damaged: {error}", str(self.recording.path)) from None
+
+    def _rigid(self) -> list[tuple[str, Shape]]:
+        if (bodies := self._bodies) is None:
+            return []
+        rigid = np.ones(len(bodies.vertices), bool)
+        for first, skin in bodies.skins:
+            rigid[first : first + len(skin.joint)] = False
+        shapes = []
+        for number, name in enumerate(self.frames):
+            mine = rigid & (bodies.frame == number)
+            if mine.any():
+                faces = (np.cumsum(mine) - 1)[bodies.faces[mine[bodies.faces[:, 0]]]].astype(np.int32)
+                shapes.append((name, Shape(name, bodies.vertices[mine], faces, _sole(BODY))))
+        return shapes
+
+
+def shape_piece(piece: ShownPiece, x: Float) -> Shape:
+    """A piece at its own points x (n, 3) [m]: its triangles, or of a net its links, in its image's colours, else its
+    own, else those of its stretch. An image gives each vertex the colour of the pixel that lies on it.
+    """
+    piece = replace(piece, yarns=None)
+    if not len(piece.faces):
+        ends = np.arange(2 * len(piece.edges), dtype=np.int32).reshape(-1, 2)
+        links = np.repeat(paint_piece(piece, x), 2, axis=0)
+        return Shape(piece.name, x[piece.edges.reshape(-1)], ends, _fewest(to_srgb(links)))
+    if piece.image is not None and (laid := piece.laid_out) is not None:
+        return Shape(piece.name, x[laid.vertex], laid.faces, sample(piece.image, laid.points) / 255.0)
+    return Shape(piece.name, x, piece.faces, _fewest(to_srgb(paint_piece(piece, x))))
+
+
+def paint_piece(piece: ShownPiece, x: Float) -> Float:
+    """Linear light of vertices (n, 3), or of a net's links (e, 3): of their yarns, the piece's own, else by stretch."""
+    net = not len(piece.faces)
+    if net and piece.yarns is not None:
+        return paint_yarns(piece.yarns)
+    if piece.colour is not None or not len(piece.edges):
+        return np.tile(parse_hex(piece.colour or PLAIN), (len(piece.edges) if net else len(x), 1))
+    return paint_stretch(piece.link_stretch(x) if net else piece.stretch(x))
+
+
+def sample(image: NDArray[np.uint8], uv: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(n, 3) the pixels of an image (h, w, 3) at texture coordinates (n, 2), v up; beyond its sides it repeats."""
+    height, width = image.shape[:2]
+    u, v = (uv - np.floor(np.where(uv == 1.0, 0.0, uv))).T
+    column, row = np.minimum(u * width, width - 1), np.minimum((1.0 - v) * height, height - 1)
+    return np.asarray(image[row.astype(np.int64), column.astype(np.int64)])
+
+
+def _sole(colour: str) -> Float:
+    return to_srgb(parse_hex(colour))[None]
+
+
+def _fewest(colours: Float) -> Float:
+    """One colour where all are the same."""
+    return colours[:1] if len(colours) and (colours == colours[0]).all() else colours
+
+
+def _row(values: Float) -> tuple[float, ...]:
+    return tuple(values.tolist())

@@ -1,0 +1,329 @@
+"""The MCAP file for Foxglove and Lichtblick, read by mcap and its protobuf decoder: what the recording shows, when it
+does; and the layout, which looks at what is there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jsonschema
+import numpy as np
+import pytest
+from dye_scene import write_scene as write_dye_scene
+from persons import skinned
+from recorded_sheet import RATE, Item, Sheet, items, metadata, write
+from scenes import write_scene
+from test_export import picture, png
+
+import nuno
+from nuno.cli import main
+from nuno.collision.messages import encode_geometry, encode_poses
+from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
+from nuno.exports.foxglove import describe, export_foxglove
+from nuno.exports.paint import paint_stretch
+from nuno.recording.reader import open_recording
+from nuno.recording.writer import RecordingWriter
+from nuno.wire.arrays import decode_arrays, encode_arrays
+from nuno_schemas import messages
+from nuno_schemas.bodies import Poses
+from nuno_schemas.colour import to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATUS, Header, Topic
+
+pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support, of nuno[dev]")
+FRAMES = 5
+SHEET = Sheet()
+FAR = np.array([1e6, -1e6, 1e6 + 0.25])
+
+
+class Heard(NamedTuple):
+    """A message as its reader gives it: log time [ns], and what it says."""
+
+    at: int
+    value: Any
+
+
+def read(path: Path) -> dict[str, list[Heard]]:
+    """Messages by topic, each decoded by the schema that the file has of it; JSON as bytes."""
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    factory, found = DecoderFactory(), defaultdict(list)
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            value = message.data if decode is None else decode(message.data)
+            found[channel.topic].append(Heard(message.log_time, value))
+    return found
+
+
+def schemas(path: Path) -> dict[str, Any]:
+    """The JSON Schemas of topics."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    known = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
+    return {topic: json.loads(schema.data) for topic, schema in known.items() if schema.encoding == "jsonschema"}
+
+
+def vectors(points: Any) -> Float:
+    return np.array([(p.x, p.y, p.z) for p in points]).reshape(-1, 3)
+
+
+def turn(q: Any) -> Float:
+    """The matrix of a quaternion: the columns are what it makes of the axes, v + 2 w (u x v) + 2 u x (u x v)."""
+    u, axes = np.array([q.x, q.y, q.z]), np.eye(3)
+    half = np.cross(u, axes)
+    return np.asarray((axes + 2.0 * q.w * half + 2.0 * np.cross(u, half)).T)
+
+
+def placed(heard: dict[str, list[Heard]], x: Float, frame: str, to: str, at: int) -> Float:
+    """Points (n, 3) of a frame in another above it, by the last transforms until a time [ns]."""
+    known = {}
+    for topic in ("scene/fixed", "scene/frames"):
+        for one in heard[topic]:
+            known |= {t.child_frame_id: t for t in one.value.transforms} if one.at <= at else {}
+    while frame != to:
+        transform = known[frame]
+        x = x @ turn(transform.rotation).T + vectors([transform.translation])
+        frame = transform.parent_frame_id
+    return x
+
+
+def write_items(path: Path, found: list[Item]) -> None:
+    writer = RecordingWriter(path, metadata(), {})
+    for topic, header, payload in found:
+        writer.write(topic, header, payload)
+    writer.finish({})
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("foxglove") / "run.mcap"
+    write(path, SHEET, FRAMES)
+    return path
+
+
+@pytest.mark.parametrize("shift", [np.zeros(3), FAR], ids=["near", "far"])
+def test_every_frame_is_where_the_recording_has_it(tmp_path: Path, shift: Float) -> None:
+    """To the last bit of float32, a million metres away, too; each frame replaces the last."""
+
+    class Moved(Sheet):
+        def x(self, t: float) -> Float:
+            return super().x(t) + shift
+
+    write(tmp_path / "run.mcap", Moved(), FRAMES)
+    heard = read(export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0])
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        frames = list(recording.frames())
+    assert len(heard["scene/cloth"]) == len(frames) == FRAMES
+    for frame, (at, update) in zip(frames, heard["scene/cloth"], strict=True):
+        (entity,) = update.entities
+        assert (at, entity.id, entity.frame_id) == (round(frame.t * 1e9), "cloth", "cloth")
+        assert entity.timestamp.ToNanoseconds() == at and entity.lifetime.ToNanoseconds() == 0
+        (mesh,) = entity.triangles
+        origin = placed(heard, np.zeros((1, 3)), "cloth", "world", at)
+        assert np.array_equal(vectors(mesh.points), (frame.x - origin).astype(np.float32))
+        assert np.array_equal(np.array(mesh.indices).reshape(-1, 3), SHEET.faces)
+    assert np.array_equal(placed(heard, np.eye(3), "world", "map", 0).round(12), [[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def test_bodies_are_sent_once_and_moved_by_their_frames(path: Path, tmp_path: Path) -> None:
+    heard = read(export_foxglove(path, tmp_path / "out.mcap")[0])
+    assert [one.at for one in heard["scene/bodies"]] == [0] and "scene/skins" not in heard
+    assert [one.at for one in heard["scene/frames"]] == [round(1e9 * k / RATE) for k in range(FRAMES)]
+    (entity,) = heard["scene/bodies"][0].value.entities
+    assert entity.frame_locked and entity.frame_id == "ball/world"
+    with open_recording(path) as recording:
+        bodies = read_bodies(recording)
+        assert bodies is not None
+        assert np.array_equal(np.array(entity.triangles[0].indices).reshape(-1, 3), bodies.faces)
+        for at, _ in heard["scene/frames"]:
+            x = placed(heard, vectors(entity.triangles[0].points), entity.frame_id, "world", at)
+            assert x == pytest.approx(body_vertices(recording, bodies, at / 1e9), abs=1e-7)
+
+
+def test_a_skin_is_sent_as_it_is_bent(tmp_path: Path) -> None:
+    found = []
+    for topic, header, payload in items(SHEET, 3):
+        if topic == BODIES.name:
+            half = 0.1 * header.frame
+            turns = np.array([[np.cos(half), 0, 0, -np.sin(half)], [np.cos(half), 0, 0, np.sin(half)]])
+            payload = encode_poses(Poses(header.t, turns, np.zeros((2, 3))), header.frame)
+        found.append((topic, header, encode_geometry(skinned()) if topic == GEOMETRY.name else payload))
+    write_items(tmp_path / "run.mcap", found)
+    heard = read(export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0])
+    assert "scene/bodies" not in heard
+    with open_recording(tmp_path / "run.mcap") as recording:
+        bodies, seen = read_bodies(recording), []
+        for at, update in heard["scene/skins"]:
+            (entity,) = update.entities
+            x = placed(heard, vectors(entity.triangles[0].points), entity.frame_id, "world", at)
+            assert x == pytest.approx(body_vertices(recording, bodies, at / 1e9), abs=1e-6)
+            seen.append(x)
+    assert len(seen) == 3 and np.abs(seen[2] - seen[0]).max() > 0.01
+
+
+def test_cloth_has_its_colours(path: Path, tmp_path: Path) -> None:
+    """Those of its stretch, which change; its own, once; or those of its print at each vertex."""
+
+    def colours(recording: Path) -> list[Any]:
+        heard = read(export_foxglove(recording, tmp_path / "out.mcap")[0])["scene/cloth"]
+        return [one.value.entities[0].triangles[0] for one in heard]
+
+    with open_recording(path) as recording:
+        (piece,) = read_pieces(recording)
+        frames = list(recording.frames())
+    for mesh, frame in zip(colours(path), frames, strict=True):
+        assert np.array([(c.r, c.g, c.b) for c in mesh.colors]) == pytest.approx(
+            to_srgb(paint_stretch(piece.stretch(frame.x))), abs=1e-4
+        )
+    image = np.asarray(picture(5, 6))  # as many pixels as vertices: each lies on one
+    write(tmp_path / "print.mcap", SHEET, 1, {"check.png": png(picture(5, 6))}, texture="check.png")
+    (mesh,) = colours(tmp_path / "print.mcap")
+    assert np.array([(c.r, c.g, c.b) for c in mesh.colors]) * 255 == pytest.approx(image.reshape(-1, 3))
+    found = list(items(SHEET, 2))
+    arrays, text = decode_arrays(found[0][2])
+    text["objects"][0]["colour"] = "#336699"
+    write_items(tmp_path / "own.mcap", [(*found[0][:2], encode_arrays(arrays, text)), *found[1:]])
+    for mesh in colours(tmp_path / "own.mcap"):
+        assert not mesh.colors and [mesh.color.r, mesh.color.g, mesh.color.b] == pytest.approx([0.2, 0.4, 0.6])
+
+
+def test_a_net_is_its_links(tmp_path: Path) -> None:
+    nuno.run(write_scene(tmp_path, duration=0.02), record=tmp_path / "run.mcap")
+    heard = read(export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0])
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        frames, edges = list(recording.frames()), recording.fabric()[0]["edges"]
+    for frame, (_, update) in zip(frames, heard["scene/cloth"], strict=True):
+        (lines,) = update.entities[0].lines
+        assert lines.type == lines.LINE_LIST and lines.scale_invariant
+        assert np.array_equal(vectors(lines.points)[np.array(lines.indices).reshape(-1, 2)], frame.x[edges])
+
+
+def test_json_topics_are_passed_on_and_events_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Byte by byte, at their times, with a schema that they meet; also a topic that came later."""
+    forces = Topic("sim/contact", "json", "nuno.Contact")
+    monkeypatch.setitem(messages.TOPICS, forces.name, forces)
+    told = {"bodies": [{"name": "ball", "force": [0.0, 1.5, 0.0]}, {"name": "floor", "force": [0.0, 0.0, 0.0]}]}
+    header = Header(run="waving-run", service="simulation", seq=0, frame=1, t=1 / RATE)
+    found = list(items(SHEET, FRAMES))
+    write_items(tmp_path / "run.mcap", [*found[:8], (forces.name, header, json.dumps(told).encode()), *found[8:]])
+    out = export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0]
+    heard, known = read(out), schemas(out)
+    with open_recording(tmp_path / "run.mcap") as recording:
+        names = [STATUS.name, PENETRATION.name, forces.name, "run/event/simulation", "run/report"]
+        assert sorted(known) == sorted(names)
+        for name in names:
+            sent = [Heard(message.log_time, message.payload) for message in recording.messages([name])]
+            assert sent and heard[name] == sent
+            for _, payload in sent:
+                jsonschema.validate(json.loads(payload), known[name])
+        (event,) = recording.events()
+    (line,) = heard["log"]
+    assert (line.value.message, line.value.name) == (event.text, "simulation")
+    assert line.at == heard["run/event/simulation"][0].at == line.value.timestamp.ToNanoseconds()
+    items_of = known[forces.name]["properties"]["bodies"]["items"]["properties"]
+    assert items_of["force"] == {"type": "array", "items": {"type": "number"}}
+
+
+def test_a_schema_has_only_what_the_viewers_read() -> None:
+    """They refuse a whole topic for a field of another kind: several kinds, null, arrays in arrays."""
+    values = [{"a": None, "b": 1, "c": [[1, 2]], "d": {"e": 2.5}, "f": [], "g": "x"},
+              {"a": 1, "b": 2.5, "c": [], "d": {"h": True}, "f": [{"i": 1}, {"j": "k"}], "g": 3}]  # fmt: skip
+    number, of_f = {"type": "number"}, {"i": {"type": "number"}, "j": {"type": "string"}}
+    found = {
+        "a": number, "b": number, "f": {"type": "array", "items": {"type": "object", "properties": of_f}},
+        "d": {"type": "object", "properties": {"e": number, "h": {"type": "boolean"}}},
+    }  # fmt: skip
+    assert describe(values) == {"type": "object", "properties": found}
+
+
+def test_the_layout_shows_what_is_in_the_file(path: Path, tmp_path: Path) -> None:
+    out, beside = export_foxglove(path, tmp_path / "out.mcap")
+    heard, layout = read(out), json.loads(beside.read_text())
+    panels = layout["configById"]
+
+    def leaves(part: Any) -> list[str]:
+        return [part] if isinstance(part, str) else leaves(part["first"]) + leaves(part["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(panels)
+    assert sorted(panels) == ["3D!scene", "Plot!depth", "Plot!energy", "RosOut!log"]
+    scene = panels["3D!scene"]
+    assert set(scene["topics"]) == {"scene/cloth", "scene/bodies"} <= set(heard)
+    assert panels["RosOut!log"]["topicToRender"] in heard
+    frames = {t.child_frame_id for topic in ("scene/fixed", "scene/frames") for t in heard[topic][0].value.transforms}
+    assert {name.removeprefix("frame:") for name in scene["transforms"]} == frames | {scene["followTf"]}
+    curves = {curve["label"]: curve["value"] for name in panels if name[0] == "P" for curve in panels[name]["paths"]}
+    assert set(curves) == {"kinetic", "springs", "deepest", "mean of those inside"}
+    for value in curves.values():
+        topic, *fields = value.split(".")
+        for _, payload in heard[topic]:
+            found = json.loads(payload)
+            for field in fields:
+                found = found[field]
+            assert isinstance(found, float)
+
+
+def test_the_layouts_camera_has_the_scene_in_view(path: Path, tmp_path: Path) -> None:
+    """By the panel's own rule: the eye is at the target and d (sin phi sin theta, -sin phi cos theta, cos phi)."""
+    out, beside = export_foxglove(path, tmp_path / "out.mcap")
+    heard, panel = read(out), json.loads(beside.read_text())["configById"]["3D!scene"]
+    camera = panel["cameraState"]
+    phi, theta, half = np.radians(camera["phi"]), -np.radians(camera["thetaOffset"]), np.radians(camera["fovy"]) / 2
+    back = np.array([np.sin(phi) * np.sin(theta), -np.sin(phi) * np.cos(theta), np.cos(phi)])
+    right = np.array([np.cos(theta), np.sin(theta), 0.0])
+    seen = []
+    for at, update in heard["scene/cloth"]:
+        shapes = [*update.entities, *heard["scene/bodies"][0].value.entities]
+        points = [placed(heard, vectors(one.triangles[0].points), one.frame_id, "map", at) for one in shapes]
+        away = np.concatenate(points) - camera["targetOffset"]
+        depth = camera["distance"] - away @ back
+        assert camera["near"] < depth.min() and depth.max() < camera["far"]
+        seen.append(np.stack([away @ right, away @ np.cross(back, right)], axis=1) / (depth * np.tan(half))[:, None])
+    most = np.abs(np.concatenate(seen)).max()
+    assert 0.8 < most < 0.85  # 8 % are free on each side
+    low = min(placed(heard, vectors(one.value.entities[0].triangles[0].points), "cloth", "map", one.at)[:, 2].min()
+              for one in heard["scene/cloth"])  # fmt: skip
+    assert panel["layers"]["grid"]["position"][2] <= low + 1e-6
+
+
+def test_what_would_be_lost_is_refused(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recording above all: it has the same ending; and a layout that was changed and saved from a viewer."""
+    before = path.read_bytes()
+    assert main(["export", str(path), "--foxglove", str(path)]) == 2
+    assert "would be lost" in capsys.readouterr().err and path.read_bytes() == before
+    assert main(["export", str(path), "--foxglove", str(tmp_path / "out.bag")]) == 2
+    assert "must end in .mcap" in capsys.readouterr().err
+    out, layout = tmp_path / "out.mcap", tmp_path / "out.layout.json"
+    for _ in range(2):  # its own files are replaced
+        assert main(["export", str(path), "--foxglove", str(out)]) == 0
+        assert capsys.readouterr().out.split() == [str(out), str(layout)]
+    changed = json.dumps(dict(reversed(json.loads(layout.read_text()).items())))
+    layout.write_text(changed)
+    assert main(["export", str(path), "--foxglove", str(out)]) == 2
+    assert "would be lost" in capsys.readouterr().err and layout.read_text() == changed
+    assert main(["export", str(path), "--foxglove", str(tmp_path / "b.mcap"), "--frame", "2"]) == 2
+    assert "has all frames" in capsys.readouterr().err
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["out.layout.json", "out.mcap"]
+
+
+def test_what_cannot_be_shown_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Lost(Sheet):
+        def x(self, t: float) -> Float:
+            return super().x(t) if t < 2.5 / RATE else np.full((self.number, 3), np.nan)
+
+    write(tmp_path / "lost.mcap", Lost(), FRAMES)
+    with pytest.raises(BadInput, match="not finite") as told:
+        export_foxglove(tmp_path / "lost.mcap", tmp_path / "out.mcap")
+    assert told.value.value == 3
+    nuno.run(write_dye_scene(tmp_path), record=tmp_path / "dye.mcap")
+    assert main(["export", str(tmp_path / "dye.mcap"), "--foxglove", str(tmp_path / "out.mcap")]) == 2
+    assert "without a shape" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*out*"))
