@@ -37,13 +37,14 @@ FILES = {
     "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
     "rrd": "a file for the rerun viewer",
     "foxglove": "cloth and bodies as meshes, curves and log for Foxglove or Lichtblick, .mcap, and its .layout.json",
+    "ros2": "the same for RViz and ros2 bag play: a new folder, a bag of ROS 2 (needs nuno[ros])",
     "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
 }
 """What can be written, by its flag."""
-WHOLE = ("gif", "mp4", "foxglove")
+WHOLE = ("gif", "mp4", "foxglove", "ros2")
 """Of these, what has all frames of a run."""
-SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove")
+SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Of these, beside MESHES, what a cloth that is dyed alone has not: it has no shape."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
@@ -66,6 +67,7 @@ class Asked(BaseModel):
     usd: Path | None = None
     rrd: Path | None = None
     foxglove: Path | None = None
+    ros2: Path | None = None
     pattern: Path | None = None
     yarns: Path | None = None
     form: Form | None = None
@@ -147,6 +149,10 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
         written.append(
             animations.export_animation(recording, path, size, *when, _progress, colour, changes, *round_one)
         )
+    if asked.ros2:
+        from nuno.exports.ros2 import export_ros2
+
+        written.append(export_ros2(recording, asked.ros2, _progress))
     if asked.rrd:
         from nuno.viewer.file import convert
 
@@ -193,6 +199,10 @@ def _check(recording: Recording, asked: Asked) -> None:
         from nuno.exports.foxglove import check_foxglove
 
         check_foxglove(asked.foxglove)
+    if asked.ros2:
+        from nuno.exports.ros2 import check_ros2
+
+        check_ros2(asked.ros2)
     require(None, asked.rrd, "--rrd")
     for name in () if asked.yarns else ("form", *YARNS):
         if getattr(asked, name) is not None:

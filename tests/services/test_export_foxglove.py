@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -83,17 +84,18 @@ def turn(q: Any) -> Float:
     return np.asarray((axes + 2.0 * q.w * half + 2.0 * np.cross(u, half)).T)
 
 
-def placed(heard: dict[str, list[Heard]], x: Float, frame: str, to: str, at: int) -> Float:
-    """Points (n, 3) of a frame in another above it, by the last transforms until a time [ns]."""
-    known = {}
-    for topic in ("scene/fixed", "scene/frames"):
-        for one in heard[topic]:
-            known |= {t.child_frame_id: t for t in one.value.transforms} if one.at <= at else {}
+def placed(known: Mapping[str, tuple[str, Any]], x: Float, frame: str, to: str) -> Float:
+    """Points (n, 3) of a frame in another above it, by the parents of frames and where they are in them."""
     while frame != to:
-        transform = known[frame]
+        frame, transform = known[frame]
         x = x @ turn(transform.rotation).T + vectors([transform.translation])
-        frame = transform.parent_frame_id
     return x
+
+
+def known_at(heard: dict[str, list[Heard]], at: int) -> dict[str, tuple[str, Any]]:
+    """Frames by the last transforms until a time [ns]."""
+    before = (one for topic in ("scene/fixed", "scene/frames") for one in heard[topic] if one.at <= at)
+    return {t.child_frame_id: (t.parent_frame_id, t) for one in before for t in one.value.transforms}
 
 
 def write_items(path: Path, found: list[Item]) -> None:
@@ -128,10 +130,12 @@ def test_every_frame_is_where_the_recording_has_it(tmp_path: Path, shift: Float)
         assert (at, entity.id, entity.frame_id) == (round(frame.t * 1e9), "cloth", "cloth")
         assert entity.timestamp.ToNanoseconds() == at and entity.lifetime.ToNanoseconds() == 0
         (mesh,) = entity.triangles
-        origin = placed(heard, np.zeros((1, 3)), "cloth", "world", at)
+        origin = placed(known_at(heard, at), np.zeros((1, 3)), "cloth", "world")
         assert np.array_equal(vectors(mesh.points), (frame.x - origin).astype(np.float32))
         assert np.array_equal(np.array(mesh.indices).reshape(-1, 3), SHEET.faces)
-    assert np.array_equal(placed(heard, np.eye(3), "world", "map", 0).round(12), [[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    assert np.array_equal(
+        placed(known_at(heard, 0), np.eye(3), "world", "map").round(12), [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    )
 
 
 def test_bodies_are_sent_once_and_moved_by_their_frames(path: Path, tmp_path: Path) -> None:
@@ -145,7 +149,7 @@ def test_bodies_are_sent_once_and_moved_by_their_frames(path: Path, tmp_path: Pa
         assert bodies is not None
         assert np.array_equal(np.array(entity.triangles[0].indices).reshape(-1, 3), bodies.faces)
         for at, _ in heard["scene/frames"]:
-            x = placed(heard, vectors(entity.triangles[0].points), entity.frame_id, "world", at)
+            x = placed(known_at(heard, at), vectors(entity.triangles[0].points), entity.frame_id, "world")
             assert x == pytest.approx(body_vertices(recording, bodies, at / 1e9), abs=1e-7)
 
 
@@ -164,7 +168,7 @@ def test_a_skin_is_sent_as_it_is_bent(tmp_path: Path) -> None:
         bodies, seen = read_bodies(recording), []
         for at, update in heard["scene/skins"]:
             (entity,) = update.entities
-            x = placed(heard, vectors(entity.triangles[0].points), entity.frame_id, "world", at)
+            x = placed(known_at(heard, at), vectors(entity.triangles[0].points), entity.frame_id, "world")
             assert x == pytest.approx(body_vertices(recording, bodies, at / 1e9), abs=1e-6)
             seen.append(x)
     assert len(seen) == 3 and np.abs(seen[2] - seen[0]).max() > 0.01
@@ -282,16 +286,16 @@ def test_the_layouts_camera_has_the_scene_in_view(path: Path, tmp_path: Path) ->
     seen = []
     for at, update in heard["scene/cloth"]:
         shapes = [*update.entities, *heard["scene/bodies"][0].value.entities]
-        points = [placed(heard, vectors(one.triangles[0].points), one.frame_id, "map", at) for one in shapes]
+        points = [placed(known_at(heard, at), vectors(one.triangles[0].points), one.frame_id, "map") for one in shapes]
         away = np.concatenate(points) - camera["targetOffset"]
         depth = camera["distance"] - away @ back
         assert camera["near"] < depth.min() and depth.max() < camera["far"]
         seen.append(np.stack([away @ right, away @ np.cross(back, right)], axis=1) / (depth * np.tan(half))[:, None])
     most = np.abs(np.concatenate(seen)).max()
     assert 0.8 < most < 0.85  # 8 % are free on each side
-    low = min(placed(heard, vectors(one.value.entities[0].triangles[0].points), "cloth", "map", one.at)[:, 2].min()
-              for one in heard["scene/cloth"])  # fmt: skip
-    assert panel["layers"]["grid"]["position"][2] <= low + 1e-6
+    first = heard["scene/bodies"][0].value.entities[0]
+    low = placed(known_at(heard, 0), vectors(first.triangles[0].points), first.frame_id, "map")[:, 2].min()
+    assert panel["layers"]["grid"]["position"] == [0.0, 0.0, pytest.approx(min(low, 0.0), abs=1e-6)]
 
 
 def test_what_would_be_lost_is_refused(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

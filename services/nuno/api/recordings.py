@@ -68,8 +68,8 @@ def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any
     """Write files of a recording; which, as `nuno export` has it: nuno.export("last", glb="a.glb", frame=30).
 
     what: fields of nuno.exporting.Asked: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb, usd, rrd,
-    foxglove, pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are those of --set.
-    Raises BadInput.
+    foxglove, ros2, pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are those of
+    --set. Raises BadInput.
     """
     from nuno.exporting import ask, write
 

@@ -1,4 +1,4 @@
-"""Output files: written beside their place and moved there whole; only their own kind is replaced."""
+"""Output files and folders: written beside their place and moved there whole; only files of their kind are replaced."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,24 @@ def writing(path: Path, suffix: str) -> Iterator[Path]:
         if waiting is None or path not in waiting:
             with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
                 new.unlink(missing_ok=True)
+
+
+def check_folder(path: Path) -> None:
+    """Raises BadInput where a new folder cannot be made: another is missing, or something of its name is there."""
+    if path.exists():
+        problem, remedy = "something of that name exists", "choose another name, or remove it"
+        raise BadInput(problem, value=str(path), remedy=remedy)
+    if not path.parent.is_dir():
+        raise BadInput("no such folder", value=str(path.parent), remedy="make it, or choose another place")
+
+
+@contextmanager
+def writing_folder(path: Path) -> Iterator[Path]:
+    """Where a new folder is to be made, which takes its place when all went well. Raises BadInput."""
+    check_folder(path)
+    with _told(path), TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as near:
+        yield (new := Path(near) / path.name)
+        new.replace(path)
 
 
 @contextmanager
