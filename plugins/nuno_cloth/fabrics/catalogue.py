@@ -37,7 +37,7 @@ def _preset(name: str, material: Material, piece: Fabric) -> Preset:
     held, free = (measure(piece, RESOLUTION, SIZE, sides_held) for sides_held in (True, False))
     measures = tuple(_measure(material, held, free, *column) for column in COLUMNS)
     damping = Measure("damping_ratio", "", material.damping_ratio)
-    return Preset(name, material.source, (*measures, damping), complete(dict.fromkeys(material.given, "measured")))
+    return Preset(name, material.source, (*measures, damping), complete(material.how))
 
 
 def _measure(material: Material, held: Measures, free: Measures, field: str, unit: str, per_si: float) -> Measure:

@@ -89,12 +89,12 @@ class Measured(Config):
     def material(self) -> Material:
         given: dict[str, Any] = self.model_dump(exclude={"preset"}, exclude_none=True)
         if self.preset is None:
-            return Material(**given, given=tuple(given))
+            return Material(**given, how=dict.fromkeys(given, "measured"))
         base = PRESETS[self.preset]
         if not given:
             return base
         source = f"{base.source}, changed: {', '.join(given)}"
-        return replace(base, **given, source=source, given=tuple(dict.fromkeys((*base.given, *given))))
+        return replace(base, **given, source=source, how={**base.how, **dict.fromkeys(given, "measured")})
 
 
 def _pair(value: object) -> object:

@@ -16,7 +16,7 @@ LISTS = {"fabrics": "presets", "yarns": "yarns"}
 """The method of a model that lists what each command shows."""
 KINDS = ("measured", "derived", "assumed")
 LEGENDS = {
-    "fabrics": "The first row of a fabric holds the values of its source, which springs and hinges follow at any "
+    "fabrics": "The first row of a fabric holds its own values, which springs and hinges follow at any "
     "resolution. Below, what virtual tensile, shear and bending tests measure on 5 cm x 5 cm: with the sides held they "
     "give the same; free sides narrow under tension. No source gives the damping ratio: it is ours. Any value can be "
     "replaced in a scene, for example fabric: {preset: denim, bend_warp: 80 uN*m}.",
