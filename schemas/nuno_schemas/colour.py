@@ -1,9 +1,13 @@
-"""Colours: the map for scalars on cloth, and the sRGB transfer. One place for every picture."""
+"""Colours: how they are written, the map for scalars on cloth, and the sRGB transfer. One place for every picture."""
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from nuno_schemas.errors import nearest
 
 CONTROL = (
     "#440154", "#482475", "#414487", "#355f8d", "#2a788e",
@@ -26,6 +30,30 @@ def to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     """sRGB values in [0, 1] of linear light, clipped to [0, 1], any shape (IEC 61966-2-1)."""
     value = np.clip(np.asarray(linear, np.float64), 0.0, 1.0)
     return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+
+
+HEX = "#[0-9a-fA-F]{6}"
+"""Form of an sRGB colour in numbers."""
+
+
+def names() -> dict[str, str]:
+    """The 148 named colours of CSS (CSS Color 4, section 6.1), each as "#rrggbb"."""
+    from PIL import ImageColor  # takes longer to load than a small scene to read
+
+    return {name: str(written) for name, written in ImageColor.colormap.items()}
+
+
+def as_hex(text: str) -> str:
+    """A colour as "#rrggbb": written so already, or a CSS name in letters of any case. Raises ValueError."""
+    if re.fullmatch(HEX, text):
+        return text
+    known = names()
+    if text.lower() in known:
+        return known[text.lower()]
+    near, asked, _ = nearest(text.lower(), known).partition("? ")
+    meant = f"{near}? Or " if asked and not text.startswith("#") else ""
+    advice = "write red, green and blue as #rrggbb, for example #c04030, or one of CSS's names, for example indianred"
+    raise ValueError(f"not a colour; {meant}{advice}")
 
 
 def parse_hex(text: str) -> NDArray[np.float64]:

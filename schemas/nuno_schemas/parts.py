@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.colour import HEX, as_hex, names
 from nuno_schemas.units import quantity
 
 Interval = Annotated[float, quantity("s", gt=0)]
@@ -25,6 +26,12 @@ def _written(pattern: str, problem: str) -> Any:
     return Annotated[str, AfterValidator(check), Field(json_schema_extra={"pattern": f"^{pattern}$"})]
 
 
+def _colours(schema: dict[str, Any]) -> None:
+    """What editors learn of a colour: the form in numbers, and names to choose from."""
+    del schema["type"]
+    schema["anyOf"] = [{"type": "string", "pattern": f"^{HEX}$"}, {"type": "string", "enum": sorted(names())}]
+
+
 if TYPE_CHECKING:
     Name = str
     Colour = str
@@ -32,7 +39,7 @@ else:
     Name = _written(
         "[A-Za-z][A-Za-z0-9_-]{0,63}", "not a name; write a letter, then at most 63 letters, digits, - or _"
     )
-    Colour = _written("#[0-9a-fA-F]{6}", "not a colour; write red, green and blue as #rrggbb, for example #c04030")
+    Colour = Annotated[str, AfterValidator(as_hex), Field(json_schema_extra=_colours)]
 
 
 class Part(BaseModel):

@@ -95,8 +95,12 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "text for an object": ({"objects": ["sheet"]}, "objects[0]", "must be a mapping of fields", ""),
     "nothing for a name": ({"name": None}, "name", "must be text", ""),
     "name with a slash": ({"name": "a/b"}, "name", "not a name", "a letter"),
-    "colour by name": (
-        {"objects": [GOOD["objects"][0] | {"colour": "red"}]}, "objects[0].colour", "not a colour", "#rrggbb",
+    "colour in numbers": (
+        {"objects": [GOOD["objects"][0] | {"colour": "#12345"}]}, "objects[0].colour", "not a colour", "#rrggbb",
+    ),
+    "colour by a name that is none": (
+        {"objects": [GOOD["objects"][0] | {"colour": "indian red"}]}, "objects[0].colour", "not a colour",
+        "did you mean 'indianred'?",
     ),
     "two names alike": ({"bodies": GOOD["bodies"] * 2}, "bodies[1].name", "the name 'ball' is used twice", "rename"),
     "scene version": ({"nuno": 2}, "nuno", "must be 1", ""),

@@ -179,7 +179,7 @@ def test_amounts_that_are_no_numbers_are_drawn_as_none() -> None:
 def test_colours_that_are_none_are_refused() -> None:
     with pytest.raises(BadInput, match=r"(?s)one colour a dye.*1\n.*2 dyes"):
         mix(amounts(2), [INDIGO])
-    for wrong in ({"light": "white"}, {"dark": "#12345"}, {"full": 0.0}, {"hue": 3}):
+    for wrong in ({"light": "whit"}, {"dark": "#12345"}, {"full": 0.0}, {"hue": 3}):
         with pytest.raises(ValidationError):
             DyeColour.model_validate(wrong)
     assert isinstance(find_lays(cloth(draw_plain()))[0], Lay)

@@ -47,8 +47,8 @@ class Colours(Config):
     they are what is compared, and as much of L as `lightness` says.
     """
 
-    warp: Colour = Field(description="of the warp in the photograph, #rrggbb")
-    weft: Colour = Field(description="of the weft in the photograph, #rrggbb")
+    warp: Colour = Field(description="of the warp in the photograph, #rrggbb or a CSS name")
+    weft: Colour = Field(description="of the weft in the photograph, #rrggbb or a CSS name")
     lightness: Share = Field(
         default=0.0, description="how much lightness counts, which shade changes too; yarns of one hue need some"
     )

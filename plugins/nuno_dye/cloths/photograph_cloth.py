@@ -96,7 +96,8 @@ class PhotographPictureConfig(Config):
     """The photograph, dyed."""
 
     ground: Colour | None = Field(
-        default=None, description="colour of the undyed cloth, #rrggbb, lit as the photograph; its own unless given"
+        default=None,
+        description="colour of the undyed cloth, #rrggbb or a CSS name, lit as the photograph; its own unless given",
     )
 
 

@@ -38,8 +38,8 @@ class YarnsPictureConfig(Config):
 
     ground: Colour | None = Field(
         default=None,
-        description="colour of the undyed cloth, #rrggbb; left out: of each yarn, where a WIF file says, or the first "
-        "dye's light",
+        description="colour of the undyed cloth, #rrggbb or a CSS name; left out: of each yarn, where a WIF file says, "
+        "or the first dye's light",
     )
     texture: TextureConfig | None = Field(
         default=TextureConfig(), description="how yarns look; null: colours alone, as where a cloth is seen from afar"
