@@ -39,7 +39,7 @@ COMMANDS = {
     ),
     "plugins": ("nuno.cli.lists", "which plugins are installed"),
     "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),
-    "fabrics": ("nuno.cli.presets", "the fabrics that scenes can name, in measured units, with sources"),
+    "fabrics": ("nuno_bench.instruments.swatches", "the fabrics that scenes can name, in measured units, with sources"),
     "fabric": ("nuno.cli.fabric", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
     "sew": ("nuno.cli.sew", "a garment from its sewing pattern, put on a body; or what is wrong with the pattern"),
     "fit": ("nuno.cli.fit", "how a garment fits the body that wears it: girths, ease, strain, pressure"),

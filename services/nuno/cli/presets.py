@@ -1,10 +1,10 @@
-"""`nuno fabrics` and `nuno yarns`: what scenes can name, in measured units, and their sources."""
+"""What `nuno fabrics` and `nuno yarns` print: what scenes can name, in measured units, and their sources."""
 
 from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from nuno import registry
 from nuno.cli.top import align
@@ -30,13 +30,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    known = find_presets(args.command)
-    for name in args.names:
-        if name not in known:
-            raise BadInput(f"no {args.command.removesuffix('s')} {name!r}", remedy=nearest(name, known))
-    print(show([preset for name, preset in known.items() if not args.names or name in args.names]))
+    print(show(choose(args.command, args.names)))
     print(f"\n{textwrap.fill(LEGENDS[args.command], 100)}")
     return 0
+
+
+def choose(command: str, names: Sequence[str]) -> list[Preset]:
+    """Those of these names, in their own order; all without any. Raises BadInput for a name that none has."""
+    known = find_presets(command)
+    for name in names:
+        if name not in known:
+            raise BadInput(f"no {command.removesuffix('s')} {name!r}", remedy=nearest(name, known))
+    return [preset for name, preset in known.items() if not names or name in names]
 
 
 def find_presets(command: str) -> dict[str, Preset]:
@@ -73,11 +78,11 @@ def table(presets: list[Preset]) -> str:
     rows = [["", *(column.name for column in columns)], ["", *(f"[{column.unit or '1'}]" for column in columns)]]
     for preset in presets:
         tests = dict.fromkeys(test for measure in preset.measures for test in measure.measured)
-        rows.append([preset.name, *(_digits(measure.given) for measure in preset.measures)])
-        rows += [[f"  {test}", *(_digits(one.measured.get(test)) for one in preset.measures)] for test in tests]
+        rows.append([preset.name, *(digits(measure.given) for measure in preset.measures)])
+        rows += [[f"  {test}", *(digits(one.measured.get(test)) for one in preset.measures)] for test in tests]
     return align(rows)
 
 
-def _digits(value: float | None) -> str:
+def digits(value: float | None) -> str:
     """Four significant digits, never as a power of ten; nothing for None."""
     return "" if value is None else f"{float(f'{value:.4g}'):.10f}".rstrip("0").rstrip(".")

@@ -58,12 +58,19 @@ def drape(
         out = (np.hypot(east, north) - support) / (radius - support)
         waves = np.cos(folds * np.arctan2(north, east) + random.uniform(0.0, 2.0 * np.pi))
         rig.state.x[free, 1] += WAVE * out * waves
-    whole = cast_shadow(rig.fabric.position, rig.fabric.faces, radius)
     x = rig.run(rig.problem.frames).copy()
-    shadow = cast_shadow(x, rig.fabric.faces, radius)
+    coefficient, shadow = measure(rig.fabric.position, x, rig.fabric.faces, radius, support)
+    return Drape(coefficient, count_nodes(shadow), rig.energy(), shadow, x)
+
+
+def measure(
+    flat: Float, x: Float, faces: Int, radius: float = RADIUS, support: float = SUPPORT
+) -> tuple[float, NDArray[np.bool_]]:
+    """The drape coefficient and the shadow of a disc that lay at `flat` (n, 3) and hangs at x (n, 3) [m]."""
+    whole, shadow = (cast_shadow(each, faces, radius) for each in (flat, x))
     held = np.pi * support**2
     dark, most = (float(each.sum()) * DOT**2 for each in (shadow, whole))
-    return Drape((dark - held) / (most - held), count_nodes(shadow), rig.energy(), shadow, x)
+    return (dark - held) / (most - held), shadow
 
 
 def cast_shadow(x: Float, faces: Int, radius: float = RADIUS) -> NDArray[np.bool_]:
