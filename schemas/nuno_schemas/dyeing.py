@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.dye_presets import PRESETS, written_out
+from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Name, Part, require_distinct
 from nuno_schemas.solver import AUTO, Solver
@@ -42,9 +44,27 @@ class WeiszZollinger(Part):
         return data
 
 
-class Dyestuff(Part):
-    """One of the dyes in a cloth; they do not act on each other."""
+def _may_be_named(schema: dict[str, Any]) -> None:
+    """What editors learn of a dye: its name and D0 need not be given where a preset is."""
+    del schema["required"]
+    schema["anyOf"] = [{"required": ["name", "D0"]}, {"required": ["preset"]}]
+    schema["properties"]["preset"] = {**schema["properties"]["preset"], "enum": list(PRESETS)}
+    schema["properties"]["preset"].pop("anyOf")
 
+
+def _or_named(schema: dict[str, Any]) -> None:
+    """What editors learn of a list of dyes: one may be a preset's name alone."""
+    schema["items"] = {"anyOf": [schema["items"], {"type": "string", "enum": list(PRESETS)}]}
+
+
+class Dyestuff(Part):
+    """One of the dyes in a cloth; they do not act on each other. A preset's name alone stands for all of its fields."""
+
+    model_config = ConfigDict(json_schema_extra=_may_be_named)
+
+    preset: str | None = Field(
+        default=None, description="whose fields hold where none are given (nuno dyes lists them), also its name"
+    )
     name: Name = Field(description="of the dye; no other has it")
     D0: Diffusion = Field(description="its diffusion coefficient in water, 3.6 sqrt(76 / M) mm^2/h [m^2/s]")
     adsorption: float = Field(
@@ -53,6 +73,21 @@ class Dyestuff(Part):
     isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
     weisz_zollinger: WeiszZollinger | None = Field(default=None, description="how D falls with dye; else D = D0 P T")
     colour: DyeColour = Field(default=DyeColour(), description="on cloth, in pictures")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_preset(cls, data: Any) -> Any:
+        """The preset's fields in its place: the scene is then the one that writes them out."""
+        given = {"preset": data} if isinstance(data, str) else data
+        if not isinstance(given, dict) or given.get("preset") is None:
+            return data
+        own = {key: value for key, value in given.items() if key != "preset"}
+        name = given["preset"]
+        if not isinstance(name, str) or name not in PRESETS:
+            context = {"name": str(name), "known": nearest(str(name), PRESETS)}
+            inside = () if isinstance(data, str) else ("preset",)
+            raise PydanticCustomError("no_dye", "unknown dye preset '{name}'; {known}", {**context, "inside": inside})
+        return written_out(name, own)
 
     @model_validator(mode="after")
     def _fixed_by_a_law(self) -> Dyestuff:
@@ -77,7 +112,12 @@ class Dyeing(Part):
         default=DyeSolver(plugin=AUTO),
         description="a plugin with its fields, and its step; auto: chosen for the scene and `accuracy`",
     )
-    dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
+    dyes: list[Dyestuff] = Field(
+        min_length=1,
+        max_length=16,
+        description="what the cloth is dyed with: presets' names, or dyes",
+        json_schema_extra=_or_named,
+    )
     speed: Speed = Field(
         default=1.0, description='seconds of dyeing in a second of the scene, 1800 or "30 min/s"; supplies count these'
     )

@@ -76,8 +76,10 @@ def test_a_crop_is_cut_from_the_picture(recording: Path) -> None:
     assert np.array_equal(found, whole[20:120, 40:160])
 
 
-def test_colours_can_be_others_afterwards(recording: Path) -> None:
-    found = export(recording, "--set", "dye.dyes.0.colour.full=0.1", "--set", "dye.dyes.0.colour.dark='#400000'")
+@pytest.mark.parametrize("dye", ["0", "blue"])
+def test_colours_can_be_others_afterwards(recording: Path, dye: str) -> None:
+    colour = f"dye.dyes.{dye}.colour"
+    found = export(recording, "--set", f"{colour}.full=0.1", "--set", f"{colour}.dark='#400000'")
     assert np.array_equal(found[: 16 * NY], drawn(recording, 10, "all", colour=DyeColour(full=0.1, dark="#400000")))
 
 

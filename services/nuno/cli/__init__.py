@@ -45,6 +45,7 @@ COMMANDS = {
     "fit": ("nuno.cli.fit", "how a garment fits the body that wears it: girths, ease, strain, pressure"),
     "test": ("nuno_bench.instruments.command", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
     "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
+    "dyes": ("nuno.cli.presets", "the dyes that scenes can name, with sources"),
     "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }

@@ -1,4 +1,4 @@
-"""What `nuno fabrics` and `nuno yarns` print: what scenes can name, in measured units, and their sources."""
+"""What `nuno fabrics`, `nuno yarns` and `nuno dyes` print: what scenes can name, in units, and the sources."""
 
 from __future__ import annotations
 
@@ -8,18 +8,22 @@ from collections.abc import Mapping, Sequence
 
 from nuno import registry
 from nuno.cli.top import align
+from nuno_schemas.dye_presets import list_dyes
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Preset
 
 GROUP = "nuno.models"
 LISTS = {"fabrics": "presets", "yarns": "yarns"}
-"""The method of a model that lists what each command shows."""
+"""The method of a model that lists what each command shows; dyes are no model's."""
 KINDS = ("measured", "derived", "assumed")
 LEGENDS = {
     "fabrics": "The first row of a fabric holds its own values, which springs and hinges follow at any "
     "resolution. Below, what virtual tensile, shear and bending tests measure on 5 cm x 5 cm: with the sides held they "
     "give the same; free sides narrow under tension. No source gives the damping ratio: it is ours. Any value can be "
     "replaced in a scene, for example fabric: {preset: denim, bend_warp: 80 uN*m}.",
+    "dyes": "M is the molar mass of what colours, D0 its diffusion coefficient in water, adsorption how fast fibre "
+    "fixes it, k and K the constant of its isotherm. A scene names one by dyes: [indigo], or changes some of its "
+    "fields: dyes: [{preset: indigo, adsorption: 0.02}].",
     "yarns": "EA is a yarn's tensile stiffness, force per strain; from the strain lock on it is EA_lock. Any value can "
     "be given in a scene, for example yarns: [nylon, {name: mine, ea: 2 N, density: 44 dtex}].",
 }
@@ -45,7 +49,9 @@ def choose(command: str, names: Sequence[str]) -> list[Preset]:
 
 
 def find_presets(command: str) -> dict[str, Preset]:
-    """By name, of every installed model that lists some."""
+    """By name, of every installed model that lists some; dyes are the scene's own."""
+    if command == "dyes":
+        return {preset.name: preset for preset in list_dyes()}
     models = (registry.load(GROUP, name) for name in sorted(registry.installed(GROUP)))
     lists = (getattr(model, LISTS[command], None) for model in models)
     return {preset.name: preset for each in lists if each is not None for preset in each()}

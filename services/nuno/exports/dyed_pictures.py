@@ -22,7 +22,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
 from nuno_schemas.messages import CLOTH, CONCENTRATION
 
-CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[]\d+\]?\.colour)\b")
+CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[][\w-]+\]?\.colour)\b")
 """Fields of a recorded scene that only change how it is drawn."""
 TEXTURE_SIDE = 1536
 """Pixels of a texture's longer side that `scale: auto` aims at."""

@@ -14,6 +14,8 @@ from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene
 
+PRESETS = ("fabric", "dyes")
+"""Fields whose value may be a preset's name, which is short for {preset: NAME}."""
 DIGITS = 9
 """Of a place in a list, at most."""
 
@@ -76,7 +78,10 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
             remedy = f"{dotted(tuple(place))} holds {_kind(here)}" + ("; name what is there" if here else "")
             raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
         if i < len(parts) - 1:
-            here = here.setdefault(part, {} if i else _left_out(part)) if isinstance(here, dict) else here[place[-1]]
+            inner = here.setdefault(part, {} if i else _left_out(part)) if isinstance(here, dict) else here[place[-1]]
+            if isinstance(inner, str) and next(name for name in reversed(place) if isinstance(name, str)) in PRESETS:
+                inner = here[place[-1]] = {"preset": inner}
+            here = inner
     here[place[-1]] = value
     return tuple(place)
 
@@ -98,8 +103,14 @@ def _number(parts: list[Any], part: str) -> int | None:
 
 
 def _names(parts: list[Any]) -> list[str | None]:
-    """Of a list's parts; a part that has no name, as a force, goes by its plugin's."""
-    return [one.get("name", one.get("plugin")) if isinstance(one, dict) else None for one in parts]
+    """Of a list's parts; a part that has no name, as a force or a preset, goes by its plugin's or by the preset's."""
+    return [_name(one) for one in parts]
+
+
+def _name(part: Any) -> str | None:
+    if not isinstance(part, dict):
+        return part if isinstance(part, str) else None
+    return part.get("name", part.get("plugin", part.get("preset")))
 
 
 def _kind(value: Any) -> str:
