@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +14,13 @@ import pytest
 from live_run import Live as LiveRun
 from live_run import Run
 from scenes import write_scene
+from test_readme import ROOT, blocks
 
 import nuno
 from nuno.collision.messages import decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import resumed_scene
+from nuno.scene import scene_file, shipped
 from nuno.service import Options
 from nuno.supervision.supervisor import Deployment
 from nuno.wire.sessions import spoke
@@ -170,6 +174,24 @@ def test_by_the_clock_the_newest_poses_are_taken(tmp_path: Path) -> None:
     told = run.report["followed"]["hand"]
     assert told["heard"] == told["used"] == 20 and told["without"] >= 18
     assert places(tmp_path / "run.mcap")[-1].tolist() == poses()[-1][0]
+
+
+def test_the_documentations_program_moves_its_hand(tmp_path: Path) -> None:
+    """Where the ball was lies on the curve that the program sends."""
+    program = blocks(ROOT / "docs" / "robots.md", "py")[0]
+    loaded = scene_file.read(shipped.find("hand"), ["duration=3.5 s"])
+    run = LiveRun(loaded, Options(record=tmp_path / "run.mcap"), Deployment(paused=True))
+    run.wait_until_paused()
+    script = tmp_path / "hand.py"
+    script.write_text(program.replace('"last"', repr(run.run)))
+    with subprocess.Popen([sys.executable, str(script)]) as process:
+        run.control("resume")
+        assert run.join().state == "done"
+        assert process.wait(60) == 0
+    x, _, z = places(tmp_path / "run.mcap").T
+    moved = z < 0.3
+    assert moved.any() and run.report["followed"]["hand"]["refused"] == 0
+    assert np.abs(x - 0.1 * np.sin(4.0 * (0.3 - z) / 0.1))[moved].max() < 1e-9
 
 
 def test_joints_keep_together_on_their_way() -> None:

@@ -33,6 +33,7 @@ CASES = {
     "render": "leg.render:render",
     "dye": "dye:dye",
     "pipeline": "pipeline:pipeline",
+    "live": "live:live",
     "start": "processes:start",
     "memory": "processes:memory",
 }
