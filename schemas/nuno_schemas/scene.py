@@ -31,9 +31,7 @@ class Object(Part):
     name: Name = Field(description="of the piece; no other has it")
     model: Choice = Field(description="what builds it: a plugin and its fields")
     roughness: Roughness = Field(default=0.0, description="root mean square of an unevenness it starts with [m]")
-    colour: Colour | None = Field(
-        default=None, description="#rrggbb or a CSS name; stretch is shown where it is left out"
-    )
+    colour: Colour | None = Field(default=None, description="#rrggbb or a CSS name; left out: as `view.colour` says")
 
 
 class Body(Part):

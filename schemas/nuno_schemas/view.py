@@ -24,6 +24,11 @@ class View(Part):
     target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
     distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
+    colour: Literal["cloth", "stretch"] = Field(
+        default="cloth",
+        description="how cloth of triangles is painted that has neither a colour nor a texture: each object in a "
+        "colour by its place in the scene, or by stretch",
+    )
     links: Literal["stretch", "yarn", "tension"] = Field(
         default="stretch",
         description="what colours the links of a net in the viewer: stretch, the yarn they are of, or its tension",

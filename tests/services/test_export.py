@@ -17,9 +17,11 @@ from recorded_sheet import RATE, Sheet, items, metadata, write
 
 from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
 from nuno.exports.meshes import export_mesh, export_meshes
+from nuno.exports.paint import CLOTHS
 from nuno.exports.tables import export_csv, export_npz
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
+from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE
 
@@ -152,10 +154,13 @@ def test_glb_normals_are_those_of_the_surface_and_need_no_scipy(path: Path, tmp_
     assert (body.vertex_normals * outward).sum(axis=1).min() > np.cos(np.radians(4.0))
 
 
-def test_glb_without_a_texture_is_coloured_by_stretch(plain: Path, tmp_path: Path) -> None:
-    scene = trimesh.load(export_mesh(plain, tmp_path / "out.glb"), process=False, force="scene")
-    colours = scene.geometry["cloth"].visual.vertex_colors
-    assert len(np.unique(colours, axis=0)) > 1
+def test_glb_without_a_texture_has_a_colour_or_is_coloured_by_stretch(plain: Path, tmp_path: Path) -> None:
+    write(tmp_path / "stretch.mcap", SHEET, FRAMES, scene={"name": "waving", "view": {"colour": "stretch"}})
+    scene = trimesh.load(export_mesh(tmp_path / "stretch.mcap", tmp_path / "a.glb"), process=False, force="scene")
+    assert len(np.unique(scene.geometry["cloth"].visual.vertex_colors, axis=0)) > 1
+    scene = trimesh.load(export_mesh(plain, tmp_path / "b.glb"), process=False, force="scene")
+    factor = scene.geometry["cloth"].visual.material.baseColorFactor
+    assert np.abs(factor[:3] - 255.0 * parse_hex(CLOTHS[0])).max() <= 0.5
 
 
 def test_bodies_are_where_their_poses_say(path: Path) -> None:

@@ -13,7 +13,7 @@ from recorded_sheet import Sheet, write
 from nuno.cli import main
 from nuno.exports.animations import export_animation
 from nuno.exports.cloth import ShownPiece
-from nuno.exports.paint import PLAIN, paint_stretch
+from nuno.exports.paint import CLOTHS, PLAIN, paint_stretch
 from nuno.exports.pictures import Colour, Painter, _cloth_mesh
 from nuno.recording.reader import open_recording
 from nuno_schemas.colour import parse_hex
@@ -39,6 +39,14 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def by_stretch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of a scene that shows stretch."""
+    path = tmp_path_factory.mktemp("stretch") / "run.mcap"
+    write(path, Sheet(), 3, scene={"name": "waving", "view": {"colour": "stretch"}})
+    return path
+
+
+@pytest.fixture(scope="module")
 def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("textured")
     data = io.BytesIO()
@@ -47,18 +55,19 @@ def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run.mcap"
 
 
-def test_cloth_without_a_colour_is_plain_or_shows_its_stretch(plain: Path) -> None:
+def test_cloth_without_a_colour_has_one_by_its_place_or_shows_its_stretch(plain: Path, by_stretch: Path) -> None:
     with open_recording(plain) as recording:
         last = list(recording.frames())[-1]
         piece = Painter(recording, [last], SIZE).pieces(last.t)[0]
     stretch = paint_stretch(piece.stretch(last.x))
-    for colour in ("auto", "stretch"):
-        painter, colours, _ = painted(plain, colour)  # type: ignore[arg-type]
+    for path, colour in ((by_stretch, "auto"), (by_stretch, "stretch"), (plain, "stretch")):
+        painter, colours, _ = painted(path, colour)  # type: ignore[arg-type]
         assert colours is not None and np.array_equal(colours, stretch)
         assert painter.legend is not None
-    painter, colours, _ = painted(plain, "cloth")
-    assert colours is not None and np.array_equal(colours, np.tile(parse_hex(PLAIN), (piece.stop, 1)))
-    assert painter.legend is None
+    for path, colour, own in ((plain, "auto", CLOTHS[0]), (plain, "cloth", CLOTHS[0]), (by_stretch, "cloth", PLAIN)):
+        painter, colours, _ = painted(path, colour)  # type: ignore[arg-type]
+        assert colours is not None and np.array_equal(colours, np.tile(parse_hex(own), (piece.stop, 1)))
+        assert painter.legend is None
 
 
 def test_links_of_a_net_show_their_own_stretch() -> None:
@@ -84,9 +93,9 @@ def test_the_command_passes_it_on_to_pictures_and_animations(plain: Path, tmp_pa
         asked = ["export", str(plain), "--png", str(png), "--gif", str(gif), "--size", "96x64", "--colour", colour]
         assert main(asked) == 0
         shown[colour] = png.read_bytes(), gif.read_bytes()
-    assert shown["auto"] == shown["stretch"]
-    assert shown["auto"][0] != shown["cloth"][0]
-    assert shown["auto"][1] != shown["cloth"][1]
+    assert shown["auto"] == shown["cloth"]
+    assert shown["auto"][0] != shown["stretch"][0]
+    assert shown["auto"][1] != shown["stretch"][1]
 
 
 def test_another_colour_is_refused_before_anything_is_written(

@@ -115,7 +115,7 @@ def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
     near = Sheet()
     arrays = {"faces": near.faces, "edges": near.edges, "edge_rest": near.edge_rest}
     text = {"vertices": near.number, "objects": [{"name": "cloth", "start": 0, "stop": near.number}]}
-    (piece,) = cut_pieces(arrays, text)
+    (piece,) = cut_pieces(arrays, text, by_stretch=True)
     cloth, looks = Cloth(Kept(), "cloth", piece, lambda path: None), []
     for x in (near.x(0.1), near.x(0.1) + FAR):
         cloth.log(x)

@@ -175,16 +175,20 @@ def test_a_skin_is_sent_as_it_is_bent(tmp_path: Path) -> None:
 
 
 def test_cloth_has_its_colours(path: Path, tmp_path: Path) -> None:
-    """Those of its stretch, which change; its own, once; or those of its print at each vertex."""
+    """Those of its stretch, where the scene shows that, which change; its own, once; or those of its print at each
+    vertex.
+    """
 
     def colours(recording: Path) -> list[Any]:
         heard = read(export_foxglove(recording, tmp_path / "out.mcap")[0])["scene/cloth"]
         return [one.value.entities[0].triangles[0] for one in heard]
 
-    with open_recording(path) as recording:
+    stretched = tmp_path / "stretch.mcap"
+    write(stretched, SHEET, 3, scene={"name": "waving", "view": {"colour": "stretch"}})
+    with open_recording(stretched) as recording:
         (piece,) = read_pieces(recording)
         frames = list(recording.frames())
-    for mesh, frame in zip(colours(path), frames, strict=True):
+    for mesh, frame in zip(colours(stretched), frames, strict=True):
         assert np.array([(c.r, c.g, c.b) for c in mesh.colors]) == pytest.approx(
             to_srgb(paint_stretch(piece.stretch(frame.x))), abs=1e-4
         )

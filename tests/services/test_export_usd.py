@@ -102,7 +102,8 @@ def test_panels_are_subsets_and_what_has_no_colour_is_painted_by_stretch(tmp_pat
     shutil.copy(PATTERN, tmp_path)
     top = {"plugin": "pattern", "file": "top.yaml", "edge": 0.1}
     objects = [{"name": "my-top", "model": top}, {"name": "my_top", "model": top}]
-    nuno.run(write_scene(tmp_path, objects=objects, duration=0.04), record=tmp_path / "run.mcap")
+    scene = write_scene(tmp_path, objects=objects, duration=0.04, view={"colour": "stretch"})
+    nuno.run(scene, record=tmp_path / "run.mcap")
     stage = read(export_usd(tmp_path / "run.mcap", tmp_path / "out.usdz"))
     with open_recording(tmp_path / "run.mcap") as recording:
         pieces = read_pieces(recording)

@@ -16,6 +16,7 @@ from viewer_run import messages
 from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
 from nuno.wire.sessions import free_port
+from nuno_schemas.view import View
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]
 pytestmark = [
@@ -32,7 +33,7 @@ SOON = 60.0
 def picture(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.int64]:
     """The 3-D view at half a second, (height, width, 3)."""
     path = tmp_path_factory.mktemp("look") / "run.rrd"
-    file = RerunFile(path, "run")
+    file = RerunFile(path, "run", View(colour="stretch"))
     for message in messages(31):
         file.feed(*message)
     file.finish()

@@ -18,7 +18,7 @@ from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces, surface
 from nuno.exports.corners import cut_corners, read_corners, read_indices
-from nuno.exports.paint import INSET, read_rgb
+from nuno.exports.paint import CLOTHS, INSET, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene
@@ -103,14 +103,16 @@ class Pieces:
 def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece]:
     """The cloth of a recording at t [s], or last. Raises BadInput where its description is missing or damaged."""
     try:
-        pieces = cut_pieces(*recording.fabric(t))
+        by_stretch = dict(recording.scene.get("view") or {}).get("colour") == "stretch"
+        pieces = cut_pieces(*recording.fabric(t), by_stretch)
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
     return [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in pieces]
 
 
-def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
-    """The objects of a fabric message, without images.
+def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False) -> list[ShownPiece]:
+    """The objects of a fabric message, without images. Those of triangles that have no colour get one of CLOTHS, in
+    their order, unless they are painted by_stretch; nets show their links.
 
     Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for one that does not fit together.
     """
@@ -129,10 +131,11 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
         if not 0 <= start <= stop <= number:
             raise ValueError(f"an object of vertices {start} to {stop} of {number}")
         mine, own = _inside(edges, start, stop), _inside(faces, start, stop)
+        colour = item.get("colour") or (None if by_stretch or not own.any() else CLOTHS[len(pieces) % len(CLOTHS)])
         pieces.append(
             ShownPiece(
                 str(item["name"]), start, stop, faces[own] - start, edges[mine] - start,
-                rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, item.get("colour"),
+                rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, colour,
                 _kinds(yarns, mine), item.get("texture"), pinned[start:stop], Tensions.read(arrays, mine),
                 None if corners is None else cut_corners(corners, own, start, stop),
             )

@@ -21,6 +21,8 @@ THICKNESS = 0.004
 """Radius of a tube, as part of the net's extent."""
 INSET = 0.002
 """Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
+CLOTHS = ("#5f84ad", "#c4795c", "#84a06c", "#cfa75b", "#95749f", "#5a9590")
+"""Of objects without a colour of their own, in their order: of dyed cloth, soft, and told apart."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"
 YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
 """Of kinds of yarn in the order of their names, over again where there are more."""

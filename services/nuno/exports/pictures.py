@@ -40,8 +40,8 @@ from nuno_schemas.fabric import Float
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch", "pressure"]
 """What cloth is painted with. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain;
-stretch: how far its threads are stretched; pressure: what a knit presses with; auto: cloth where a texture or colour
-is given, else stretch."""
+stretch: how far its threads are stretched; pressure: what a knit presses with; auto: as `view.colour` says, and
+links of nets by stretch."""
 RENDERER = "raster"
 ROOM = 0.04
 """Share of a picture that is left free on each side for a legend, more than without one."""

@@ -26,7 +26,8 @@ def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> 
     return f"""# {scene}
 {vertices:,} vertices, {faces:,} triangles.
 
-**Colour**: stretch of the most stretched thread at each vertex, on a logarithmic scale:
+**Colour**: cloth has its texture, its colour, or one by its place in the scene. Links of nets, and all cloth of a scene
+with `view: {{colour: stretch}}`, show the stretch of the most stretched thread, on a logarithmic scale:
 
 | colour | stretch |
 | --- | --- |
@@ -36,8 +37,8 @@ def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> 
 | yellow | 100 % and more |
 | grey | not a number |
 
-Pieces with a texture or a colour of their own show that instead, and nets of yarns, where the scene's view has
-`links: yarn` or `links: tension`, the yarn that each link is of or its tension.
+Nets of yarns show the yarn that each link is of, or its tension, where the scene's view has `links: yarn` or
+`links: tension`.
 Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
 {dyed}"""
 

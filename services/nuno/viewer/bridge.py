@@ -142,7 +142,7 @@ class Bridge:
 
     def _fabric(self, payload: bytes) -> None:
         arrays, text = decode_arrays(payload)
-        pieces, number = cut_pieces(arrays, text), int(text["vertices"])
+        pieces, number = cut_pieces(arrays, text, self.view.colour == "stretch"), int(text["vertices"])
         self._vertices = number
         self._pinned = arrays["pinned"].astype(bool)
         for cloth in self._cloths:
