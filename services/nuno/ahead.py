@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from nuno.choose.cloth import decide
+from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.verification import steppers
 
@@ -32,4 +33,29 @@ class Pace:
 def run_seconds(loaded: Loaded) -> float:
     """Wall time of a scene's steps [s], by a frame of it. Raises BadInput for a scene that would not start."""
     loaded = decide(loaded)
-    return loaded.scene.frames * sum(make().time_frame() for make in steppers(loaded).values())
+    return loaded.scene.frames * frame_seconds(loaded)
+
+
+def frame_seconds(loaded: Loaded) -> float:
+    """Wall time of a frame's steps [s], of a scene in which nothing is left to choose."""
+    return sum(make().time_frame() for make in steppers(loaded).values())
+
+
+def keep_up(loaded: Loaded) -> Loaded:
+    """The scene decided for a run whose frames wait for the clock: where it leaves its accuracy open, and a frame takes
+    longer than it lasts, `preview` does, if that is faster. Raises BadInput as `decide`.
+    """
+    found = decide(loaded)
+    if not loaded.scene.step_undecided or loaded.scene.accuracy is not None:
+        return found
+    lasts, takes = 1.0 / loaded.scene.frame_rate, frame_seconds(found)
+    if takes <= lasts:
+        return found
+    open_ = scene_file.load(loaded.data | {"accuracy": "preview"}, loaded.lines, loaded.file, loaded.files)
+    coarser = decide(replace(open_, path=loaded.path, overrides=(*loaded.overrides, "accuracy=preview")))
+    if not (less := frame_seconds(coarser)) < takes:
+        return found
+    clock = (
+        f"for the clock, at normal a frame of {1e3 * lasts:.3g} ms takes {1e3 * takes:.3g} ms, here {1e3 * less:.3g}"
+    )
+    return replace(coarser, why=f"{coarser.why}; {clock}")

@@ -11,7 +11,10 @@ from live_run import Run, wait_until
 from scenes import write_scene
 
 import nuno
+from nuno.ahead import keep_up
+from nuno.choose.cloth import decide
 from nuno.cli import main
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 
 DURATION, RATE, PAUSE = 0.5, 25.0, 3.0
@@ -68,3 +71,29 @@ def test_pauses_are_none_of_the_clocks(tmp_path: Path) -> None:
     outcome = live.join()
     assert outcome.state == "done" and outcome.summary["clock"]["frames"] == 12
     assert outcome.summary["paused_seconds"] > 0.9 * PAUSE and outcome.summary["clock"]["most"] < 0.9 * PAUSE
+
+
+def test_accuracy_is_dropped_for_the_clock_only_where_the_scene_leaves_it_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And only where a frame takes longer than it lasts, and a coarser one less: which is then said."""
+    sheet = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [7, 7], "pin": ["top-row"], "fabric": "denim"}
+    given = {"objects": [{"name": "cloth", "model": sheet}], "duration": 0.2, "frame_rate": RATE, "solver": "auto"}
+    normal = decide(scene_file.read(write_scene(tmp_path, **given)))
+    preview = decide(scene_file.read(write_scene(tmp_path, **given, accuracy="preview")))
+    assert normal.value("solver") != preview.value("solver")
+    kept = Simulation.with_bodies(normal).steps
+    coarse = Simulation.with_bodies(preview).steps
+    assert coarse < kept
+
+    def chosen(of_coarse: float, of_normal: float, **more: Any) -> tuple[int, str]:
+        monkeypatch.setattr(
+            Simulation, "time_frame", lambda simulation: of_coarse if simulation.steps == coarse else of_normal
+        )
+        found = keep_up(scene_file.read(write_scene(tmp_path, **given, **more)))
+        return Simulation.with_bodies(found).steps, found.why
+
+    assert chosen(0.01, 1.0)[0] == coarse and "for the clock" in chosen(0.01, 1.0)[1]
+    assert chosen(0.01, 0.02)[0] == kept  # it keeps up as it is
+    assert chosen(2.0, 1.0)[0] == kept  # nothing would be gained
+    assert chosen(0.01, 1.0, accuracy="normal")[0] == kept

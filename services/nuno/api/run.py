@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nuno.ahead import keep_up
 from nuno.api.recordings import path_of
 from nuno.api.result import Folder, Result
 from nuno.api.scene import Scene, as_texts, loaded
@@ -60,8 +61,9 @@ def run(
     signal ended; the recording of both is kept.
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
-        return _run(decide(found), Options(record=_path(record), threads=threads, real_time=real_time),
-                    processes, progress)  # fmt: skip
+        decided = keep_up(found) if real_time or found.paced else decide(found)
+        options = Options(record=_path(record), threads=threads, real_time=real_time)
+        return _run(decided, options, processes, progress)
 
 
 def resume(

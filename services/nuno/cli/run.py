@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from nuno.ahead import keep_up
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_scene, load_scene
 from nuno.process import ending_at_once
@@ -80,7 +81,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     if loaded.scene.undecided:
         print("choosing a solver by trying it on the first frames", flush=True)
-    loaded = decide(loaded)
+    loaded = keep_up(loaded) if args.real_time or loaded.paced else decide(loaded)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     if args.mp4 is not None:
