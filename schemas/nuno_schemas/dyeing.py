@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.dye_presets import PRESETS, written_out
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Name, Part, require_distinct
@@ -44,17 +43,23 @@ class WeiszZollinger(Part):
         return data
 
 
+def _presets() -> list[str]:
+    from nuno_schemas.dye_presets import PRESETS
+
+    return list(PRESETS)
+
+
 def _may_be_named(schema: dict[str, Any]) -> None:
     """What editors learn of a dye: its name and D0 need not be given where a preset is."""
     del schema["required"]
     schema["anyOf"] = [{"required": ["name", "D0"]}, {"required": ["preset"]}]
-    schema["properties"]["preset"] = {**schema["properties"]["preset"], "enum": list(PRESETS)}
+    schema["properties"]["preset"] = {**schema["properties"]["preset"], "enum": _presets()}
     schema["properties"]["preset"].pop("anyOf")
 
 
 def _or_named(schema: dict[str, Any]) -> None:
     """What editors learn of a list of dyes: one may be a preset's name alone."""
-    schema["items"] = {"anyOf": [schema["items"], {"type": "string", "enum": list(PRESETS)}]}
+    schema["items"] = {"anyOf": [schema["items"], {"type": "string", "enum": _presets()}]}
 
 
 class Dyestuff(Part):
@@ -81,6 +86,8 @@ class Dyestuff(Part):
         given = {"preset": data} if isinstance(data, str) else data
         if not isinstance(given, dict) or given.get("preset") is None:
             return data
+        from nuno_schemas.dye_presets import PRESETS, written_out  # a scene that names none does without
+
         own = {key: value for key, value in given.items() if key != "preset"}
         name = given["preset"]
         if not isinstance(name, str) or name not in PRESETS:

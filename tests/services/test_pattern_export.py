@@ -27,7 +27,7 @@ from nuno.handed import check_fabric
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
-from nuno.simulation.alter import fabric_arrays, fabric_from
+from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig
 from nuno_cloth.sewing.assemble import read_pattern
@@ -124,7 +124,7 @@ def test_panels_follow_joined_cloth_and_come_back_from_a_recording(recording: Pa
     assert twice.corners is not None and twice.corners.panels is not None
     panels, corners = twice.corners.panels, twice.corners
     assert panels.names == ("front", "back") * 4 and panels.seam.max() == 15
-    resumed = fabric_from(fabric_arrays(fabric), fabric, {}).corners
+    resumed = fabric_from(fabric_arrays(fabric), fabric, {}, frames_bound(fabric)).corners
     assert resumed is not None and fabric.corners is not None and resumed.panels is fabric.corners.panels
     assert (np.diff(corners.vertex[panels.pairs]) == 0).all()
     with open_recording(recording) as opened:

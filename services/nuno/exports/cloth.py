@@ -125,7 +125,7 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
     rest, pinned = np.asarray(arrays["edge_rest"], np.float64), arrays.get("pinned", np.zeros(number)).astype(bool)
     yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
     corners = read_corners(arrays, faces, number, text.get("panels", ()))
-    pieces = []
+    pieces: list[ShownPiece] = []
     for item in text["objects"]:
         start, stop = int(item["start"]), int(item["stop"])
         if not 0 <= start <= stop <= number:

@@ -49,8 +49,8 @@ class ClothDriver(Driver):
         self.simulation = simulation
         self.coming: deque[Callable[[], Poses]] = deque()
         """Poses of the next frames, asked for already."""
-        self.ahead = 1 if context.loaded.live else WINDOW
-        """Frames whose poses are asked for: of bodies that are told where to be none is known beforehand."""
+        self.ahead = 0 if context.loaded.live else WINDOW
+        """Frames beyond the next whose poses are asked for; of bodies that are told where to be none is known yet."""
         self.seconds |= {"bodies": 0.0} | ({"contact forces": 0.0} if self.scene.record.contact_forces else {})
         self.answers[NOW] = self.encode_now
         self.inbox.answer(NOW)
@@ -120,7 +120,7 @@ class ClothDriver(Driver):
         measurements, and what the way there and back takes is shared by as many frames.
         """
         start = time.perf_counter()
-        for ahead in range(frame + len(self.coming), min(frame + self.ahead - 1, self.scene.frames) + 1):
+        for ahead in range(frame + len(self.coming), min(frame + self.ahead, self.scene.frames) + 1):
             self.coming.append(ask_poses(self.context, ahead))
         poses = self.coming.popleft()()
         self.seconds["bodies"] += time.perf_counter() - start
