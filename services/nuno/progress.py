@@ -25,7 +25,7 @@ class ProgressLine:
 
     def __init__(self, scene: Scene, bar: bool | None = None) -> None:
         """bar: whether there is one; None: on a terminal."""
-        self.scene = scene
+        self.scene, self.end = scene, scene.frames / scene.frame_rate
         self.start = 0.0
         self.first = 0.0
         self.tenth = -1
@@ -45,7 +45,7 @@ class ProgressLine:
                 transient=True,
             )
             self._bar.start()
-            self._task = self._bar.add_task("preparing", total=self.scene.duration, rate="")
+            self._task = self._bar.add_task("preparing", total=self.end, rate="")
         return self
 
     def __exit__(
@@ -68,18 +68,18 @@ class ProgressLine:
             self.start, self.first = now, t
         times = (t - self.first) / max(now - self.start, 1e-9)
         rate = f"{factor(times)} real time" if t > self.first else ""
-        left = (self.scene.duration - t) / times if t > self.first else 0.0
+        left = (self.end - t) / times if t > self.first else 0.0
         if not self.estimated and now - self.start > SETTLED and left > 0.0:
             self.estimated = True
             until = self.scene.until
             ends = "" if until == "duration" else f" at most, less where it comes to {until} before"
             print(f"the run takes {roughly(now - self.start + left)}{ends}", file=sys.stderr)
-        unit, name = time_of(self.scene.duration) if self.scene.duration > LONG else (1.0, "s")
-        done = f"{t / unit:.2f} of {self.scene.duration / unit:g} {name}"
+        unit, name = time_of(self.end) if self.end > LONG else (1.0, "s")
+        done = f"{t / unit:.2f} of {self.end / unit:g} {name}"
         if self._bar is not None:
             self._bar.update(self._task, completed=t, description=done, rate=rate)
             return
-        tenth = int(10 * t / self.scene.duration + 1e-9)
+        tenth = int(10 * t / self.end + 1e-9)
         if tenth > self.tenth:
             self.tenth = tenth
             print(f"{done}  {rate}{f', {roughly(left)} left' if left > LEAST else ''}", file=sys.stderr)

@@ -62,8 +62,8 @@ class Options:
     """Where paths begin: all threads share the working folder, and a plugin may leave it at any moment."""
 
     def __post_init__(self) -> None:
-        if self.threads < 0:
-            problem, remedy = "the number of threads must not be negative", "0 stands for all cores"
+        if type(self.threads) is not int or self.threads < 0:
+            problem, remedy = "the number of threads is a whole number, not negative", "0 stands for all cores"
             raise BadInput(problem, field="--threads", value=self.threads, limit="at least 0", remedy=remedy)
 
 

@@ -31,7 +31,10 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
     "no such file": (["run", "FOLDER/none.yaml"], "no such scene"),
     "a folder": (["run", "FOLDER"], "no such scene"),
     "an array for a scene": (["run", "FOLDER/chain.npz"], "a scene is YAML in UTF-8"),
-    "negative threads": (["run", "SCENE", "--threads", "-1"], "--threads: the number of threads must not be negative"),
+    "negative threads": (
+        ["run", "SCENE", "--threads", "-1"],
+        "--threads: the number of threads is a whole number, not negative",
+    ),
     "threads in words": (["run", "SCENE", "--threads", "two"], "--threads"),
     "run id with a slash": (["run", "SCENE", "--run", "../x"], "--run: not a run's name"),
     "run id that is a pattern": (["run", "SCENE", "--run", "*"], "--run: not a run's name"),
@@ -171,7 +174,9 @@ def test_the_api_refuses_alike(tmp_path: Path) -> None:
     scene = write_scene(tmp_path)
     data = yaml.safe_load(scene.read_text())
     calls: list[tuple[Callable[[], object], str]] = [
-        (lambda: nuno.run(scene, threads=-1), "must not be negative"),
+        (lambda: nuno.run(scene, threads=-1), "a whole number, not negative"),
+        (lambda: nuno.run(scene, threads="2"), "a whole number, not negative"),  # type: ignore[arg-type]
+        (lambda: nuno.run(scene, record=3), "a recording is a file"),  # type: ignore[arg-type]
         (lambda: nuno.run(scene, "solver.dtt=1"), "no such field"),
         (lambda: nuno.run(data | {"durration": 1}), "no such field"),
         (lambda: nuno.run(tmp_path / "none.yaml"), "no such scene"),

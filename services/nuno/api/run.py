@@ -30,7 +30,7 @@ from nuno.service import Options
 from nuno.supervision import runs, supervisor
 from nuno.supervision.oversight import Progress
 from nuno.supervision.supervisor import Deployment
-from nuno_schemas.errors import RunFailed
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import DYE_CHECKPOINT
 
@@ -91,7 +91,12 @@ def run_loaded(scene: Loaded, record: Path, threads: int = 0) -> Result:
 
 
 def _path(record: str | os.PathLike[str] | None) -> Path | None:
-    return None if record is None else Path(record)
+    try:
+        return None if record is None else Path(record)
+    except TypeError:
+        raise BadInput(
+            "a recording is a file", field="--record", value=record, limit="a path that ends in .mcap"
+        ) from None
 
 
 def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None) -> Result:

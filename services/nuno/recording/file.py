@@ -103,7 +103,9 @@ class RecordedFile:
                         yield message
 
     def last(self, topic: str, before: float | None = None) -> Recorded | None:
-        """The last message of a topic with t <= before [s], read from the end."""
+        """The last message of a topic with t <= before [s], read from the end. Raises BadInput for what is no time."""
+        if not isinstance(before, int | float | None):
+            raise BadInput("a time is a number [s]", str(self.path), field="t", value=before)
         wanted = self._channels([topic])
         limit = 2**64 if before is None else round(before * 1e9)
         for chunk in reversed(self.layout.chunks):
