@@ -248,6 +248,14 @@ def test_the_stage_leaves_room_for_what_swings_down() -> None:
     assert lowest == pytest.approx(-1.0)
 
 
+def test_the_stage_has_all_of_the_bodies_and_the_floor_is_below_them() -> None:
+    """Of a skirt's dancer head and feet, too."""
+    waist, dancer = np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.1, 0.0], [0.3, 1.8, 0.0]])
+    points = stage(waist, np.ones(1, bool), dancer)
+    assert {*map(tuple, dancer.tolist())} <= {*map(tuple, points.tolist())}
+    assert fit_eye(points, View()).lowest == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize(
     ("view", "name", "field"),
     [

@@ -48,6 +48,8 @@ class BodiesView:
                 own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
                 plain = (rigid.kind[rigid.frame == frame] == PLANE).all()
                 recording.log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True, strict=True)
+        self.ground = bool((rigid.kind == PLANE).any())
+        """Whether there is a plane among them, which is drawn as one."""
         # Planes have no end and are no part of what should be in view.
         ended = ~np.isin(frames, rigid.frame[rigid.kind == PLANE])
         self._ended = Surfaces(vertices[ended], NO_SURFACES.faces, frames[ended])

@@ -86,6 +86,8 @@ class Bridge:
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
+        self._first: Float | None = None
+        """Where cloth is in its first frame, until bodies are placed, too."""
         self._pictured = False
         self._handlers: dict[str, Callable[[bytes], None]] = {
             FABRIC.name: self._fabric,
@@ -178,6 +180,7 @@ class Bridge:
             raise BadMessage(f"{len(positions)} points for a fabric of {self._vertices} vertices")
         if self._eye is None:
             self._aim(positions)
+            self._first = positions
         for cloth in self._cloths:
             cloth.log(positions)
         self.frames += 1
@@ -193,7 +196,8 @@ class Bridge:
             dyes = self._dyed.names if self._dyed is not None else []
             legend = any(cloth.tensions for cloth in self._cloths)
             bodies, meets = self._bodies is not None, self._crossings is not None
-            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, self._pictured, legend, meets)
+            ground = self._bodies is not None and self._bodies.ground
+            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, self._pictured, legend, meets, ground)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -222,6 +226,9 @@ class Bridge:
         if self._bodies is None:
             raise BadMessage("poses of bodies that are not known yet")
         self._bodies.move(self._latest[0], poses)
+        if self._first is not None:  # bodies come behind the cloth's first frame, and the whole of them is to be seen
+            first, self._first = self._first, None
+            self._aim(first)
 
     def _penetration(self, payload: bytes) -> None:
         report = Penetration.model_validate_json(payload)

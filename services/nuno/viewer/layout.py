@@ -30,32 +30,30 @@ TOTAL = [128, 128, 128]
 PLAY_SECONDS = 10.0
 MOST_ROWS = 4
 """Plots of dyes below each other; more of them are behind tabs."""
-BACKGROUND = [226, 230, 234]
+BACKGROUND, LINES = [226, 230, 234], [120, 126, 134, 90]
+GRID = 0.1
+"""From one line of the floor to the next [m]."""
 
 
 @dataclass(frozen=True)
 class Eye:
-    """Where the viewer looks from and at, (3,) [m]."""
+    """Where the viewer looks from and at, (3,) [m], and the height of the lowest that there is [m]."""
 
     position: Float
     target: Float
+    lowest: float = 0.0
 
 
 def stage(cloth: Float, pinned: NDArray[np.bool_], bodies: Float) -> Float:
     """Points (n, 3) that should be in view, from the first frame of cloth and bodies.
 
-    Cloth that is pinned stays about there, but may swing down: as far below its pins as it
-    reaches now. Of the bodies what lies near is shown. Loose cloth falls on a body, so that
-    all of them belong to the view.
+    Cloth that is pinned stays about there, but may swing down: as far below its pins as it reaches now.
     """
     if not pinned.any():
         return np.concatenate([cloth, bodies])
     pin = cloth[pinned].mean(axis=0)
     reach = float(np.linalg.norm(cloth - pin, axis=1).max())
-    cloth = np.concatenate([cloth, [pin - [0.0, reach, 0.0]]])
-    low, high = cloth.min(axis=0), cloth.max(axis=0)
-    near = 0.15 * float(np.linalg.norm(high - low))
-    return np.concatenate([cloth, bodies[((bodies > low - near) & (bodies < high + near)).all(axis=1)]])
+    return np.concatenate([cloth, [pin - [0.0, reach, 0.0]], bodies])
 
 
 def fit_eye(points: Float, view: View) -> Eye:
@@ -69,15 +67,16 @@ def fit_eye(points: Float, view: View) -> Eye:
     distance = radius / np.sin(HALF_VIEW) if view.distance is None else view.distance
     level = np.cos(view.elevation)
     toward = np.array([np.sin(view.azimuth) * level, np.sin(view.elevation), np.cos(view.azimuth) * level])
-    return Eye(target + distance * toward, target)
+    return Eye(target + distance * toward, target, float(cloud[:, 1].min()))
 
 
 def arrange(
     eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
-    meets: bool = False,
+    meets: bool = False, ground: bool = False,
 ) -> Any:  # fmt: skip
     """The blueprint: the scene large on the left, with the `legend` of its links' tension below and the `pictures` of
-    its yarns beside it, if any; curves, log and report on the right. `meets`: cloth meets cloth.
+    its yarns beside it, if any; curves, log and report on the right. `meets`: cloth meets cloth. What stands on no
+    `ground` of its own has a grid below it.
     """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
@@ -91,7 +90,9 @@ def arrange(
         name="Scene",
         origin="/world",
         background=rrb.Background(color=BACKGROUND),
-        line_grid=rrb.LineGrid3D(visible=False),
+        line_grid=rrb.LineGrid3D(
+            visible=not ground, spacing=GRID, plane=rr.components.Plane3D([0.0, 1.0, 0.0], eye.lowest), color=LINES
+        ),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
