@@ -177,7 +177,13 @@ class Compiled(ABC):
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         packed = _set_poses(undisturbed(work.packed), poses)
-        return find_touched(system, packed, work.x, work.v, _enter(system, state, work, state.t), poses[1])
+        extra = _enter(system, state, work, state.t)
+        return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1])
+
+    def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:
+        """(3, n) the velocity by which contact was felt at the end of the last step; that of the state unless told."""
+        v: Float = work.v
+        return v
 
     def about(self, system: System) -> str:
         """Threads for this system, and what limits them."""

@@ -56,6 +56,9 @@ def felt(simulation: Simulation) -> list[BodyContact]:
         ("implicit_euler", "offset"),
         ("xpbd", "penalty"),
         ("xpbd", "offset"),
+        ("respa", "penalty"),
+        ("respa", "offset"),
+        ("respa", "sliding"),
         ("rk4", "penalty"),
     ],
 )

@@ -38,6 +38,7 @@ import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.explicit.kicks import MOST, steps_a_kick
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.stability import measure_rates, stable_step
@@ -52,10 +53,8 @@ from nuno_schemas.system import StepLimit, System, Term
 
 TENSION, BENDING = ("springs", "membrane", "yarns"), ("hinges", "bending")
 """Kinds of force that act in every step, and that do where they are faster than contact."""
-SAFE, SMOOTH = 0.7, 0.75
-"""Shares of what is stable, and of a radian."""
-MOST, MODES = 64, 200
-"""Steps for each kick, and modes of tension that are looked at."""
+ROUNDS = 8
+"""How often a velocity is inserted; each time its error shrinks by half of what dashpots slow it down in a kick."""
 
 
 class RespaConfig(Config):
@@ -134,6 +133,8 @@ class RespaWork(Work):
     kicks: int = 1
     dt: float = 0.0
     """Steps for each kick, and the step [s], of the last steps that were taken."""
+    last: int = 0
+    """Steps that the last kick stood for."""
 
 
 class Respa(Compiled):
@@ -173,6 +174,7 @@ class Respa(Compiled):
             work.kicks = work.division.steps_a_kick(dt) if work.every is None else work.every
             work.dt = dt
         self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        work.last = (steps - 1) % work.kicks + 1
         return Told(steps)
 
     def compile(self, work: RespaWork, packed: Packed, extra: Extra) -> None:
@@ -181,13 +183,22 @@ class Respa(Compiled):
     def step_at_rest(self, work: RespaWork, extra: Extra) -> Any:
         return self._loop(work, extra)
 
+    def felt_at(self, work: RespaWork, packed: Packed, extra: Extra) -> Float:
+        """See Compiled: just before the last kick, half of which is in the state: v - H / 2 a(v), by inserting."""
+        half = 0.0 if _slides(work.packed) else 0.5 * work.last * work.dt
+        slow, a, v = silence(packed, *work.division.always), np.empty_like(work.v), work.v
+        for _ in range(ROUNDS if half > 0.0 else 0):
+            evaluate(work.x, v, 1.0, a, slow, extra)
+            v = work.v - half * a
+        return v
+
     def _loop(self, work: RespaWork, extra: Extra) -> Any:
         """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing is,
         or vertices slide on bodies: what holds them there changes their velocities in each step.
         """
         always = work.division.always
         alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(always)
-        if alone or any(kernels_of(term).slow is not None for term in work.packed.bodies):
+        if alone or _slides(work.packed):
             return source_of(SymplecticEuler().loop_for(work.packed), extra)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
@@ -210,6 +221,10 @@ class Respa(Compiled):
 def has_sliding(terms: Sequence[Term]) -> bool:
     """Whether vertices slide on bodies."""
     return any(kernels_of(part).slow is not None for term in terms for part in _parts(term))
+
+
+def _slides(packed: Packed) -> bool:
+    return any(kernels_of(term).slow is not None for term in packed.bodies)
 
 
 def at_start(system: System) -> State:
@@ -262,35 +277,3 @@ def least_damping(fabric: Fabric, omega: float) -> float:
         shares.append(float((membrane.damping[k > 0.0] / k[k > 0.0]).min(initial=np.inf)))
     least = min(shares)
     return least * omega * omega if math.isfinite(least) else 0.0
-
-
-def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float) -> int:
-    """For how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
-    longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
-    if slow[0] > 0.0 and fast[0] > 0.0:
-        resonant = math.pi * max(1.0 / fast[0], (fast[1] / slow[0] / slow[0] / fast[0] / fast[0]) ** (1.0 / 3.0))
-        longest = min(longest, SMOOTH / slow[0], resonant)
-    most = max(1, int(min(MOST, longest / dt)))
-    for steps in range(2, most + 1):
-        if feeds(fast, slow, steps * dt):
-            return steps - 1
-    return most
-
-
-def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> bool:
-    """Whether kicks that are `span` [s] apart let any mode of tension grow, with all of their damping or with none."""
-    share = np.arange(1, MODES + 1) / MODES
-    if fast[0] == 0.0:
-        return False
-    w, d = share * fast[0], share**2 * fast[1]
-    # Between kicks: x'' = -w^2 x - d x', overdamped modes taken as just not swinging.
-    swing = np.sqrt(np.maximum(w * w - 0.25 * d * d, 1e-12 * w * w))
-    fade, c, s = np.exp(-0.5 * d * span), np.cos(swing * span), np.sin(swing * span) / swing
-    xx, xv = fade * (c + 0.5 * d * s), fade * s
-    vx, vv = -fade * w * w * s, fade * (c - 0.5 * d * s)
-    k, most = slow[0] ** 2 * span, 0.0
-    for kept in (1.0, 1.0 - slow[1] * span):
-        # A kick, and the way to the next one.
-        matrix = np.moveaxis(np.array([[xx - xv * k, xv * kept], [vx - vv * k, vv * kept]]), 2, 0)
-        most = max(most, float(np.abs(np.linalg.eigvals(matrix)).max()))
-    return most > 1.0 + 1e-9
