@@ -155,13 +155,13 @@ class Hinges:
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
-    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips"; local (b, 3) where they are in the frame
-    [m], None: where they start.
+    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips", no frame: the only one that the body has;
+    local (b, 3) where they are in the frame [m], None: where they start.
     """
 
     vertices: Annotated[Int, "b", Bounds(0, below="n")]
     body: str
-    frame: str
+    frame: str | None = None
     local: Annotated[Float, "b", 3] | None = None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Binding, Float
 
 
 def body(kind: int, a: Float, b: Float, radius: float) -> tuple[Geometry, Poses]:
@@ -96,3 +97,32 @@ def test_a_skirt_whose_centre_was_forgotten_is_refused_at_its_line(tmp_path: Pat
     assert caught.value.field == "objects[0].model.attach"
     assert caught.value.line is not None
     assert str(caught.value.value).startswith("dancer/hips: 0.7")
+
+
+FRAMES = ("ball/world", "dancer/hips", "dancer/chest")
+HELD = np.zeros(1, np.int32)
+
+
+def test_a_frame_need_not_be_named_of_a_body_that_has_one() -> None:
+    assert build.frame_of(Binding(HELD, "ball"), FRAMES) == build.frame_of(Binding(HELD, "ball", "world"), FRAMES) == 0
+    assert build.frame_of(Binding(HELD, "dancer", "chest"), FRAMES) == 2
+
+
+@pytest.mark.parametrize(
+    ("body", "frame", "text"),
+    [
+        ("dancer", None, "several frames.*hips, chest.*attach: "),
+        ("dancer", "hip", "dancer/hip.*did you mean 'dancer/hips'"),
+        ("bal", None, "bal.*known: ball/world"),
+    ],
+)
+def test_a_frame_that_there_is_not_is_answered_with_those_there_are(body: str, frame: str | None, text: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        build.frame_of(Binding(HELD, body, frame), FRAMES)
+    assert re.search(text, str(caught.value), re.DOTALL)
+
+
+def test_a_skirt_is_attached_to_a_body_of_several_frames_by_name(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="several frames") as caught:
+        system(tmp_path, attach={"body": "dancer"})
+    assert caught.value.field == "objects[0].model.attach.body"

@@ -106,7 +106,7 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "scene version": ({"nuno": 2}, "nuno", "must be 1", ""),
     "plugin left out": ({"solver": {"dt": 1}}, "solver.plugin", "the field is missing", "add it"),
     "part of attach left out": (
-        with_model(**SKIRT, attach={"body": "ball"}), "objects[0].model.attach.frame", "the field is missing", "",
+        with_model(**SKIRT, attach={"frame": "world"}), "objects[0].model.attach.body", "the field is missing", "",
     ),
 }  # fmt: skip
 

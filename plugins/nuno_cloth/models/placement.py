@@ -46,7 +46,9 @@ class Attach(Config):
     """The body and frame that pinned vertices follow."""
 
     body: str = Field(description="name of a body of the scene")
-    frame: str = Field(description="one of its joints; bodies that do not move have the frame world")
+    frame: str | None = Field(
+        default=None, description="one of its joints; may be left out of a body that has only one, as without a motion"
+    )
 
 
 STILL = (0.0, 0.0, 0.0)

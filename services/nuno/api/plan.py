@@ -116,8 +116,8 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
     """Where the frames that carry cloth start, and whether it starts in a body."""
-    frames = dict.fromkeys(f"{binding.body}/{binding.frame}" for binding in simulation.fabric.bindings)
-    places = {name: poses.translation[geometry.frames.index(name)] for name in frames}
+    frames = dict.fromkeys(build.frame_of(binding, geometry.frames) for binding in simulation.fabric.bindings)
+    places = {geometry.frames[i]: poses.translation[i] for i in frames}
     rows = [
         ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
         for name, place in places.items()

@@ -19,7 +19,7 @@ from nuno.scene.scene_file import Chosen, Loaded
 from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.fabric import Binding, Fabric, Float, Int, State
 from nuno_schemas.operation import Surface, arranges
 from nuno_schemas.plugin import Rested
 from nuno_schemas.scene import Fading, Scene
@@ -186,14 +186,10 @@ def bind(
     later. Raises BadInput for a body or frame that does not exist, or that the cloth is far from.
     """
     carried = []
-    frames = geometry.frames if geometry else ()
     for binding in fabric.bindings:
-        name = f"{binding.body}/{binding.frame}"
         try:
-            if geometry is None or poses is None or name not in frames:
-                remedy = nearest(name, frames)
-                raise BadInput("cloth is attached to a frame that no body has", value=name, remedy=remedy)
-            index, local = frames.index(name), binding.local
+            index, local = frame_of(binding, geometry.frames if geometry else ()), binding.local
+            assert geometry is not None and poses is not None
             if local is None:
                 check_worn(fabric.position[binding.vertices], geometry, poses, index)
         except BadInput as error:
@@ -205,6 +201,22 @@ def bind(
             local = turn(inverse, fabric.position[binding.vertices] - poses.translation[index])
         carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32)))
     return carried
+
+
+def frame_of(binding: Binding, frames: Sequence[str]) -> int:
+    """Which of the frames, each BODY/FRAME, carries bound vertices. Raises BadInput for one that is not there, and for
+    none that is named of a body that has several.
+    """
+    own = [name for name in frames if name.startswith(f"{binding.body}/")]
+    if binding.frame is None and len(own) > 1:
+        problem = "the body has several frames, and cloth moves with one"
+        names = ", ".join(name.removeprefix(f"{binding.body}/") for name in own)
+        raise BadInput(problem, value=binding.body, limit=names, remedy="name it: attach: {body: ..., frame: ...}")
+    name = own[0] if binding.frame is None and own else "/".join(filter(None, (binding.body, binding.frame)))
+    if name not in frames:
+        remedy = nearest(name, frames)
+        raise BadInput("cloth is attached to a frame that no body has", value=name, remedy=remedy)
+    return frames.index(name)
 
 
 def build_system(

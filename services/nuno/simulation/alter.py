@@ -113,13 +113,13 @@ def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def frames_bound(fabric: Fabric) -> list[list[str]]:
+def frames_bound(fabric: Fabric) -> list[tuple[str, str | None]]:
     """Body and frame of each binding of a fabric, for a checkpoint."""
-    return [[binding.body, binding.frame] for binding in fabric.bindings]
+    return [(binding.body, binding.frame) for binding in fabric.bindings]
 
 
 def fabric_from(
-    arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float], bound: Sequence[Sequence[str]]
+    arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float], bound: Sequence[tuple[str, str | None]]
 ) -> Fabric:
     """The fabric that a checkpoint holds, `built` being that of the scene and `bound` what its `frames_bound` were.
     Raises BadInput where it is damaged.
