@@ -5,65 +5,47 @@ long at the waist, 2 pi hem_radius fullness at the hem, linear between. It start
 waist_radius to hem_radius; what the cloth is longer than the cone's circle (fullness > 1) goes into
 `pleats` folds, whose depth follows row by row from the length. So the folds are cloth that is
 really there, not a texture, and they stay when the skirt swings.
+
+A circle skirt is cut from a flat ring (nuno_cloth.models.skirt_cut) and starts as a cone that is as flat, where it has
+room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, Field, field_validator
+from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from nuno_cloth.fabrics.constants import Lattice
-from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
+from nuno_cloth.fabrics.material import HandSet, resolve
+from nuno_cloth.models.bending_friction import bytes_of_friction
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.grid import Grid
-from nuno_cloth.models.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity, find_texture
-from nuno_cloth.models.sheet import CELLS, CellKind, build_grid, bytes_of_grid, texture_coordinates
-from nuno_cloth.quantities import Flatness, Fullness, Length
+from nuno_cloth.models.placement import Attach, find_texture
+from nuno_cloth.models.sheet import build_grid, bytes_of_grid, texture_coordinates
+from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
+from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
+from nuno_cloth.models.skirt_over import Wearing, measure, require_outside, rings
+from nuno_cloth.models.skirt_rows import drape, ellipses
+from nuno_cloth.models.stance import check_stance
+from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.sewing.draw import draw_together
+from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Fabric, Float
-from nuno_schemas.plugin import Config, Files
+from nuno_schemas.fabric import Binding, Bool, Fabric, Float, Int
+from nuno_schemas.plugin import Files
 from nuno_schemas.vectors import turn
 
-SAMPLES = 2048
-"""Points by which a row's curve is measured."""
-
-ROUNDS = 4
-
-
-class SkirtConfig(Config):
-    """A cone whose top row is pinned. Columns start at +x and run towards -z.
-
-    Texture: u runs from 0 to 1 and back around the waist, so that an image has no seam; v is 1 at
-    the waist and 0 at the hem.
-    """
-
-    waist_radius: Length = Field(default=0.13, description="of the waist, half its width [m]")
-    hem_radius: Length = Field(default=0.28, description="of the circle on which the hem starts [m]")
-    length: Length = Field(default=0.5, description="along the cloth, from waist to hem [m]")
-    columns: int = Field(default=128, ge=4, le=16384, description="vertices around, an even number")
-    rows: int = Field(default=64, ge=2, le=16384, description="vertices from waist to hem")
-    fullness: Fullness = Field(default=1.0, description="the cloth's length at the hem over the circle it starts on")
-    pleats: int = Field(default=12, ge=2, le=200, description="folds around, where fullness is above 1")
-    ratio: Flatness = Field(default=1.0, description="the waist's depth over its width, z over x")
-    centre: Point = Field(default=(0.0, 0.0, 0.0), description="middle of the waist [m]")
-    rotate: Rotation | None = Field(
-        default=None, description="a turn about the centre; before it the axis points down (-y)"
-    )
-    velocity: Velocity = Field(default=STILL, description=VELOCITY)
-    cells: CellKind = Field(default="quads", description=CELLS)
-    attach: Attach | None = Field(
-        default=None, description="the body and frame that the waist moves with; it stands unless given"
-    )
-    fabric: FabricChoice = Field(default="denim", description=FABRIC)
-    texture: str | None = Field(default=None, description=TEXTURE)
-
-    @field_validator("columns")
-    @classmethod
-    def _even(cls, columns: int) -> int:
-        if columns % 2:
-            raise ValueError("must be even, so that alternating diagonals close around the tube")
-        return columns
+FLARED = 0.35
+"""Over a body a cone widens by this share of its length or more, as an A-line skirt does, if no hem_radius is given."""
+OPEN = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
+"""Shares of its width with which a skirt is tried to start, from the widest on, until no arm is in the way."""
+FINEST = 256
+"""Places round each row that a ring's start is found at, at least."""
 
 
 class Skirt:
@@ -74,114 +56,167 @@ class Skirt:
     name: ClassVar[str] = "skirt"
     Config: ClassVar[type[BaseModel]] = SkirtConfig
 
+    def over(self, config: SkirtConfig) -> str | None:
+        """Name of the body that wears it, if any."""
+        return None if config.over is None else config.over.body
+
     def count(self, config: SkirtConfig, files: Files) -> int:
-        return config.columns * config.rows
+        return config.columns * config.rows if config.cut == "cone" else int(_round(config).sum())
 
     def memory(self, config: SkirtConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
+        if config.cut != "cone":
+            return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
         return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for impossible measures, a missing texture, elongated cells."""
-        require_measures(config)
+        waist, hem = config.waist_radius, config.hem_radius
+        if config.cut != "cone" and "hem_radius" not in config.model_fields_set:
+            hem = waist + SHARES[config.cut] * config.length
+        require_measures(config, waist, hem)
+        circle = _lengths(config, waist, hem)
+        curve = ellipses(np.linspace(waist, hem, len(circle)), config.ratio, circle, config.pleats)
+        points = drape(_columns(config), config.length / (len(circle) - 1), circle, curve)
+        turned = points if config.rotate is None else turn(config.rotate.matrix(), points)
+        placed = turned + np.asarray(config.centre)
+        if config.cut == "cone":
+            return self._of_grid(config, files, circle, placed, config.attach)
+        return self._of_ring(config, files, circle, placed, config.attach)
+
+    def build_over(
+        self, config: SkirtConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
+    ) -> Fabric:
+        """The skirt on a body's mesh x (v, 3) [m], faces (f, 3).
+
+        Raises BadInput, as `build`, and for a body of no one's size, one whose waist is not found, one that wears cloth
+        already, and for a skirt that is too narrow for it or would start inside of it.
+        """
+        assert config.over is not None
+        if worn:
+            raise BadInput("a skirt is put on a bare body, and this one wears cloth already", field="over.body",
+                           value=config.over.body, remedy="let the skirt come first among the objects")  # fmt: skip
+        check_size(x, config.over.body, "a skirt")
+        check_stance(x, faces, config.over.body)
+        falls = np.linspace(0.0, config.length, len(_round(config)) if config.cut != "cone" else config.rows)
+        wearing = measure(config.over, x, faces, falls)
+        waist = (wearing.tape + config.over.ease) / (2.0 * np.pi)
+        hem = _hem(config, wearing, waist)
+        require_measures(config, waist, hem)
+        circle = _lengths(config, waist, hem)
+        require_width(config, circle, wearing, config.over.ease)
+        attach = config.attach if "attach" in config.model_fields_set else Attach(body=config.over.body)
+        body = build_tree(x, faces)
+        points = self._worn(config, wearing, circle, 2.0 * np.pi * hem, body)
+        if config.cut == "cone":
+            return self._of_grid(config, files, circle, points, attach)
+        fabric = self._of_ring(config, files, circle, points, attach, (body, config.over.clearance))
+        clear = np.interp(1.0 - fabric.uv[:, 1], falls / config.length, 0.5 * wearing.clear)  # type: ignore[index]
+        require_outside(fabric.position, clear, body)
+        return fabric
+
+    def _worn(self, config: SkirtConfig, wearing: Wearing, circle: Float, hem: float, body: Tree) -> Float:
+        """(rows, columns, 3) where it starts on a body [m]: the hem on a curve `hem` long, or less by arms."""
+        down = np.linspace(0.0, 1.0, len(circle))
+        least = np.minimum(wearing.least, circle)
+        for share in OPEN:
+            # Folds that deepen evenly take cloth with the square of the way down.
+            base = np.maximum(circle - (circle[-1] - share * hem - (1.0 - share) * circle[0]) * down**2, least)
+            base = np.minimum(base, circle)
+            if base[-1] < circle[-1] * (1.0 - ROUNDING):
+                require_columns(config)
+            curve = rings(wearing, base, circle, config.pleats)
+            points = drape(_columns(config), config.length / (len(circle) - 1), circle, curve) + wearing.centre
+            clear = np.repeat(0.5 * wearing.clear, points.shape[1])
+            try:
+                require_outside(points.reshape(-1, 3), clear, body)
+            except BadInput as error:
+                refused = error
+            else:
+                return points
+        raise refused
+
+    def _of_grid(
+        self, config: SkirtConfig, files: Files, circle: Float, points: Float, attach: Attach | None
+    ) -> Fabric:
+        """A cone of rows that are `circle` (rows,) long, at points (rows, columns, 3) [m]."""
         grid = Grid(config.rows, config.columns, periodic=True)
-        along = np.linspace(0, 1, config.rows)
-        circle = 2 * np.pi * (config.waist_radius + along * (config.hem_radius * config.fullness - config.waist_radius))
         slant = np.full(config.rows - 1, config.length / (config.rows - 1))
+        x, held = np.ascontiguousarray(points.reshape(-1, 3)), np.repeat(np.arange(config.rows) == 0, config.columns)
         lattice = Lattice(circle / config.columns, slant)
+        elements = build_grid(grid, lattice, resolve(config.fabric), x, config.cells, held)
+        uv = texture_coordinates(_across(np.arange(config.columns) / config.columns), config.rows)
+        return self._fabric(config, files, x, held, uv, elements, attach)
+
+    def _of_ring(
+        self, config: SkirtConfig, files: Files, circle: Float, points: Float, attach: Attach | None,
+        body: tuple[Tree, float] | None = None,
+    ) -> Fabric:  # fmt: skip
+        """A ring round circles that are `circle` (rows,) long, at points (rows, columns, 3) [m]; on a body drawn to its
+        size from there on, not nearer to it than so far [m]. Raises BadInput for constants per spring.
+        """
         material = resolve(config.fabric)
-        x = drape(config, circle)
-        held = np.repeat(np.arange(config.rows) == 0, config.columns)
-        elements = build_grid(grid, lattice, material, x, config.cells, held)
-        waist = np.arange(config.columns, dtype=np.int32)
-        attach = config.attach
-        across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)
+        if isinstance(material, HandSet):
+            problem, remedy = "constants per spring make no membrane", "give a preset or measured values"
+            raise BadInput(problem, field="fabric", remedy=remedy)
+        ring = lay_ring(_round(config), config.length, float(circle[0]), SHARES[config.cut])
+        x, held = place_ring(ring, points), ring.row == 0
+        if body is not None:
+            edges = find_edges(ring.faces)
+            rest = np.zeros(len(edges.pairs))
+            rest[edges.of_face] = np.linalg.norm(np.roll(ring.corners, -1, axis=1) - ring.corners, axis=2)
+            x = draw_together(x, edges, rest, *body, worn=True, held=held)
+        uv = np.stack([_across(ring.share), 1.0 - ring.row / ring.row[-1]], axis=1).astype(np.float32)
+        elements = build_triangles(material, ring.corners, ring.faces, ring.warp, held)
+        return self._fabric(config, files, x, held, uv, elements, attach)
+
+    def _fabric(
+        self, config: SkirtConfig, files: Files, x: Float, held: Bool, uv: NDArray[np.float32], elements: Elements,
+        attach: Attach | None,
+    ) -> Fabric:  # fmt: skip
+        waist = np.flatnonzero(held).astype(np.int32)
         return Fabric(
             name=self.name,
             position=x,
-            velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
             pinned=held,
-            uv=texture_coordinates(across, config.rows),
+            uv=uv,
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),
             **elements._asdict(),
         )
 
 
-def require_measures(config: SkirtConfig) -> None:
-    """Raises BadInput if the cone cannot be as wide as asked for, or has too few columns to fold."""
-    if abs(config.hem_radius - config.waist_radius) >= config.length:
-        raise BadInput(
-            "the hem lies further out than the cloth is long",
-            field="hem_radius",
-            value=config.hem_radius,
-            limit=f"less than {config.length:g} m from waist_radius {config.waist_radius:g} m",
-            remedy="make the skirt longer; for more cloth at the hem raise fullness",
-        )
-    if config.fullness > 1 and config.columns < 8 * config.pleats:
-        raise BadInput(
-            "too few columns to show the pleats",
-            field="columns",
-            value=config.columns,
-            limit=f"at least 8 for each of {config.pleats} pleats",
-            remedy=f"columns: {8 * config.pleats}, or fewer pleats",
-        )
+def _round(config: SkirtConfig) -> Int:
+    """Vertices round each circle of a ring."""
+    waist = STANDARD if config.over is not None else 2.0 * np.pi * config.waist_radius
+    return count_round(config.length, waist, SHARES[config.cut], config.edge)
 
 
-def drape(config: SkirtConfig, circle: Float) -> Float:
-    """(n, 3) starting positions [m] of rows that are `circle` (rows,) long.
-
-    Waves, heights and steps around depend on each other: chords are shorter than the curve they
-    span, and rise and fall along a row add to its length. A few rounds make the steps of
-    each row equal and as long together as its cloth.
-    """
-    around = np.linspace(0, 2 * np.pi, SAMPLES + 1)
-    outline = np.stack([np.cos(around), config.ratio * np.sin(around)], -1)
-    outline *= 2 * np.pi / _reached(outline)[-1]
-    phase = _reached(outline) * config.pleats
-    radius = np.linspace(config.waist_radius, config.hem_radius, config.rows)
-    depths, lengths = _wave_depths(outline, phase)
-    if circle[-1] / radius[-1] > lengths[-1]:
-        raise BadInput("the folds would reach the axis", field="fullness", remedy="more pleats, or less fullness")
-    steps = np.tile(np.arange(config.columns + 1) / config.columns, (config.rows, 1))
-    even = steps[0].copy()
-    aim = circle.copy()
-    position = np.empty((config.rows, config.columns, 3))
-    for _ in range(ROUNDS):
-        for row in range(config.rows):
-            depth = np.interp(aim[row] / radius[row], lengths, depths) if config.fullness > 1 else 0.0
-            ring = radius[row] * outline * (1 + depth * np.cos(phase))[:, None]
-            reached = _reached(ring)
-            at = steps[row, :-1] * reached[-1]
-            position[row, :, 0] = np.interp(at, reached, ring[:, 0])
-            position[row, :, 2] = -np.interp(at, reached, ring[:, 1])
-        position[0, :, 1] = 0.0
-        position[1:, :, 1] = -np.cumsum(_fall(position[..., [0, 2]], config), axis=0)
-        for row in range(config.rows):
-            reached = _reached(np.concatenate([position[row], position[row, :1]]))
-            steps[row] = np.interp(even, reached / reached[-1], steps[row])
-            aim[row] *= circle[row] / reached[-1]
-    points = position.reshape(-1, 3)
-    turned = points if config.rotate is None else turn(config.rotate.matrix(), points)
-    return np.ascontiguousarray(turned + np.asarray(config.centre))
+def _columns(config: SkirtConfig) -> int:
+    """Places round each row that its start is found at."""
+    return config.columns if config.cut == "cone" else max(FINEST, 16 * config.pleats)
 
 
-def _reached(points: Float) -> Float:
-    """(p,) length of a chain of points (p, d) up to each of them."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+def _lengths(config: SkirtConfig, waist: float, hem: float) -> Float:
+    """(rows,) how long rows are cut, for a waist of this radius and a hem that starts on a circle of that [m]."""
+    if config.cut == "cone":
+        return np.asarray(2 * np.pi * (waist + np.linspace(0, 1, config.rows) * (hem * config.fullness - waist)))
+    down = config.length * np.linspace(0.0, 1.0, len(_round(config)))
+    return np.asarray(2.0 * np.pi * (waist + SHARES[config.cut] * down))
 
 
-def _wave_depths(outline: Float, phase: Float) -> tuple[Float, Float]:
-    """Depths of waves on a ring, as parts of its radius, and the lengths that they give it per
-    radius. The length grows with the square of small depths, and so do the table's steps.
-    """
-    depths = 0.95 * np.linspace(0, 1, 256) ** 2
-    return depths, np.array([_reached(outline * (1 + depth * np.cos(phase))[:, None])[-1] for depth in depths])
+def _hem(config: SkirtConfig, wearing: Wearing, waist: float) -> float:
+    """Radius of the circle as long as that on which a hem starts round a body, of a waist of this radius [m]."""
+    if "hem_radius" in config.model_fields_set:
+        return config.hem_radius
+    if config.cut != "cone":
+        return waist + SHARES[config.cut] * config.length
+    down = np.linspace(0.0, 1.0, config.rows)[1:]
+    hips = waist + float(((wearing.least[1:] / (2.0 * np.pi) - waist) / down).max())
+    return max(waist + FLARED * config.length, hips / config.fullness * (1.0 + ROUNDING))
 
 
-def _fall(flat: Float, config: SkirtConfig) -> Float:
-    """(rows - 1, columns) how far each warp edge goes down, so that it keeps its length."""
-    step = config.length / (config.rows - 1)
-    outwards = np.square(np.diff(flat, axis=0)).sum(axis=-1)
-    down: Float = np.sqrt(np.maximum(step**2 - outwards, (0.1 * step) ** 2))
-    return down
+def _across(share: Float) -> Float:
+    """u of places a share of the way round: there and back."""
+    return np.asarray(1 - np.abs(2 * share - 1))

@@ -19,7 +19,7 @@ import numpy as np
 from nuno_cloth.models.triangles import Edges
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 FIRST = 40
 """Rounds, at most, in which the panels are only put out of the body."""
@@ -39,15 +39,16 @@ NOWHERE = 1e-9
 
 
 def draw_together(
-    x: Float, edges: Edges, rest: Float, body: Tree | None, clearance: float, worn: bool = False
-) -> Float:
+    x: Float, edges: Edges, rest: Float, body: Tree | None, clearance: float, worn: bool = False,
+    held: Bool | None = None,
+) -> Float:  # fmt: skip
     """(n, 3) places of cloth that starts at x (n, 3) [m], its edges about `rest` (e,) long [m], no point of them nearer
     to the body than `clearance` [m] unless it is caught.
 
     Cloth that is `worn` from the start, with edges about as long as they are cut, is not shortened, and only its
-    vertices are kept out.
+    vertices are kept out. What is `held` (n,) stays where it is.
     """
-    pairs = edges.pairs
+    pairs, begun = edges.pairs, x
     share = 1.0 / np.bincount(pairs.reshape(-1), minlength=len(x))[:, None]
     inside = np.ones((len(x), 1))
     inside[pairs[edges.count == 1]] = 0.0
@@ -77,6 +78,8 @@ def draw_together(
         move = share * (_pull(x, pairs, length) - 4.0 * bent * inside * _pull(curve, pairs, 0.0 * rest))
         x, before = x + MOMENTUM * (x - before) + move, x
         x, _ = cleared(x, COARSE if turn < 0.75 * ROUNDS else FINE)
+        if held is not None:
+            x[held] = begun[held]
     return np.ascontiguousarray(x)
 
 
