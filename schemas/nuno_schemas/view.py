@@ -23,6 +23,7 @@ class View(Part):
     elevation: Angle = Field(default=0.2, description="[rad] of the eye above the horizon")
     target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
     distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
+    close: bool = Field(default=False, description="whether pictures are fitted to the cloth alone, whatever it is on")
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
     colour: Literal["cloth", "stretch"] = Field(
         default="cloth",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nuno.exports.camera import AZIMUTHS, Side
+from nuno.exports.camera import SIDES, Side
 from nuno.exports.target import RATE, together
 from nuno.recording.reader import Recording
 from nuno.scene.explain import explain
@@ -258,7 +258,7 @@ def _changes(asked: Asked) -> Changes:
     from nuno.exports.dyed_pictures import Changes
 
     overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))
-    side = () if asked.side is None else (f"view.azimuth={AZIMUTHS[asked.side]:g}deg",)
+    side = () if asked.side is None else (SIDES[asked.side],)
     return Changes(asked.view, asked.scale, _crop(asked.crop), (*side, *overrides))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ from scenes import write_scene
 
 from nuno.cli import main
 from nuno.exports.animations import export_animation
-from nuno.exports.camera import turned
+from nuno.exports.camera import NARROW, SIDES, turned, z_up
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import Changes
-from nuno.exports.pictures import Painter, draw_turn
+from nuno.exports.pictures import ROOM, Painter, draw_turn
 from nuno.recording.reader import open_recording
+from nuno_schemas.camera import axes
+from nuno_schemas.fabric import Float
 
 SIZE = (96, 64)
 
@@ -52,6 +55,34 @@ def test_a_turn_comes_round_and_every_side_is_in_the_picture(path: Path, tmp_pat
     out = export_animation(path, tmp_path / "turn.gif", SIZE, fps=5.0, turn=2.0, frame=5)
     with Image.open(out) as image:
         assert getattr(image, "n_frames", 1) == 10
+
+
+def reach(painter: Painter, points: Float) -> tuple[Float, Float]:
+    """(2,) the lowest and the highest place of points (n, 3) in a picture, across and down, its edges at -1 and 1."""
+    camera = painter.camera
+    right, up, forward = axes(camera)
+    from_eye = points - camera.eye
+    half = np.tan(0.5 * camera.fov) * np.array([camera.size[0] / camera.size[1], 1.0])
+    place = np.stack([from_eye @ right, from_eye @ up], axis=1) / (from_eye @ forward)[:, None] / half
+    return place.min(axis=0), place.max(axis=0)
+
+
+@pytest.mark.parametrize("more", [(), ("view.azimuth=70deg",)])
+def test_a_close_camera_fills_the_picture_with_the_cloth_alone(path: Path, more: tuple[str, ...]) -> None:
+    """It touches the margin on two opposite sides, and nothing of it is beyond; otherwise the body is there, too."""
+    with open_recording(path) as recording:
+        frame = read_frame(recording, 5)
+        frame = replace(frame, x=0.2 * frame.x)  # smaller than the body
+        near, far = (Painter(recording, [frame], SIZE, changes=Changes(overrides=(*how, *more)))
+                     for how in ((SIDES["close"],), ()))  # fmt: skip
+        assert near.legend is not None
+        cloth, everything = z_up(frame.x), np.concatenate([mesh.vertices for mesh in near.meshes(frame)])
+        low, high = reach(near, cloth)
+        edge = 1.0 - 2.0 * (NARROW + ROOM)
+        widest = int(np.argmax(high - low))
+        assert (low[widest], high[widest]) == pytest.approx((-edge, edge), abs=1e-9)
+        assert low.min() > -edge - 1e-9 and high.max() < edge + 1e-9
+        assert np.abs(reach(near, everything)).max() > 1.0 > np.abs(reach(far, everything)).max()
 
 
 @pytest.mark.parametrize(

@@ -106,8 +106,9 @@ class Result:
     ) -> Image:
         """A frame (default: the last) as an image of Pillow, which notebooks show.
 
-        side: front, left, back or right, or None for the scene's own camera; `overrides` and `how` as `export` takes
-        them for a png: "view.elevation=20deg", colour="stretch", size=(640, 480). Raises BadInput.
+        side: front, left, back, right, close (the cloth fills the picture), or None for the scene's own camera;
+        `overrides` and `how` as `export` takes them for a png: "view.elevation=20deg", colour="stretch",
+        size=(640, 480). Raises BadInput.
         """
         from PIL import Image
 

@@ -57,7 +57,7 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
 
 def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
     dyed = "dyed cloth: all dye, what fibre has fixed of it, or what is mobile"
-    side = "moving cloth: the side of a body that is seen, which faces +z"
+    side = "moving cloth: the side of a body that is seen, which faces +z; close: the cloth alone fills the picture"
     drawn.add_argument("--side", choices=get_args(Side), help=side)
     drawn.add_argument("--view", choices=get_args(DyeView), help=dyed)
     add_flags(drawn, {"--scale": ("N", "dyed cloth: pixels a cell", int)})

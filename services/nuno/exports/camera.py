@@ -27,10 +27,13 @@ def z_up(points: Float) -> Float:
     return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
-Side = Literal["front", "left", "back", "right"]
-AZIMUTHS = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
-"""Of the eye [deg], by the side of a body that it sees, which faces +z."""
-CAMERA = re.compile(r"view\.(azimuth|elevation|target|distance|size)\b")
+Side = Literal["front", "left", "back", "right", "close"]
+SIDES: dict[str, str] = {
+    **{side: f"view.azimuth={angle}deg" for side, angle in (("front", 0), ("left", 90), ("back", 180), ("right", 270))},
+    "close": "view.close=true",
+}
+"""What changes a view by a camera's name: the side of a body that it sees, which faces +z, or the cloth, near by."""
+CAMERA = re.compile(r"view\.(azimuth|elevation|target|distance|close|size)\b")
 """Fields of a recorded scene that only change where it is looked at from."""
 
 
@@ -67,13 +70,13 @@ def turn(points: Float, angle: float) -> Float:
     return np.asarray(points @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
 
 
-MARGIN = 0.08
-"""Share of a picture that is left free on each side."""
+MARGIN, NARROW = 0.08, 0.03
+"""Share of a picture that is left free on each side, and by a camera that is close."""
 
 
 def place_camera(view: View, meshes: Iterable[Mesh], size: tuple[int, int], room: float = 0.0) -> Camera:
     """Fitted to the meshes, with so much more `room` on each side; target and distance of the view win."""
-    fitted = fit_camera(meshes, view.azimuth, view.elevation, size, margin=MARGIN + room)
+    fitted = fit_camera(meshes, view.azimuth, view.elevation, size, margin=(NARROW if view.close else MARGIN) + room)
     if view.target is None and view.distance is None:
         return fitted
     toward = fitted.eye - fitted.target

@@ -79,8 +79,7 @@ class Painter:
         self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
         self.renderer = registry.load("nuno.renderers", RENDERER)
         self.view = read_view(self.recording, camera)
-        meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
-        self.ground = self._ground(meshes)
+        self.ground = self._ground([mesh for frame in self.shown for mesh in self.meshes(frame)])
         dyed = "" if self.dyed is None else self.dyed.name
         first = self.pieces(self.shown[0].t if self.shown else 0.0)
         plain = [p for p in first if p.image is None and p.colour is None and p.name != dyed]
@@ -90,11 +89,12 @@ class Painter:
         if self.pressure is not None:
             self.legend = {"label": "pressure [Pa]", "low": 0.0, "high": self.most}
         size = self.size or self.view.size
-        self.camera = place_camera(self.view, meshes, size, ROOM if self.legend else 0.0)
+        fitted = [mesh for frame in self.shown for mesh in self._fitted(frame)]
+        self.camera = place_camera(self.view, fitted, size, ROOM if self.legend else 0.0)
 
     def stand_back(self, frame: Frame) -> None:
         """Fit the camera so that the frame is in the picture from all around, whatever the view's target."""
-        meshes = self.meshes(frame)
+        meshes = self._fitted(frame)
         points = np.concatenate([mesh.vertices for mesh in meshes])
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) * [1.0, 1.0, 0.0]
         around = [replace(mesh, vertices=turn(mesh.vertices - middle, angle) + middle)
@@ -118,6 +118,13 @@ class Painter:
 
     def meshes(self, frame: Frame) -> list[Mesh]:
         """Everything at one frame, turned so that z is up, as renderer and camera have it."""
+        return [*self._cloth(frame), *self._bodies(frame)]
+
+    def _fitted(self, frame: Frame) -> list[Mesh]:
+        """What the camera is fitted to."""
+        return self._cloth(frame) if self.view.close else self.meshes(frame)
+
+    def _cloth(self, frame: Frame) -> list[Mesh]:
         pieces = self.pieces(frame.t)
         check_size(self.recording, pieces, frame)
         pieces = pieces if self.dyed is None else self.dyed.dress(pieces, frame.t)
@@ -127,11 +134,14 @@ class Painter:
             _cloth_mesh(piece, frame.x[mine], None if painted is None else painted[mine])
             for piece, mine in zip(pieces, own, strict=True)
         ]
-        points = body_vertices(self.recording, self.bodies, frame.t)
-        if self.bodies is not None and len(points):
-            grey = np.tile(parse_hex(BODY), (len(points), 1))
-            meshes.append(Mesh(points, self.bodies.faces, grey, two_sided=False))
         return [replace(mesh, vertices=z_up(mesh.vertices)) for mesh in meshes]
+
+    def _bodies(self, frame: Frame) -> list[Mesh]:
+        points = body_vertices(self.recording, self.bodies, frame.t)
+        if self.bodies is None or not len(points):
+            return []
+        grey = np.tile(parse_hex(BODY), (len(points), 1))
+        return [Mesh(z_up(points), self.bodies.faces, grey, two_sided=False)]
 
     def _ground(self, meshes: list[Mesh]) -> float | str:
         """Height of the scene's floor [m], else of the lowest point that any frame shows."""

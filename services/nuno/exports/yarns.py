@@ -126,8 +126,8 @@ def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel)
 
 def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:
     """As the scene's view says; what it leaves out is fitted to bodies and yarns."""
-    everything = [*worn.bodies, Mesh(worn.points, np.zeros((0, 3), np.int32))]
-    return place_camera(view, everything, size or view.size)
+    points = Mesh(worn.points, np.zeros((0, 3), np.int32))
+    return place_camera(view, [points] if view.close else [*worn.bodies, points], size or view.size)
 
 
 def captioned(chosen: Chosen, name: str, t: float, colours: list[str]) -> BaseModel:

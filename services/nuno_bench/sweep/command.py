@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno.cli.common import add_scene, load_scene
-from nuno.exports.camera import AZIMUTHS
+from nuno.exports.camera import SIDES
 from nuno.scene import yaml_lines
 from nuno_bench import options
 from nuno_bench.sweep import grid, places
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--over", action="append", default=[], metavar="KEY=A,B,...",
         help="a field and its values: objects.0.model.fabric=denim,jacket; again for another, with all combinations",
     )  # fmt: skip
-    parser.add_argument("--side", choices=["scene", *AZIMUTHS, "none"], default="scene",
+    parser.add_argument("--side", choices=["scene", *SIDES, "none"], default="scene",
                         help="from where each end is drawn (default: by the scene's own camera)")  # fmt: skip
     places.add_arguments(parser)
     options.add_shared(parser, "--resume")

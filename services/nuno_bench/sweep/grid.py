@@ -22,7 +22,7 @@ from nuno.api.result import Result, table_of
 from nuno.api.run import run_loaded
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
-from nuno.exports.camera import AZIMUTHS
+from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
 from nuno.scene.explain import GIVEN
 from nuno.scene.scene_file import Loaded
@@ -187,9 +187,9 @@ class Place:
 def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
     """See `sweep`."""
     over = _values(over)
-    if side not in ("", "scene", *AZIMUTHS):
-        raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *AZIMUTHS)))
-    if side in AZIMUTHS and not scene.scene.moves:
+    if side not in ("", "scene", *SIDES):
+        raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *SIDES)))
+    if side in SIDES and not scene.scene.moves:
         problem, remedy = "a cloth that is dyed alone lies flat", "leave it out"
         raise BadInput(problem, field="--side", value=side, remedy=remedy)
     if place.resume and place.folder is None:
