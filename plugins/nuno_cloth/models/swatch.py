@@ -172,10 +172,11 @@ def _disc(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
         around = max(12, round(2.0 * np.pi * size / edge))
         turned = 2.0 * np.pi * (np.arange(around) + random.uniform()) / around
         rings.append(size * np.stack([np.cos(turned), np.sin(turned)], axis=1))
-    ticks = np.arange(-np.ceil(radius / edge), radius / edge + 1.0) * edge
-    grid = np.stack(np.meshgrid(ticks, ticks), axis=-1)
-    if config.layout == "irregular":
-        grid[..., 1] *= np.sqrt(0.75)
+    irregular = config.layout == "irregular"
+    steps = edge, edge * np.sqrt(0.75) if irregular else edge
+    across, down = (np.arange(-np.ceil(radius / step), radius / step + 1.0) * step for step in steps)
+    grid = np.stack(np.meshgrid(across, down), axis=-1)
+    if irregular:
         grid[1::2, :, 0] += 0.5 * edge
         grid += THROWN * edge * random.uniform(-1.0, 1.0, grid.shape)
     inner = grid.reshape(-1, 2)
