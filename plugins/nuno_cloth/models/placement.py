@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from nuno_cloth.models.grid import Grid
-from nuno_cloth.quantities import Angle, Metres, Number, Speed
+from nuno_cloth.quantities import Angle, Length, Metres, Number, Speed
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
@@ -49,6 +49,13 @@ class Attach(Config):
     frame: str | None = Field(
         default=None, description="one of its joints; may be left out of a body that has only one, as without a motion"
     )
+
+
+class Over(Config):
+    """The body that wears it."""
+
+    body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
+    clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
 
 
 STILL = (0.0, 0.0, 0.0)

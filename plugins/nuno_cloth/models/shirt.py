@@ -13,7 +13,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
-from nuno_cloth.models.placement import TEXTURE, find_texture
+from nuno_cloth.models.placement import TEXTURE, Over, find_texture
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
@@ -36,13 +36,6 @@ BACK = 0.3
 """Depth of the neck behind, as a share of that in front."""
 SAMPLES = 9
 """Heights at which a trunk is measured."""
-
-
-class Over(Config):
-    """The body that wears it."""
-
-    body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
-    clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
 
 
 class ShirtConfig(Config):

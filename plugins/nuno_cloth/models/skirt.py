@@ -24,11 +24,12 @@ from nuno_cloth.fabrics.material import HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.grid import Grid
+from nuno_cloth.models.outside import require_outside
 from nuno_cloth.models.placement import Attach, find_texture
 from nuno_cloth.models.sheet import build_grid, bytes_of_grid, texture_coordinates
 from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
 from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
-from nuno_cloth.models.skirt_over import Wearing, measure, require_outside, rings
+from nuno_cloth.models.skirt_over import Wearing, measure, rings
 from nuno_cloth.models.skirt_rows import drape, ellipses
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
@@ -44,6 +45,7 @@ FLARED = 0.35
 """Over a body a cone widens by this share of its length or more, as an A-line skirt does, if no hem_radius is given."""
 OPEN = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
 """Shares of its width with which a skirt is tried to start, from the widest on, until no arm is in the way."""
+WIDER = "shorter, or another width; arms off the hips"
 FINEST = 256
 """Places round each row that a ring's start is found at, at least."""
 
@@ -112,7 +114,7 @@ class Skirt:
             return self._of_grid(config, files, circle, points, attach)
         fabric = self._of_ring(config, files, circle, points, attach, (body, config.over.clearance))
         clear = np.interp(1.0 - fabric.uv[:, 1], falls / config.length, 0.5 * wearing.clear)  # type: ignore[index]
-        require_outside(fabric.position, clear, body)
+        require_outside(fabric.position, clear, body, "skirt", WIDER)
         return fabric
 
     def _worn(self, config: SkirtConfig, wearing: Wearing, circle: Float, hem: float, body: Tree) -> Float:
@@ -129,7 +131,7 @@ class Skirt:
             points = drape(_columns(config), config.length / (len(circle) - 1), circle, curve) + wearing.centre
             clear = np.repeat(0.5 * wearing.clear, points.shape[1])
             try:
-                require_outside(points.reshape(-1, 3), clear, body)
+                require_outside(points.reshape(-1, 3), clear, body, "skirt", WIDER)
             except BadInput as error:
                 refused = error
             else:

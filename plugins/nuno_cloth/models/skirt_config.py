@@ -11,7 +11,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice
 from nuno_cloth.models.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity
 from nuno_cloth.models.sheet import CELLS, CellKind
 from nuno_cloth.models.skirt_cut import SHARES, Cut
-from nuno_cloth.models.skirt_over import Over, Wearing
+from nuno_cloth.models.skirt_over import AtWaist, Wearing
 from nuno_cloth.quantities import Flatness, Fullness, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -28,7 +28,7 @@ class SkirtConfig(Config):
     the waist and 0 at the hem.
     """
 
-    over: Over | None = Field(
+    over: AtWaist | None = Field(
         default=None, description="the body that wears it, from which waist, place and width follow; none: as if in air"
     )
     cut: Cut = Field(

@@ -17,17 +17,14 @@ import numpy as np
 from pydantic import Field
 
 from nuno_cloth.models.delaunay import is_inside
+from nuno_cloth.models.placement import Over
 from nuno_cloth.models.skirt_rows import SAMPLES, UNFOLDED, Curve, lengths_along
 from nuno_cloth.models.wearer import STEP, find_wearer, trunk_at
 from nuno_cloth.quantities import Length, Metres
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.limb import convex_hull, spread_hull
 from nuno_kernels.meshes.loops import cut_mesh
-from nuno_kernels.meshes.tree import Tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.plugin import Config
 
 END = 0.03
 """So near to its lower end a body that is cut off at the hips is rounded [m]."""
@@ -37,16 +34,14 @@ AMPLITUDES = 96
 """Depths of folds that a row's length is known for."""
 
 
-class Over(Config):
-    """The body that wears it."""
+class AtWaist(Over):
+    """The body that wears it, and where."""
 
-    body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
     at: Literal["waist", "hips"] | Metres = Field(
         default="waist",
         description="where it is held: where a tape is shortest, or longest below that; or a height [m]",
     )
     ease: Length = Field(default=0.01, description="how much longer it is there than a tape round the body [m]")
-    clearance: Length = Field(default=5e-3, description="how far from the surface it starts below, at least [m]")
 
 
 class Wearing(NamedTuple):
@@ -90,7 +85,7 @@ def find_height(at: str | float, x: Float, faces: Int) -> float:
     return float(levels[waist if at == "waist" else waist + int(np.argmax(tapes[waist:]))])
 
 
-def measure(over: Over, x: Float, faces: Int, falls: Float) -> Wearing:
+def measure(over: AtWaist, x: Float, faces: Int, falls: Float) -> Wearing:
     """What a skirt goes round whose rows are `falls` (rows,) below its waist along the cloth [m], on a body's mesh
     x (v, 3) [m], faces (f, 3). Raises BadInput where the body has no trunk at that height.
     """
@@ -144,18 +139,6 @@ def rings(wearing: Wearing, base: Float, circle: Float, pleats: int) -> Curve:
         return np.asarray(wearing.places[row] + (length - wearing.round[row]) / (2.0 * np.pi) * wearing.out[row])
 
     return curve
-
-
-def require_outside(x: Float, clear: Float, body: Tree) -> None:
-    """Raises BadInput for points (n, 3) [m] of a skirt that are not outside of a body by `clear` (n,) [m]."""
-    away = closest_points(body, x).distance
-    worst = int(np.argmin(away / clear))
-    if away[worst] < clear[worst]:
-        told = f"{abs(1e3 * away[worst]):.3g} mm {'inside' if away[worst] < 0.0 else 'from it'}, {place_of(x[worst])}"
-        raise BadInput(
-            "the skirt would start inside of the body, or too near to it", field="over", value=told,
-            limit=f"{1e3 * clear[worst]:.3g} mm outside", remedy="shorter, or another width; arms off the hips",
-        )  # fmt: skip
 
 
 def _folded(inner: Float, out: Float, depth: float, phase: Float) -> Float:

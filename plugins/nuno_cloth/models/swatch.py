@@ -1,10 +1,12 @@
-"""A specimen as laboratories cut them: a strip or a disc of triangles, held at one end or round its middle."""
+"""A flat piece of triangles: a rectangle or a disc, held at one end or round its middle as laboratories do, or with a
+hole for a head, and put on.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
@@ -13,9 +15,12 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
-from nuno_cloth.models.placement import TEXTURE, Point, Rotation, find_texture
+from nuno_cloth.models.outside import require_outside
+from nuno_cloth.models.placement import TEXTURE, Over, Point, Rotation, find_texture
+from nuno_cloth.models.poncho import put_on
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.quantities import Angle, Length
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -31,13 +36,19 @@ Layout = Literal["irregular", "aligned", "crossed"]
 
 
 class SwatchConfig(Config):
-    """Flat, with its outside up; strips are as long as x, from the clamp's outer end at `centre`."""
+    """Flat, with its outside up; strips are as long as x, from the clamp's outer end at `centre`, or about it if they
+    have a hole.
+    """
 
     size: tuple[Length, Length] | None = Field(default=None, description="length and width of a strip [m]")
     radius: Length | None = Field(default=None, description="of a disc [m]")
     hold: Length | None = Field(
         default=None,
         description="what is held: so much of a strip's length, before its free part; a radius of a disc [m]",
+    )
+    hole: Length | None = Field(default=None, description="radius of a round hole in the middle [m]; for a head: 11 cm")
+    over: Over | None = Field(
+        default=None, description="the body that wears it, its head through the hole; none: it begins at `centre`"
     )
     edge: Length = Field(default=0.01, description="length of the triangles' edges [m]")
     layout: Layout = Field(
@@ -47,9 +58,9 @@ class SwatchConfig(Config):
     )
     angle: Angle = Field(default=0.0, description="of the warp to a strip's length, or to x [rad]")
     centre: Point = Field(
-        default=(0.0, 0.0, 0.0), description="middle of a disc, or of the line where a strip is free [m]"
+        default=(0.0, 0.0, 0.0), description="middle of a disc or a hole, or of the line where a strip is free [m]"
     )
-    rotate: Rotation | None = Field(default=None, description="a turn about the centre")
+    rotate: Rotation | None = Field(default=None, description="a turn about the centre; over a body about the vertical")
     fabric: FabricChoice = Field(default="denim", description=FABRIC)
     tension: Tension = Field(default="auto", description=TENSION)
     texture: str | None = Field(default=None, description=TEXTURE)
@@ -63,6 +74,23 @@ class SwatchConfig(Config):
         widths = self.size or (self.radius or 0.0,)
         if min(widths) < self.edge:
             raise ValueError(f"an edge of {self.edge:g} m is longer than the piece is wide: {min(widths):g} m")
+        return self
+
+    @model_validator(mode="after")
+    def _with_a_hole(self) -> SwatchConfig:
+        room = (0.5 * min(self.size) if self.size is not None else float(self.radius or 0.0)) - self.edge
+        if self.hole is not None and self.hold is not None:
+            raise ValueError("what has a hole in its middle is not held there: leave hold or hole out")
+        if self.hole is not None and self.hole >= room:
+            raise ValueError(f"a hole of {self.hole:g} m leaves no edge round it: give one below {room:g} m")
+        if self.over is None:
+            return self
+        if self.hole is None:
+            raise ValueError("a piece over a body has a hole for its head: give one, such as hole: 11 cm")
+        if "centre" in self.model_fields_set:
+            raise ValueError("a piece over a body takes its place from it: leave centre out")
+        if self.rotate is not None and any(self.rotate.axis[k] for k in (0, 2)):
+            raise ValueError("a piece over a body begins level: turn it about the vertical, axis: [0, 1, 0]")
         return self
 
 
@@ -94,13 +122,34 @@ class Swatch:
 
     def build(self, config: SwatchConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for more than MOST vertices, and a missing texture."""
-        flat, faces = lay(config, seed)
+        return self._at(config, files, np.asarray(config.centre), *lay(config, seed))
+
+    def over(self, config: SwatchConfig) -> str | None:
+        """Name of the body that wears it, if any."""
+        return None if config.over is None else config.over.body
+
+    def build_over(
+        self, config: SwatchConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
+    ) -> Fabric:
+        """Level on the shoulders of a body's mesh x (v, 3) [m], faces (f, 3), and on what it has `worn` there before.
+
+        Raises BadInput, as `build`, and for a body of no one's size, one without neck and arms, a hole that is too
+        narrow for its neck, and a piece that would start inside of it.
+        """
+        assert config.over is not None and config.hole is not None
+        flat, own = lay(config, seed)
+        fabric = self._at(config, files, put_on(config.over, config.hole, x, faces, worn), flat, own)
+        clear = np.full(fabric.number, 0.5 * config.over.clearance)
+        require_outside(fabric.position, clear, build_tree(x, faces), "piece", "a wider hole; arms below the shoulders")
+        return fabric
+
+    def _at(self, config: SwatchConfig, files: Files, centre: Float, flat: Float, faces: Int) -> Fabric:
         far = np.linalg.norm(flat, axis=1) if config.size is None else flat[:, 0]
         held = np.zeros(len(flat), np.bool_) if config.hold is None else far <= _held_to(config) + 1e-9
         # The outside is up: x, y of the flat piece become x, -z.
         level = np.column_stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]])
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
-        x = np.ascontiguousarray(turn(matrix, level) + np.asarray(config.centre))
+        x = np.ascontiguousarray(turn(matrix, level) + centre)
         material = resolve(config.fabric)
         warp = turn(matrix, np.array([[np.cos(config.angle), 0.0, -np.sin(config.angle)]]))[0]
         elements = build_elements(material, x, faces, find_edges(faces), warp, tension=config.tension, held=held)
@@ -133,26 +182,30 @@ def lay(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
 
 
 def _strip(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
-    """From -hold to its length less that, and across."""
+    """From -hold to its length less that, and across; about its middle with a hole."""
     assert config.size is not None
-    (length, width), hold = config.size, float(config.hold or 0.0)
-    held = max(2, round(hold / config.edge)) if hold else 0
-    free = max(1, round((length - hold) / config.edge))
-    across = max(1, round(width / config.edge))
+    (length, width), hold, edge = config.size, float(config.hold or 0.0), config.edge
+    held = max(2, round(hold / edge)) if hold else 0
+    free = max(1, round((length - hold) / edge))
+    across = max(1, round(width / edge))
     x = np.concatenate([np.linspace(-hold, 0.0, held + 1)[:-1], np.linspace(0.0, length - hold, free + 1)])
     y = np.linspace(-0.5 * width, 0.5 * width, across + 1)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    random = np.random.default_rng(seed)
     if config.layout == "irregular":
         # Borders, and the line where it is free, stay straight; along them points slide.
-        thrown = THROWN * config.edge * np.random.default_rng(seed).uniform(-1.0, 1.0, points.shape)
+        thrown = THROWN * edge * random.uniform(-1.0, 1.0, points.shape)
         ends, rims = np.isin(points[:, 0], [x[0], 0.0, x[-1]]), np.isin(points[:, 1], [y[0], y[-1]])
         points[:, 0] += np.where(ends, 0.0, thrown[:, 0])
         points[:, 1] += np.where(rims, 0.0, thrown[:, 1])
-        faces = triangulate(points)
-        size = points[faces]
-        one, other = size[:, 1] - size[:, 0], size[:, 2] - size[:, 0]
-        area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
-        return points, faces[area > 1e-6 * config.edge**2]
+    if config.hole is not None:
+        points -= [0.5 * length, 0.0]
+        rim = _circle(config.hole, edge, random)
+        beyond = np.linalg.norm(points, axis=1) > config.hole + INSET * edge
+        points = np.concatenate([rim, points[beyond]])
+        return points, _open(_flat_left_out(points, triangulate(points), edge), len(rim))
+    if config.layout == "irregular":
+        return points, _flat_left_out(points, triangulate(points), edge)
     row, column = (each.reshape(-1) for each in np.mgrid[: len(x) - 1, :across])
     a = row * (across + 1) + column
     b, c, d = a + across + 1, a + across + 2, a + 1
@@ -163,15 +216,11 @@ def _strip(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
 
 
 def _disc(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
-    """With points on its rim and round what is held."""
-    edge, radius = config.edge, float(config.radius or 0.0)
-    circles = [radius, *([config.hold] if config.hold else [])]
+    """With points on its rim and round what is held, or round a hole."""
+    edge, radius, hole = config.edge, float(config.radius or 0.0), config.hole
     random = np.random.default_rng(seed)
-    rings: list[Any] = []
-    for size in circles:
-        around = max(12, round(2.0 * np.pi * size / edge))
-        turned = 2.0 * np.pi * (np.arange(around) + random.uniform()) / around
-        rings.append(size * np.stack([np.cos(turned), np.sin(turned)], axis=1))
+    circles = [radius, *([inner] if (inner := config.hold or hole) else [])]
+    rims = [_circle(size, edge, random) for size in circles]
     irregular = config.layout == "irregular"
     steps = edge, edge * np.sqrt(0.75) if irregular else edge
     across, down = (np.arange(-np.ceil(radius / step), radius / step + 1.0) * step for step in steps)
@@ -179,10 +228,33 @@ def _disc(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
     if irregular:
         grid[1::2, :, 0] += 0.5 * edge
         grid += THROWN * edge * random.uniform(-1.0, 1.0, grid.shape)
-    inner = grid.reshape(-1, 2)
-    far = np.linalg.norm(inner, axis=1)
-    clear: Bool = far < radius
+    inside = grid.reshape(-1, 2)
+    far = np.linalg.norm(inside, axis=1)
+    clear: Bool = (far < radius) & (far > (hole or 0.0))
     for size in circles:
         clear &= np.abs(far - size) > INSET * edge
-    points = np.concatenate([*rings, inner[clear]])
-    return points, triangulate(points)
+    if hole is None:
+        points = np.concatenate([*rims, inside[clear]])
+        return points, triangulate(points)
+    points = np.concatenate([*rims[::-1], inside[clear]])
+    return points, _open(triangulate(points), len(rims[1]))
+
+
+def _circle(radius: float, edge: float, random: np.random.Generator) -> Float:
+    """(k, 2) points on a circle, about an edge apart, turned at random [m]."""
+    around = max(12, round(2.0 * np.pi * radius / edge))
+    turned = 2.0 * np.pi * (np.arange(around) + random.uniform()) / around
+    return np.asarray(radius * np.stack([np.cos(turned), np.sin(turned)], axis=1))
+
+
+def _open(faces: Int, rim: int) -> Int:
+    """Without the triangles (f, 3) in a hole, all of whose corners are on its rim, which comes first."""
+    return np.asarray(faces[(faces >= rim).any(axis=1)])
+
+
+def _flat_left_out(points: Float, faces: Int, edge: float) -> Int:
+    """Without the triangles (f, 3) along a straight border that have no area."""
+    corners = points[faces]
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    return np.asarray(faces[area > 1e-6 * edge**2])

@@ -16,8 +16,15 @@ from nuno_schemas.errors import BadInput, nearest
 
 KINDS = {
     "skirt": "skirt-hula",
+    "fitted-skirt": "skirt-on-mannequin",
+    "circle-skirt": "circle-skirt",
     "sheet": "drape-over-sphere",
+    "round-cloth": "round-table",
+    "ribbon": "contact/ribbon",
     "shirt": "shirt-on-mannequin",
+    "poncho": "poncho",
+    "trousers": "sewn/trousers",
+    "dress": "sewn/dress",
     "garment": "sewn/shirt",
     "stocking": "knit/stocking-leg",
     "dye": "dye/drops",

@@ -1,0 +1,25 @@
+"""Whether cloth starts outside of the body that it is put on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_kernels.meshes.check import place_of
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import Tree
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+
+def require_outside(x: Float, clear: Float, body: Tree, what: str, remedy: str) -> None:
+    """Raises BadInput for points (n, 3) [m] of `what` that are not outside of a body by `clear` (n,) [m]."""
+    away = closest_points(body, x).distance
+    worst = int(np.argmin(away / clear))
+    if away[worst] >= clear[worst]:
+        return
+    told = f"{abs(1e3 * away[worst]):.3g} mm {'inside' if away[worst] < 0.0 else 'from it'}, {place_of(x[worst])}"
+    problem, limit = (
+        f"the {what} would start inside of the body, or too near to it",
+        f"{1e3 * clear[worst]:.3g} mm outside",
+    )
+    raise BadInput(problem, field="over", value=told, limit=limit, remedy=remedy)
