@@ -73,7 +73,7 @@ def test_a_close_camera_fills_the_picture_with_the_cloth_alone(path: Path, more:
     with open_recording(path) as recording:
         frame = read_frame(recording, 5)
         frame = replace(frame, x=0.2 * frame.x)  # smaller than the body
-        near, far = (Painter(recording, [frame], SIZE, changes=Changes(overrides=(*how, *more)))
+        near, far = (Painter(recording, [frame], SIZE, colour="stretch", changes=Changes(overrides=(*how, *more)))
                      for how in ((SIDES["close"],), ()))  # fmt: skip
         assert near.legend is not None
         cloth, everything = z_up(frame.x), np.concatenate([mesh.vertices for mesh in near.meshes(frame)])
