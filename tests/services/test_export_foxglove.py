@@ -5,15 +5,14 @@ does; and the layout, which looks at what is there.
 from __future__ import annotations
 
 import json
-from collections import defaultdict
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
 from dye_scene import write_scene as write_dye_scene
+from foxglove_file import Heard, known_at, placed, read, schemas, vectors
 from persons import skinned
 from recorded_sheet import RATE, Item, Sheet, items, metadata, write
 from scenes import write_scene
@@ -39,63 +38,6 @@ pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support, of nun
 FRAMES = 5
 SHEET = Sheet()
 FAR = np.array([1e6, -1e6, 1e6 + 0.25])
-
-
-class Heard(NamedTuple):
-    """A message as its reader gives it: log time [ns], and what it says."""
-
-    at: int
-    value: Any
-
-
-def read(path: Path) -> dict[str, list[Heard]]:
-    """Messages by topic, each decoded by the schema that the file has of it; JSON as bytes."""
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory
-
-    factory, found = DecoderFactory(), defaultdict(list)
-    with path.open("rb") as stream:
-        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
-            decode = factory.decoder_for(channel.message_encoding, schema)
-            value = message.data if decode is None else decode(message.data)
-            found[channel.topic].append(Heard(message.log_time, value))
-    return found
-
-
-def schemas(path: Path) -> dict[str, Any]:
-    """The JSON Schemas of topics."""
-    from mcap.reader import make_reader
-
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    known = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
-    return {topic: json.loads(schema.data) for topic, schema in known.items() if schema.encoding == "jsonschema"}
-
-
-def vectors(points: Any) -> Float:
-    return np.array([(p.x, p.y, p.z) for p in points]).reshape(-1, 3)
-
-
-def turn(q: Any) -> Float:
-    """The matrix of a quaternion: the columns are what it makes of the axes, v + 2 w (u x v) + 2 u x (u x v)."""
-    u, axes = np.array([q.x, q.y, q.z]), np.eye(3)
-    half = np.cross(u, axes)
-    return np.asarray((axes + 2.0 * q.w * half + 2.0 * np.cross(u, half)).T)
-
-
-def placed(known: Mapping[str, tuple[str, Any]], x: Float, frame: str, to: str) -> Float:
-    """Points (n, 3) of a frame in another above it, by the parents of frames and where they are in them."""
-    while frame != to:
-        frame, transform = known[frame]
-        x = x @ turn(transform.rotation).T + vectors([transform.translation])
-    return x
-
-
-def known_at(heard: dict[str, list[Heard]], at: int) -> dict[str, tuple[str, Any]]:
-    """Frames by the last transforms until a time [ns]."""
-    before = (one for topic in ("scene/fixed", "scene/frames") for one in heard[topic] if one.at <= at)
-    return {t.child_frame_id: (t.parent_frame_id, t) for one in before for t in one.value.transforms}
 
 
 def write_items(path: Path, found: list[Item]) -> None:
@@ -174,7 +116,7 @@ def test_a_skin_is_sent_as_it_is_bent(tmp_path: Path) -> None:
     assert len(seen) == 3 and np.abs(seen[2] - seen[0]).max() > 0.01
 
 
-def test_cloth_has_its_colours(path: Path, tmp_path: Path) -> None:
+def test_cloth_has_its_colours(tmp_path: Path) -> None:
     """Those of its stretch, where the scene shows that, which change; its own, once; or those of its print at each
     vertex.
     """
@@ -251,55 +193,6 @@ def test_a_schema_has_only_what_the_viewers_read() -> None:
         "d": {"type": "object", "properties": {"e": number, "h": {"type": "boolean"}}},
     }  # fmt: skip
     assert describe(values) == {"type": "object", "properties": found}
-
-
-def test_the_layout_shows_what_is_in_the_file(path: Path, tmp_path: Path) -> None:
-    out, beside = export_foxglove(path, tmp_path / "out.mcap")
-    heard, layout = read(out), json.loads(beside.read_text())
-    panels = layout["configById"]
-
-    def leaves(part: Any) -> list[str]:
-        return [part] if isinstance(part, str) else leaves(part["first"]) + leaves(part["second"])
-
-    assert sorted(leaves(layout["layout"])) == sorted(panels)
-    assert sorted(panels) == ["3D!scene", "Plot!depth", "Plot!energy", "RosOut!log"]
-    scene = panels["3D!scene"]
-    assert set(scene["topics"]) == {"scene/cloth", "scene/bodies"} <= set(heard)
-    assert panels["RosOut!log"]["topicToRender"] in heard
-    frames = {t.child_frame_id for topic in ("scene/fixed", "scene/frames") for t in heard[topic][0].value.transforms}
-    assert {name.removeprefix("frame:") for name in scene["transforms"]} == frames | {scene["followTf"]}
-    curves = {curve["label"]: curve["value"] for name in panels if name[0] == "P" for curve in panels[name]["paths"]}
-    assert set(curves) == {"kinetic", "springs", "deepest", "mean of those inside"}
-    for value in curves.values():
-        topic, *fields = value.split(".")
-        for _, payload in heard[topic]:
-            found = json.loads(payload)
-            for field in fields:
-                found = found[field]
-            assert isinstance(found, float)
-
-
-def test_the_layouts_camera_has_the_scene_in_view(path: Path, tmp_path: Path) -> None:
-    """By the panel's own rule: the eye is at the target and d (sin phi sin theta, -sin phi cos theta, cos phi)."""
-    out, beside = export_foxglove(path, tmp_path / "out.mcap")
-    heard, panel = read(out), json.loads(beside.read_text())["configById"]["3D!scene"]
-    camera = panel["cameraState"]
-    phi, theta, half = np.radians(camera["phi"]), -np.radians(camera["thetaOffset"]), np.radians(camera["fovy"]) / 2
-    back = np.array([np.sin(phi) * np.sin(theta), -np.sin(phi) * np.cos(theta), np.cos(phi)])
-    right = np.array([np.cos(theta), np.sin(theta), 0.0])
-    seen = []
-    for at, update in heard["scene/cloth"]:
-        shapes = [*update.entities, *heard["scene/bodies"][0].value.entities]
-        points = [placed(known_at(heard, at), vectors(one.triangles[0].points), one.frame_id, "map") for one in shapes]
-        away = np.concatenate(points) - camera["targetOffset"]
-        depth = camera["distance"] - away @ back
-        assert camera["near"] < depth.min() and depth.max() < camera["far"]
-        seen.append(np.stack([away @ right, away @ np.cross(back, right)], axis=1) / (depth * np.tan(half))[:, None])
-    most = np.abs(np.concatenate(seen)).max()
-    assert 0.8 < most < 0.85  # 8 % are free on each side
-    first = heard["scene/bodies"][0].value.entities[0]
-    low = placed(known_at(heard, 0), vectors(first.triangles[0].points), first.frame_id, "map")[:, 2].min()
-    assert panel["layers"]["grid"]["position"] == [0.0, 0.0, pytest.approx(min(low, 0.0), abs=1e-6)]
 
 
 def test_what_would_be_lost_is_refused(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

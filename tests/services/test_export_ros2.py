@@ -142,14 +142,16 @@ def test_a_skin_is_sent_as_it_is_bent(tmp_path: Path) -> None:
     assert len(heard["/skins"]) == 2
 
 
-def test_cloth_has_its_colours_and_a_net_its_links(path: Path, tmp_path: Path) -> None:
+def test_cloth_has_its_colours_and_a_net_its_links(tmp_path: Path) -> None:
     def colours(marker: Any) -> Float:
         return np.array([(c.r, c.g, c.b) for c in marker.colors or [marker.color]])
 
-    with open_recording(path) as recording:
+    stretched = tmp_path / "stretch.mcap"
+    write(stretched, SHEET, 3, scene={"name": "waving", "view": {"colour": "stretch"}})
+    with open_recording(stretched) as recording:
         (piece,) = read_pieces(recording)
         frames = list(recording.frames())
-    for frame, (_, markers) in zip(frames, read(export_ros2(path, tmp_path / "a"))["/cloth"], strict=True):
+    for frame, (_, markers) in zip(frames, read(export_ros2(stretched, tmp_path / "a"))["/cloth"], strict=True):
         painted = to_srgb(paint_stretch(piece.stretch(frame.x)))[SHEET.faces].reshape(-1, 3)
         assert colours(markers.markers[0]) == pytest.approx(painted, abs=1e-4)
     image = np.asarray(picture(5, 6)).reshape(-1, 3)  # as many pixels as vertices: each lies on one

@@ -16,6 +16,7 @@ from nuno.cli import main
 from nuno.cli.presets import digits, find_presets
 from nuno_bench.instruments import swatches
 
+pytestmark = pytest.mark.full
 NAMES = ("silk", "canvas")
 
 
