@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import BALL, write_scene
+from test_viewer_file import read, write
+from viewer_run import RATE, messages
 
 import nuno
 from nuno.cli import main
 from nuno.recording.reader import open_recording
 from nuno.wire.arrays import decode_arrays
-from nuno_schemas.messages import CONTACT, TOUCHES, Contact
+from nuno_schemas.messages import CONTACT, TOUCHES, BodyContact, Contact
 
 SHEET = [
     {
@@ -62,3 +64,16 @@ def test_a_table_has_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main(["export", str(file), "--csv", str(tmp_path / "run.csv")]) == 0
     head = (tmp_path / "run.csv").read_text().splitlines()[0]
     assert "force_ball_y [N]" in head and "pressure_ball [Pa]" in head
+
+
+def test_forces_on_bodies_are_curves(tmp_path: Path) -> None:
+    """Their sizes, one curve a body, where a run tells them."""
+    still = {"torque": (0.0, 0.0, 0.0), "attached": (0.0, 0.0, 0.0), "vertices": 1, "area": 1.0, "pressure": 0.0}
+    fed = list(messages(2))
+    for frame in range(2):
+        felt = [BodyContact(body=name, force=(3.0 * frame, 4.0 * frame, 0.0), mean_pressure=0.0, **still)
+                for name in ("bar", "floor")]  # fmt: skip
+        contact = Contact(frame=frame, t=frame / RATE, bodies=felt)
+        fed.append((CONTACT.name, frame, frame / RATE, contact.model_dump_json().encode()))
+    curves = read(write(tmp_path / "run.rrd", fed), "/plots/contact", "Scalars:scalars")
+    assert curves == {0: [0.0, 0.0], 1: [5.0, 5.0]}

@@ -28,6 +28,7 @@ from nuno_schemas.messages import (
     BODIES,
     CLOTH,
     CONCENTRATION,
+    CONTACT,
     DYE_STATUS,
     EVENT,
     FABRIC,
@@ -37,6 +38,7 @@ from nuno_schemas.messages import (
     REPORT,
     STATE,
     STATUS,
+    Contact,
     Event,
     Penetration,
     Status,
@@ -86,6 +88,8 @@ class Bridge:
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
+        self._felt = False
+        """Whether it is told what bodies feel."""
         self._first: Float | None = None
         """Where cloth is in its first frame, until bodies are placed, too."""
         self._pictured = False
@@ -96,6 +100,7 @@ class Bridge:
             GEOMETRY.name: self._geometry,
             BODIES.name: self._poses,
             PENETRATION.name: self._penetration,
+            CONTACT.name: self._contact,
             PICTURE.name: self._picture,
             EVENT.name: self._event,
             REPORT.name: self._report,
@@ -197,7 +202,8 @@ class Bridge:
             legend = any(cloth.tensions for cloth in self._cloths)
             bodies, meets = self._bodies is not None, self._crossings is not None
             ground = self._bodies is not None and self._bodies.ground
-            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, self._pictured, legend, meets, ground)
+            shown = self._pictured, legend, meets, ground, self._felt
+            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, *shown)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -238,6 +244,14 @@ class Bridge:
                 self._crossings = CrossingsView(self.recording)
                 self._arrange()
             self._crossings.log(report)
+
+    def _contact(self, payload: bytes) -> None:
+        felt = Contact.model_validate_json(payload).bodies
+        if not self._felt:
+            self._felt = True
+            self._log("/plots/contact", layout.names([one.body for one in felt]), static=True)
+            self._arrange()
+        self._log("/plots/contact", rr.Scalars([math.hypot(*one.force) for one in felt]))
 
     def _amounts(self, payload: bytes) -> None:
         assert self._dyed is not None

@@ -72,15 +72,17 @@ def fit_eye(points: Float, view: View) -> Eye:
 
 def arrange(
     eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
-    meets: bool = False, ground: bool = False,
+    meets: bool = False, ground: bool = False, felt: bool = False,
 ) -> Any:  # fmt: skip
     """The blueprint: the scene large on the left, with the `legend` of its links' tension below and the `pictures` of
     its yarns beside it, if any; curves, log and report on the right. `meets`: cloth meets cloth. What stands on no
-    `ground` of its own has a grid below it.
+    `ground` of its own has a grid below it. `felt`: it is told what bodies feel.
     """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
         plots.append(curves("Penetration [mm]", "penetration", legend=True))
+    if felt:
+        plots.append(curves("Force on bodies [N]", "contact", legend=True))
     if meets:
         plots.append(curves("Least distance of cloth from cloth [mm]", "distance"))
     plots.append(curves("Wall time to compute a frame [ms]", "time"))
