@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from nuno.api.watch import Heard, watch
     from nuno.moments import Moment
     from nuno.recording.reader import Recording
-
-    sweep: Any
-    """nuno_bench.sweep.grid.sweep"""
+    from nuno_bench.sweep.grid import sweep
 
 __all__ = [
     "Heard", "Moment", "Plan", "Recording", "Result", "Scene", "drive", "export", "open", "plan", "resume", "run",

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import nuno
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -38,3 +40,15 @@ def test_wheel_holds_every_module_and_scene(wheel: zipfile.ZipFile) -> None:
         assert f"nuno/draw/page/{path.name}" in names
     for path in (ROOT / "scenes").glob("*.yaml"):
         assert f"nuno/scenes/{path.name}" in names
+
+
+@pytest.mark.full
+def test_another_projects_type_checker_knows_what_nuno_gives(tmp_path: Path) -> None:
+    """Every name of `nuno` has a type of its own, that of `nuno.sweep` too, which is loaded when it is first used."""
+    shows = "\n".join(f"reveal_type(nuno.{name})" for name in nuno.__all__)
+    (tmp_path / "other.py").write_text(f"import nuno\n{shows}\nreveal_type(nuno.sweep('net', {{}}).rows)\n")
+    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), "other.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    told = [line for line in done.stdout.splitlines() if "Revealed type" in line]
+    assert done.returncode == 0, done.stdout
+    assert len(told) == len(nuno.__all__) + 1 and not [line for line in told if '"Any"' in line]
