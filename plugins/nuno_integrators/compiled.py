@@ -176,8 +176,10 @@ class Compiled(ABC):
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
-        packed = _set_poses(undisturbed(work.packed), poses)
-        extra = _enter(system, state, work, state.t)
+        packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
+        # After a change, or from a checkpoint, what makes lists has none before its next step.
+        call_each(_set_poses(packed, (poses[1], poses[1])), "begin", work.x, 0.0, packed.threads)
+        _set_poses(packed, poses)
         return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1])
 
     def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:

@@ -146,7 +146,14 @@ def _outcome(
 
 def _bound(binding: Binding, fabric: Fabric, crossed: Crossed) -> Binding:
     """The binding, with new vertices all of whose corners it holds."""
-    mine = np.zeros(fabric.number, np.bool_)
-    mine[binding.vertices] = True
-    new = fabric.number + np.flatnonzero(mine[fabric.faces[crossed.face]].all(axis=1))
-    return replace(binding, vertices=np.append(binding.vertices, new).astype(np.int32)) if len(new) else binding
+    place = np.full(fabric.number, -1, np.int64)
+    place[binding.vertices] = np.arange(len(binding.vertices))
+    corners = place[fabric.faces[crossed.face]]
+    mine = (corners >= 0).all(axis=1)
+    if not mine.any():
+        return binding
+    vertices = np.append(binding.vertices, fabric.number + np.flatnonzero(mine)).astype(np.int32)
+    if binding.local is None:
+        return replace(binding, vertices=vertices)
+    between = np.einsum("mc,mck->mk", crossed.at[mine], binding.local[corners[mine]])
+    return replace(binding, vertices=vertices, local=np.concatenate([binding.local, between]))

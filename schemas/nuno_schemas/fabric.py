@@ -164,6 +164,10 @@ class Binding:
     frame: str | None = None
     local: Annotated[Float, "b", 3] | None = None
 
+    def __post_init__(self) -> None:
+        if self.local is not None and len(self.local) != len(self.vertices):
+            raise ValueError(f"a binding of {len(self.vertices)} vertices has {len(self.local)} places")
+
 
 @dataclass(frozen=True)
 class Panels:

@@ -42,7 +42,7 @@ class Live:
     rotation      (j, 4) unit quaternions w, x, y, z, and translation (j, 3) [m]: now, at first where they wait
     key           under which poses are published on the bus; None: `poses/BODY` of the run
     waits         whether each frame waits for poses of its own; else it takes the newest, by the clock
-    silence       [s] after which it is said that nothing comes; a frame waits no longer than this
+    silence       [s] after which it is said that nothing comes: of waiting in a frame; by the clock of the scene's
     stops         whether silence ends the run; else the joints stay where they are
     fastest       [m/s] most that a joint follows at, and fastest_turn [rad/s]
     """
@@ -62,7 +62,7 @@ class Live:
 
     def follow(self, rotation: Float, translation: Float, dt: float) -> float:
         """Go towards poses for dt [s], all joints by the same share of their ways so that bones keep together; the
-        farthest way that is left [m].
+        share of the way that is left.
         """
         way = translation - self.translation
         length = float(np.sqrt((way**2).sum(axis=1)).max())
@@ -78,7 +78,7 @@ class Live:
         turned = np.where(half > 0.0, turned, near)
         self.rotation = turned / np.sqrt((turned**2).sum(axis=1, keepdims=True))
         self.translation = self.translation + share * way
-        return (1.0 - share) * length
+        return 1.0 - share
 
 
 def _share(most: float, way: float) -> float:

@@ -134,11 +134,11 @@ class BodyContact(BaseModel):
     """The part of the force that cloth which is attached to it pulls with [N]."""
     vertices: int
     """Of the cloth, that touch it."""
-    area: float
-    """Of the cloth around these [m^2]."""
-    pressure: float
+    area: float | None
+    """Of the cloth around these [m^2]. None: of a net without triangles and cells, which has none."""
+    pressure: float | None
     """Largest force along the cloth's normal over area, of a vertex [Pa]."""
-    mean_pressure: float
+    mean_pressure: float | None
     """Of all these vertices together [Pa]."""
 
 

@@ -19,7 +19,7 @@ from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.operation import Arranged, Outcome
 from nuno_schemas.plugin import BodyShape, Mover
-from nuno_schemas.system import StepLimit, StepReport, Term
+from nuno_schemas.system import StepLimit, StepReport, Term, Touched
 from nuno_schemas.yarns import Yarns
 
 UNIT = 1e-6
@@ -134,6 +134,12 @@ def check_term(term: Term, fabric: Fabric) -> None:
         check_layout(f"data[{i}].", part, {"n": fabric.number})
 
 
+def check_touched(found: Touched, vertices: int) -> None:
+    """Forces on so many vertices."""
+    for name, values in (*((f"by[{name!r}]", values) for name, values in found.by.items()), ("total", found.total)):
+        check_array(name, values, np.float64, (vertices, 3), Bounds(finite=False, strided=True))
+
+
 def check_outcome(outcome: Outcome, vertices: int) -> None:
     """What an operation made of a fabric of so many vertices."""
     if (changed := outcome.changed) is None:
@@ -202,6 +208,7 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.colliders", "build"): (BodyShape, lambda found, args: check_body(found, _of(Mover, args))),
     ("nuno.integrators", "prepare"): (Memory, lambda found, args: check_memory(found)),
     ("nuno.integrators", "limit"): (StepLimit, lambda found, args: check_layout("", found)),
+    ("nuno.integrators", "touched"): (Touched, lambda found, args: check_touched(found, len(_of(State, args).x))),
     ("nuno.integrators", "advance"): (StepReport, lambda found, args: check_layout("", found)),
     ("nuno.operations", "apply"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
     ("nuno.operations", "apply_beside"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),

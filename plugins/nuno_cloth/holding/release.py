@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
@@ -22,12 +22,11 @@ class ReleaseConfig(Config):
     body: str | None = Field(default=None, description="name of the body that carries them")
     vertices: tuple[VertexNumber, ...] | None = Field(default=None, description=VERTICES)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _says_what(cls, data: Any) -> Any:
-        if isinstance(data, dict) and not ({"body", "vertices"} & data.keys()):
+    @model_validator(mode="after")
+    def _says_what(self) -> ReleaseConfig:
+        if self.body is None and self.vertices is None:
             raise PydanticCustomError("release_what", "say what is let go of: body: NAME, or vertices: [...]")
-        return data
+        return self
 
 
 class Release:

@@ -27,6 +27,9 @@ def put_on(over: Over, hole: float, x: Float, faces: Int, worn: Sequence[Fabric]
     points = np.concatenate([x, *(one.position for one in worn)])
     far = np.hypot(points[:, 0] - wearer.middle, points[:, 2] - back)
     below = points[(points[:, 1] < base) & (far > hole - over.clearance), 1]
+    if not len(below):
+        problem, remedy = "the hole is so wide that nothing of the body holds the cloth", "a smaller hole"
+        raise BadInput(problem, field="hole", value=f"{100.0 * hole:.3g} cm", remedy=remedy)
     middle = np.array([wearer.middle, float(below.max()) + over.clearance, back])
     neck = wearer.trunk(float(middle[1]))
     if neck is not None:

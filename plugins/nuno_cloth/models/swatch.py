@@ -83,6 +83,8 @@ class SwatchConfig(Config):
             raise ValueError("what has a hole in its middle is not held there: leave hold or hole out")
         if self.hole is not None and self.hole >= room:
             raise ValueError(f"a hole of {self.hole:g} m leaves no edge round it: give one below {room:g} m")
+        if self.hole is not None and self.layout == "crossed":
+            raise ValueError("round a hole squares are not cut to and fro: take layout aligned or irregular")
         if self.over is None:
             return self
         if self.hole is None:

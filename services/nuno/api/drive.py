@@ -10,12 +10,13 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from nuno.api.words import in_python
+from nuno.collision.messages import GEOMETRY_QUESTION, decode_geometry
 from nuno.stepping.driver import CONTROL
 from nuno.supervision import runs
 from nuno.supervision.supervisor import CONTROL_TIMEOUT
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import spoke
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.live import BodyPoses
 from nuno_schemas.messages import POSES
 
@@ -35,13 +36,22 @@ class Driving:
             congestion_control=zenoh.CongestionControl.BLOCK,
             reliability=zenoh.Reliability.RELIABLE,
         )
+        with in_python():
+            known = decode_geometry(self._bus.ask(GEOMETRY_QUESTION, timeout=CONTROL_TIMEOUT)).bodies
+            if body not in known:
+                self.close()
+                raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, known))
 
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
         """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
         zero; or of a skeleton (j, 3) and (j, 4), of all joints. What the run cannot follow it refuses, and says so.
+        Raises BadInput for what is not finite.
         """
         positions = np.asarray(position, np.float64).reshape(-1, 3)
         rotations = np.asarray(rotation, np.float64).reshape(-1, 4)
+        for name, values in (("position", positions), ("rotation", rotations)):
+            if not np.isfinite(values).all():
+                raise BadInput("not finite", field=name, value=values.tolist())
         sent = BodyPoses.model_validate({"positions": positions.tolist(), "rotations": rotations.tolist()})
         self._publisher.put(sent.model_dump_json().encode())
 
@@ -73,7 +83,8 @@ def drive(
 
     run: its id, the beginning of that, or "last"; body: its name in the scene; key: that of its motion, where that has
     one; connect and config: endpoint and zenoh configuration, for a run on another host, whose id is then needed in
-    full. Raises BadInput for a run that does not go on, RunFailed where it cannot be reached.
+    full. Raises BadInput for a run that does not go on and a body that it has not, RunFailed where it cannot be
+    reached.
     """
     with in_python():
         name, endpoint = (run, connect) if connect else runs.find(run)

@@ -6,11 +6,11 @@ jumps is gone to at the greatest speed, and where nothing comes bodies stay wher
 
 from __future__ import annotations
 
-import contextlib
-import queue
+import threading
 import time
+from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,47 +25,77 @@ from nuno_schemas.live import BodyPoses, Live
 from nuno_schemas.messages import POSES
 
 LOOK = 0.1
-"""How often whoever waits for poses looks whether the run is still wanted [s]."""
+"""How often a frame that waits for poses looks whether the run is still wanted [s]."""
 MOST = 10_000
-"""Poses that may lie there; more come from no tracker."""
+"""Poses that may lie there for frames that wait for theirs; by the clock the newest alone is kept."""
+BYTES = 1024
+"""Of poses, besides as many for each joint: more is no pose, and would take long to read."""
+FARTHEST, SHORTEST = 1e6, 1e-100
+"""From the origin that a joint can be [m], and the least length of a quaternion that has a direction."""
 LONGEST = 500
 """Characters of a refused message's error that are told."""
 
 
 @dataclass
-class Told:
+class Tally:
     """What came for a body, for the report.
 
-    heard poses in all, of them used and refused; frames without any, frames in which the body was not where it was
-    told to be, and the longest silence [s].
+    heard poses in all, of them used by a frame, refused, and left_out since others came before the frame; frames
+    without any, frames after which the body was behind where it was told to be, and the longest silence [s].
     """
 
     heard: int = 0
     used: int = 0
     refused: int = 0
+    left_out: int = 0
     without: int = 0
     behind: int = 0
     silence: float = 0.0
 
 
-@dataclass
 class Follower:
     """One body, what has come for it, and where it is told to be."""
 
-    body: str
-    joints: tuple[str, ...]
-    live: Live
-    goal: tuple[Float, Float]
-    came: queue.Queue[bytes] = field(default_factory=lambda: queue.Queue(MOST))
-    told: Told = field(default_factory=Told)
-    last: float = field(default_factory=time.monotonic)
-    """When poses came last [s]."""
-    said: set[str] = field(default_factory=set)
+    def __init__(self, body: str, joints: tuple[str, ...], live: Live) -> None:
+        self.body, self.joints, self.live = body, joints, live
+        self.goal = live.pose(0.0)
+        self.tally, self.said = Tally(), set[str]()
+        self.since = 0.0
+        """Of the scene's time, since poses came last [s]."""
+        self._came: deque[bytes] = deque()
+        self._lock, self._arrived = threading.Lock(), threading.Event()
+        self._too_large = 0
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Keep what came, in a thread of zenoh's."""
-        with contextlib.suppress(queue.Full):
-            self.came.put_nowait(sample.payload.to_bytes())
+        with self._lock:
+            self.tally.heard += 1
+            if len(sample.payload) > BYTES * (1 + len(self.joints)):
+                self._too_large += 1
+            elif not self.live.waits and self._came:
+                self._came[0] = sample.payload.to_bytes()
+                self.tally.left_out += 1
+            elif len(self._came) < MOST:
+                self._came.append(sample.payload.to_bytes())
+            else:
+                self.tally.left_out += 1
+        self._arrived.set()
+
+    def take(self) -> bytes | None:
+        """The next of what has come, or the newest; None where nothing has."""
+        self._arrived.clear()
+        with self._lock:
+            return self._came.popleft() if self._came else None
+
+    def wait(self, timeout: float) -> None:
+        """Until something comes, or the time [s] is over."""
+        self._arrived.wait(timeout)
+
+    def too_large(self) -> int:
+        """How many came that were no poses for their size, since this was last asked."""
+        with self._lock:
+            number, self._too_large = self._too_large, 0
+        return number
 
 
 class Followers:
@@ -74,7 +104,7 @@ class Followers:
     def __init__(self, context: Context, bodies: Iterator[tuple[str, tuple[str, ...], Live]]) -> None:
         """`bodies` by name, with the joints of each. Raises BadInput for a key that zenoh does not take."""
         self.context = context
-        self.each = [Follower(name, joints, live, live.pose(0.0)) for name, joints, live in bodies]
+        self.each = [Follower(*one) for one in bodies]
         bus = context.bus
         for one in self.each:
             key = one.live.key or bus.key(f"{POSES.name}/{one.body}")
@@ -94,56 +124,56 @@ class Followers:
         run.
         """
         for one in self.each:
-            self._hear(one, frame)
+            self._hear(one, frame, dt)
             left = one.live.follow(*one.goal, dt)
             if left > 0.0:
-                one.told.behind += 1
-                limit = f"follows at {one.live.fastest:g} m/s and {one.live.fastest_turn:g} rad/s at most"
-                self._say(
-                    one, "jump", f"was told to be {left:.3g} m farther on than it gets in a frame: it {limit}", frame
-                )
+                one.tally.behind += 1
+                limit = f"{one.live.fastest:g} m/s and {one.live.fastest_turn:g} rad/s at most"
+                text = f"is told to be farther on than it gets in a frame, by {left:.0%} of the way"
+                self._say(one, "jump", f"{text}: it follows at {limit}", frame)
 
-    def _hear(self, one: Follower, frame: int) -> None:
+    def _hear(self, one: Follower, frame: int, dt: float) -> None:
         """Take in what has come for a body: the next of it, or the newest."""
-        fresh, waited = False, one.live.waits
-        for payload in self._come(one):
-            try:
-                one.goal, fresh = read_poses(payload, one.joints), True
-                one.told.used += 1
-            except BadInput as error:
-                one.told.refused += 1
-                self._say(one, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
-            if waited and fresh:
-                break
-        now = time.monotonic()
-        if fresh:
-            one.told.silence, one.last = max(one.told.silence, now - one.last), now
+        began = time.monotonic()
+        heard = self._next(one, frame, began)
+        if one.tally.left_out and one.live.waits:
+            self._say(one, "full", f"was sent more than {MOST:,} poses ahead: those beyond are left out", frame)
+        one.since = 0.0 if heard else one.since + dt
+        # A frame that waits is silent for as long as it does; by the clock pauses and compiling are not counted.
+        silent = time.monotonic() - began if one.live.waits else one.since
+        one.tally.silence = max(one.tally.silence, silent)
+        if heard:
             one.said.discard("silence")
             return
-        one.told.without += 1
-        if (silent := now - one.last) > one.live.silence:
-            one.told.silence = max(one.told.silence, silent)
+        one.tally.without += 1
+        if silent >= one.live.silence:
             problem = f"has heard nothing for {silent:.2g} s"
             if one.live.stops:
                 raise RunFailed(f"the body {one.body} {problem}, and its motion says silent: stop")
             self._say(one, "silence", f"{problem}: it stays where it is", frame)
 
-    def _come(self, one: Follower) -> Iterator[bytes]:
-        """What lies there; where a frame waits for poses of its own, what comes until the body has been silent for too
-        long.
-        """
+    def _next(self, one: Follower, frame: int, began: float) -> bool:
+        """Have poses that can be followed as the goal, and wait for them where frames do; whether there were any."""
         while True:
-            try:
-                left = one.last + one.live.silence - time.monotonic() if one.live.waits else 0.0
-                payload = one.came.get(timeout=min(left, LOOK)) if left > 0.0 else one.came.get_nowait()
-            except queue.Empty:
-                if left <= 0.0:
-                    return
-                if self.context.orphaned():
-                    raise RunFailed("the supervisor has gone") from None
-                continue
-            one.told.heard += 1
-            yield payload
+            payload = one.take()
+            if number := one.too_large():
+                one.tally.refused += number
+                self._say(one, "size", f"was sent what is too large for poses of {len(one.joints)} joints", frame)
+            if payload is not None:
+                try:
+                    one.goal = read_poses(payload, one.joints)
+                except BadInput as error:
+                    one.tally.refused += 1
+                    self._say(one, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
+                    continue
+                one.tally.used += 1
+                return True
+            left = began + one.live.silence - time.monotonic()
+            if not one.live.waits or left <= 0.0:
+                return False
+            one.wait(min(left, LOOK))
+            if self.context.orphaned():
+                raise RunFailed("the supervisor has gone")
 
     def _say(self, one: Follower, what: str, text: str, frame: int) -> None:
         """Say each thing once, silence each time anew."""
@@ -153,7 +183,7 @@ class Followers:
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """What came for each body."""
-        return {one.body: vars(one.told) for one in self.each}
+        return {one.body: vars(one.tally) for one in self.each}
 
 
 def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
@@ -173,7 +203,11 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
     for name, values in (("positions", translation), ("rotations", rotation)):
         if (bad := np.flatnonzero(~np.isfinite(values).all(axis=1))).size:
             raise BadInput("not finite", field=f"{name}[{bad[0]}]", value=values[bad[0]].tolist())
-    length = np.sqrt((rotation**2).sum(axis=1))
-    if (bad := np.flatnonzero(~((length > 0.0) & np.isfinite(length)))).size:
+    if (bad := np.flatnonzero((np.abs(translation) > FARTHEST).any(axis=1))).size:
+        value, limit = translation[bad[0]].tolist(), f"{FARTHEST:g} m from the origin"
+        raise BadInput("out of this world", field=f"positions[{bad[0]}]", value=value, limit=limit)
+    largest = np.abs(rotation).max(axis=1, keepdims=True)
+    if (bad := np.flatnonzero(largest[:, 0] < SHORTEST)).size:
         raise BadInput("a rotation of no length", field=f"rotations[{bad[0]}]", value=rotation[bad[0]].tolist())
-    return rotation / length[:, None], translation
+    rotation = rotation / largest
+    return rotation / np.sqrt((rotation**2).sum(axis=1, keepdims=True)), translation

@@ -13,7 +13,7 @@ from nuno.collision.distance import penetration
 from nuno.collision.live import Followers
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_poses, encode_geometry, encode_poses
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import told_poses
+from nuno.recording.restore import recorded_poses
 from nuno.service import Context, each_message
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
@@ -56,6 +56,10 @@ class Collision:
             self.inbox.refuse(question)
             question.refuse(f"poses are asked for by frame, 0 to {self.frames}")
             return
+        if self.followers is not None and not self._known(frame):
+            self.inbox.refuse(question)
+            question.refuse(f"bodies are told where to be in frame {self.followed + 1} next; earlier ones are recorded")
+            return
         question.answer(self.poses(frame)[1])
 
     def poses(self, frame: int) -> tuple[Poses, bytes]:
@@ -70,12 +74,19 @@ class Collision:
                 del self.cache[next(iter(self.cache))]
         return self.cache[frame]
 
+    def _known(self, frame: int) -> bool:
+        """Whether bodies that are told where to be can have poses in a frame: the next, the last few, or a recording's
+        that the run goes on from.
+        """
+        known = frame in self.cache or frame in self.context.loaded.recorded_poses
+        return known or frame == self.followed + 1 or frame == self.followed == 0
+
     def _follow(self, bodies: Bodies, followers: Followers, frame: int) -> None:
         """Bring bodies that are told where to be to the end of a frame: to where they were in the recording that the
         run goes on from, or to where they are told to be now.
         """
-        if frame in self.context.loaded.told:
-            followers.take_up(decode_poses(self.context.loaded.told[frame]), bodies.geometry.frames)
+        if frame in self.context.loaded.recorded_poses:
+            followers.take_up(decode_poses(self.context.loaded.recorded_poses[frame]), bodies.geometry.frames)
             self.followed = frame
         while self.followed < frame:
             self.followed += 1
@@ -128,8 +139,7 @@ def main(context: Context) -> None:
     scene = context.loaded.scene
     if context.options.resume is not None and context.loaded.live:  # a process of its own has read the scene alone
         with open_recording(context.options.resume) as recording:
-            until = recording.common_checkpoint().t * scene.frame_rate + 0.5
-            context.loaded.told = {frame: one for frame, one in told_poses(recording).items() if frame <= until}
+            context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)

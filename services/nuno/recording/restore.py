@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -54,14 +55,14 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
         loaded.settled = settled_cloth(recording)
         if loaded.live:
-            loaded.told = told_poses(recording)
+            loaded.recorded_poses = recorded_poses(recording)
         yield loaded
 
 
-def told_poses(recording: Recording) -> dict[int, bytes]:
-    """See Loaded.told."""
-    marks = recording.marks()
-    return {marks[one.log_time][0]: one.payload for one in recording.messages([BODIES.name]) if one.log_time in marks}
+def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:
+    """See Loaded.recorded_poses; those up to a time [s]."""
+    marks, found = recording.marks(), recording.messages([BODIES.name])
+    return {marks[one.log_time][0]: one.payload for one in found if one.log_time in marks and one.t <= until + 1e-9}
 
 
 def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:

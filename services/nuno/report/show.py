@@ -103,6 +103,7 @@ def _step(report: Report) -> str:
 def _followed(told: Report) -> str:
     """What came for a body that is told where to be."""
     text = f"{told['heard']:,} poses came, {told['used']:,} were used, {told['refused']:,} refused"
+    text += f", {told['left_out']:,} left out for newer ones" if told["left_out"] else ""
     behind = f", {told['behind']:,} in which it was not yet where it was told to be" if told["behind"] else ""
     return f"{text}; {told['without']:,} frames without any{behind}; longest silence {told['silence']:.2g} s"
 

@@ -86,7 +86,7 @@ class Loaded:
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
     settled: tuple[Float, Float] | None = None
     """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
-    told: Mapping[int, bytes] = field(default_factory=dict)
+    recorded_poses: Mapping[int, bytes] = field(default_factory=dict)
     """Of a recording whose bodies were told where to be: the messages that say where they were, by frame."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""

@@ -17,15 +17,14 @@ from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Corners, Fabric, Hinges, Int, Springs
+from nuno_schemas.fabric import Binding, Fabric, Int
 from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
-from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 
 NAME = "add"
 """What errors call the text of an added operation."""
 ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
-SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind")
+SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind", "lock", "k_lock")
 MEMBRANE = ("faces", "along", "across", "area", "moduli", "damping")
 BENDING = ("pairs", "weight")
 FRICTION = ("vertices", "shares", "area", "limit", "slip")
@@ -94,19 +93,20 @@ def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[An
     return np.ascontiguousarray(np.moveaxis(carried, 0, axes[0]))
 
 
-PARTS: dict[str, tuple[type, tuple[str, ...]]] = {
-    "springs": (Springs, SPRINGS), "hinges": (Hinges, HINGES), "membrane": (Membrane, MEMBRANE),
-    "bending": (Bending, BENDING), "friction": (BendingFriction, FRICTION),
-    "corners": (Corners, CORNERS),
+PARTS = {
+    "springs": SPRINGS, "hinges": HINGES, "membrane": MEMBRANE, "bending": BENDING, "friction": FRICTION,
+    "corners": CORNERS,
 }  # fmt: skip
+"""Arrays of each part of a fabric, those among them that it may lack."""
 
 
 def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     """All arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the way back."""
     arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
-    for part, (_, names) in PARTS.items():
+    for part, names in PARTS.items():
         held = getattr(fabric, part)
-        arrays |= {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
+        own = {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
+        arrays |= {name: values for name, values in own.items() if values is not None}
     for i, binding in enumerate(fabric.bindings):
         arrays[f"bindings.{i}"] = binding.vertices
         arrays |= {} if binding.local is None else {f"bindings.{i}.local": binding.local}
@@ -126,11 +126,10 @@ def fabric_from(
     """
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
-        for part, (kind, names) in PARTS.items():
-            if getattr(built, part) is not None:
-                parts[part] = kind(*(arrays[f"{part}.{name}"] for name in names))
-        if built.corners is not None:  # panels stay as they are cut: no operation changes triangles that have corners
-            parts["corners"] = replace(parts["corners"], panels=built.corners.panels)
+        for part, names in PARTS.items():  # panels stay as they are cut: no operation changes triangles of corners
+            if (own := getattr(built, part)) is not None:
+                kept = {name: arrays[f"{part}.{name}"] for name in names if getattr(own, name) is not None}
+                parts[part] = replace(own, **kept)
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
             for i, (body, frame) in enumerate(bound)

@@ -244,7 +244,8 @@ class Changing(Stepper):
         fabrics = list(self.parts())
         for number, origin in origins.items():
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
-            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, text["bound"][number])
+            bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
+            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, bound)
         self.changes = list(text["changes"])
         self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))

@@ -93,7 +93,8 @@ class Simulation(Changing):
         bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
 
         def find(frame: int) -> Poses:
-            return decode_poses(loaded.told[frame]) if frame in loaded.told else bodies.poses(frame / rate)
+            known = loaded.recorded_poses
+            return decode_poses(known[frame]) if frame in known else bodies.poses(frame / rate)
 
         simulation = cls(loaded, bodies.geometry, find(0), threads)
         simulation.find_poses = find
@@ -162,8 +163,8 @@ class Simulation(Changing):
         """What each body does to the cloth in the present state; None without bodies."""
         if self.before is None or self.poses is None:
             return None
-        found: Touched = self.solver.plugin.touched(self.system, self.state, self.memory, (self.before, self.poses))
-        return found
+        interval = self.before, self.poses
+        return self.solver.plugin.touched(self.system, self.state, self.memory, interval)  # type: ignore[no-any-return]
 
     def advance(self, start: Poses | None, end: Poses | None) -> Stepped:
         """Simulate one frame between two sets of poses."""
@@ -240,8 +241,7 @@ class Simulation(Changing):
     def forces(self, poses: tuple[Poses, Poses] | None) -> Forces:
         """What acts in the present state, with bodies as at the start of the frame of these poses."""
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
-        found: Forces = self.solver.plugin.forces(self.system, self.state, self.memory, poses)
-        return found
+        return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
     def keep(self) -> Checkpoint:
         """See `Stepper`: with the objects that operations have changed."""
@@ -257,7 +257,8 @@ class Simulation(Changing):
         self.take_over(point)
         self.applied = max(self.applied, self.due(self.frame - 1))
         self.state.t = self.t
-        self.before = self.poses = self.find_poses(self.frame)
+        self.before = self.find_poses(max(self.frame - 1, 0))
+        self.poses = self.find_poses(self.frame)
 
     def set(self, item: str) -> None:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""

@@ -23,7 +23,7 @@ from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
-from nuno.simulation.touching import feel
+from nuno.simulation.touching import feel, require_touched
 from nuno.stepping.again import resume
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
 from nuno.stepping.stepped import Stepped
@@ -269,6 +269,8 @@ def main(context: Context) -> None:
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch)
     if geometry is not None:
         simulation.find_poses = lambda frame: ask_poses(context, frame)()
+    if context.loaded.scene.record.contact_forces and geometry is not None:
+        require_touched(simulation)
     if context.options.resume is not None:
         resume(simulation, context.options.resume)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from nuno.collision.surfaces import vertex_normals
 from nuno.simulation.run import Simulation
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.messages import BodyContact, Contact
 
 
@@ -20,7 +21,8 @@ def feel(simulation: Simulation) -> tuple[Contact, dict[str, NDArray[Any]]]:
     geometry, poses, x = simulation.geometry, simulation.poses, simulation.state.x
     found = simulation.present_touched()
     assert geometry is not None and poses is not None and found is not None
-    areas, normals = areas_of(x, simulation.fabric.faces), vertex_normals(x, simulation.fabric.faces)
+    around = surface_of(simulation.fabric)
+    areas, normals = areas_of(x, around), vertex_normals(x, around)
     owners = np.array([geometry.bodies.index(name.split("/", 1)[0]) for name in geometry.frames], np.int32)
     attached_to = _attached(simulation, owners)
     felt, touches = [], []
@@ -37,14 +39,32 @@ def feel(simulation: Simulation) -> tuple[Contact, dict[str, NDArray[Any]]]:
         felt.append(
             BodyContact(
                 body=name, force=_sum(forces), torque=_sum(np.cross(places - origin, forces)), attached=_sum(pull),
-                vertices=len(vertices), area=float(area.sum()), pressure=float(pressure.max(initial=0.0)),
-                mean_pressure=float(normal.sum() / area.sum()) if area.any() else 0.0,
+                vertices=len(vertices), **_pressed(area, normal, pressure, len(around) > 0),
             )
         )  # fmt: skip
         touches.append((vertices, np.full(len(vertices), number, np.int32), force[vertices], pressure))
     vertex, of, force, pressure = (np.concatenate(parts) for parts in zip(*touches, strict=True))
     arrays = {"vertex": vertex, "body": of, "force": force.astype(np.float32), "pressure": pressure.astype(np.float32)}
     return Contact(frame=simulation.frame, t=simulation.t, bodies=felt), arrays
+
+
+def surface_of(fabric: Fabric) -> Int:
+    """(f, 3) its triangles, or of a knit the halves of its cells; none of a net that has neither."""
+    if len(fabric.faces) or fabric.cells is None:
+        return fabric.faces
+    return np.concatenate([fabric.cells[:, [0, 1, 2]], fabric.cells[:, [0, 2, 3]]])
+
+
+def require_touched(simulation: Simulation) -> None:
+    """Raises BadInput for a solver, and for contact, that does not tell what each body feels."""
+    loaded, problem = simulation.loaded, "contact forces are asked for, and this does not tell those of each body"
+    field, remedy = "record.contact_forces", "leave them out, or take a solver and contact of nuno"
+    if not hasattr(simulation.solver.plugin, "touched"):
+        raise loaded.at(field, BadInput(problem, value=loaded.integrator.name, remedy=remedy))
+    for term in simulation.system.terms:
+        parts = () if callable(term.data) else term.data
+        if term.bodies and not (parts and all(type(part).kernels.find("alone") for part in parts)):
+            raise loaded.at(field, BadInput(problem, value=term.name, limit=", ".join(term.bodies), remedy=remedy))
 
 
 def areas_of(x: Float, faces: Int) -> Float:
@@ -62,6 +82,15 @@ def _attached(simulation: Simulation, owners: Int) -> list[Int]:
     body = owners[np.concatenate([none, *(np.asarray(one.frame) for one in carried)])]
     given = vertices if numbers is None else numbers[vertices]
     return [given[body == number] for number in range(int(owners.max()) + 1)]
+
+
+def _pressed(area: Float, normal: Float, pressure: Float, known: bool) -> dict[str, float | None]:
+    """Of the vertices that touch a body: their area, and the largest and the mean pressure."""
+    if not known:
+        return {"area": None, "pressure": None, "mean_pressure": None}
+    whole = float(area.sum())
+    mean = float(normal.sum()) / whole if whole > 0.0 else 0.0
+    return {"area": whole, "pressure": float(pressure.max(initial=0.0)), "mean_pressure": mean}
 
 
 def _sum(forces: Float) -> tuple[float, float, float]:

@@ -13,10 +13,9 @@ PATIENCE = 0.5
 
 
 class Clock:
-    """Holds each frame back until it is due, counted from the first, without what the run was paused for.
+    """Waits after each frame until it is due, counted from the first, without what the run was paused for.
 
-    A frame is late that is done after the next one would be due. What is late is published at once, and those after it
-    until they have caught up.
+    A frame is late that is done after the next one would be due. Those after it do not wait until they have caught up.
     """
 
     def __init__(self, driver: Driver) -> None:

@@ -81,9 +81,9 @@ class Driver(ABC):
         """Step one frame and publish it."""
         begin, frame = time.perf_counter(), self.stepper.step()
         self.seconds["steps"] += frame.seconds
+        self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
         if self.clock is not None:
             self.clock.hold(begin)
-        self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
         return frame
 
     def publish(self, frame: Stepped, show: bool) -> None:
