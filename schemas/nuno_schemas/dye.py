@@ -149,24 +149,26 @@ class DyeReport:
 
 @dataclass(frozen=True)
 class Supply:
-    """Dye that is given to a part of the cloth: once, or kept up for a time.
+    """Dye that is given to a part of the cloth, once, or kept up for a time; or that is rinsed out of it.
 
     kind    what a report calls it
-    dye     its place among the dyes
+    dye     its place among the dyes; None, of what is rinsed out: all of them
     cells   (2, ny, nx) bool, what it reaches
     amount  share of V_u that cells are raised to; of a finite bath, the share that it holds before it is used
     start   [s] when it is given or begins to be kept up
     stop    [s] until when it is kept up, inf to the end; None: given once
     liquor  a finite bath's volume over the room of the cells it reaches; None: endless
+    rinsed  share of their mobile dye that cells lose at `start`; None: they are given some
     """
 
     kind: str
-    dye: Annotated[int, Bounds(0, below="dyes")]
+    dye: Annotated[int, Bounds(0, below="dyes")] | None
     cells: Annotated[Bool, 2, "ny", "nx"]
     amount: Annotated[float, Bounds(0.0)]
     start: Annotated[float, Bounds(0.0)] = 0.0
     stop: float | None = None
     liquor: float | None = None
+    rinsed: Annotated[float, Bounds(0.0, 1.0)] | None = None
 
 
 class IsothermPlugin(Plugin, Protocol):

@@ -227,7 +227,7 @@ def test_a_dye_is_given_by_its_name_as_by_its_place(tmp_path: Path) -> None:
         (
             DROP | {"kind": "dropp"},
             "dye.cloth.supply[0].kind: unknown kind",
-            "did you mean 'drop'? known: bath, drop, stroke",
+            "did you mean 'drop'? known: bath, drop, rinse, stroke",
         ),
         (DROP | {"start": "-1 s"}, "dye.cloth.supply[0].start", "at least 0"),
     ],

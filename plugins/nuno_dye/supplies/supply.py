@@ -2,7 +2,7 @@
 
 Amounts are shares of V_u, what a cell can hold of mobile dye: the dye paper's initial "1.0 V" is a full cell,
 amount 1. Supply raises a cell to its share and never takes dye away, so that what is there already, more or less,
-makes a cell neither overflow nor dry. A finite bath exchanges dye both ways.
+makes a cell neither overflow nor dry. A finite bath exchanges dye both ways, and a rinse takes mobile dye away.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Bool
 from nuno_schemas.parts import Name
 from nuno_schemas.plugin import Config
+from nuno_schemas.units import quantity
 
 MOST_SUPPLIES = 256
+Layer = Literal["both", "weft", "warp"]
 
 
 class _Supply(Config):
@@ -33,7 +35,7 @@ class _Supply(Config):
         default=0, description="its name, or its place in the list of dyes, from 0"
     )
     amount: Share = Field(default=1.0, description="share of what a cell can hold of mobile dye")
-    layers: Literal["both", "weft", "warp"] = Field(default="both", description="which yarns it reaches")
+    layers: Layer = Field(default="both", description="which yarns it reaches")
     maintained: bool = Field(default=False, description="kept up from `start` to `stop`; else given once, at `start`")
     start: Moment = Field(default=0.0, description="[s]")
     stop: Moment | None = Field(default=None, description="of what is maintained [s]; to the end unless given")
@@ -82,7 +84,22 @@ class Bath(_Supply):
         return self
 
 
-AnySupply = Annotated[Drop | Brush | Bath, Field(discriminator="kind")]
+class Rinse(Config):
+    """Clean water, which takes mobile dye away at once; what fibre has fixed stays."""
+
+    kind: Literal["rinse"] = "rinse"
+    dye: Annotated[int, Field(ge=0, le=255)] | Name | None = Field(
+        default=None, description="its name, or its place in the list of dyes, from 0; all unless given"
+    )
+    region: Region = Field(default=All(), description="what is rinsed")
+    layers: Layer = Field(default="both", description="which yarns it reaches")
+    start: Moment = Field(default=0.0, description="[s]")
+    share: Annotated[float, quantity("", gt=0, le=1)] = Field(
+        default=1.0, description="of the mobile dye, that it takes away"
+    )
+
+
+AnySupply = Annotated[Drop | Brush | Bath | Rinse, Field(discriminator="kind")]
 Supplies = Annotated[tuple[AnySupply, ...], Field(max_length=MOST_SUPPLIES)]
 
 
@@ -122,11 +139,13 @@ def find_dye(dye: int | str, dyes: Sequence[str]) -> int:
 def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: Sequence[str]) -> Supply:
     inside = "dye"
     try:
-        dye = find_dye(item.dye, dyes)
-        inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
+        dye = None if item.dye is None else find_dye(item.dye, dyes)
+        inside = {"drop": "place", "stroke": "points", "bath": "region", "rinse": "region"}[item.kind]
         cells = find_cells(item, shape, size)
     except BadInput as error:
         raise error.at(f"{place}.{inside}") from None
+    if isinstance(item, Rinse):
+        return Supply(item.kind, dye, cells, 0.0, item.start, rinsed=item.share)
     until = math.inf if item.stop is None else item.stop
     liquor = item.liquor if isinstance(item, Bath) else None
     return Supply(item.kind, dye, cells, item.amount, item.start, until if item.maintained else None, liquor)

@@ -94,7 +94,7 @@ class DyeRun(Stepper):
 
         Such a bath meets its cells between steps only: over longer ones it would give too slowly.
         """
-        dyes = [self.system.dyes[one.dye] for one in given if one.liquor is not None]
+        dyes = [self.system.dyes[one.dye] for one in given if one.liquor is not None and one.dye is not None]
         fastest = max((one.D0 * one.steepest for one in dyes), default=0.0)
         return self.cells.size**2 / (2.0 * fastest) if fastest > 0.0 else np.inf
 

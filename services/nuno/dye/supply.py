@@ -1,5 +1,7 @@
 """What gives dye to a cloth while it is dyed: when each supply acts, what it gave, what is left in a finite bath.
 
+A rinse is a supply that takes: what it gave counts below 0.
+
 Times are whole steps: a supply begins, and ends, with the first step that starts at its time or after it. What is
 kept up is raised once at its start; from then on the solver keeps it (`DyeSystem.supply`). A finite bath and the
 cells in it are brought to equal shares at its start and after every step, so that its error is of the order of a
@@ -37,6 +39,12 @@ def give(phi: Float, room: Float, cells: Bool, amount: float) -> Given:
     """Raise cells (2, ny, nx) to a share of their room V_u; what holds more is left alone."""
     raised = np.where(cells, np.maximum(phi, amount * room), phi)
     return Given(raised, math.fsum((raised - phi)[cells].tolist()))
+
+
+def rinse(phi: Float, cells: Bool, share: float) -> Given:
+    """Take a share of their mobile dye from cells (2, ny, nx)."""
+    left = np.where(cells, (1.0 - share) * phi, phi)
+    return Given(left, -math.fsum((phi - left)[cells].tolist()))
 
 
 class Exchange(NamedTuple):
@@ -83,6 +91,8 @@ class Entry:
     """A supply in whole steps: it acts from `first` up to `last`, given once where they are equal."""
 
     supply: Supply
+    dyes: tuple[int, ...]
+    """Places of the dyes that it is of."""
     name: str
     first: float
     last: float
@@ -92,6 +102,8 @@ class Entry:
     """What a finite bath holds, as a share of its volume."""
     places: Int
     """(n,) the cells of a finite bath, in the flat array of one dye."""
+    begun: bool = False
+    """Whether it has begun: a rinse takes its share once."""
 
     def acts(self, step: int) -> bool:
         """Whether it is kept up in a step."""
@@ -123,21 +135,27 @@ class Supplies:
         if supply.liquor is not None:
             places = np.flatnonzero(supply.cells).astype(np.int32)
             volume = supply.liquor * add_up(self.room.ravel()[places])
-        self.entries.append(Entry(supply, name, first, last, volume, supply.amount, places))
+        dyes = tuple(range(len(self.given))) if supply.dye is None else (supply.dye,)
+        self.entries.append(Entry(supply, dyes, name, first, last, volume, supply.amount, places))
 
     def begin(self, phi: Float, step: int) -> bool:
-        """Give what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx). Whether anything was given."""
-        before = self.gross
+        """Give or take what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx). Whether it changed."""
+        before = [dict(account) for account in self.given]
         for entry in self.entries:
             if entry.first != step or (entry.finite and not entry.acts(step)):
                 continue
-            if entry.finite:
-                self._exchange(phi, entry)
-            else:
-                supply = entry.supply
-                phi[supply.dye], given = give(phi[supply.dye], self.room, supply.cells, supply.amount)
-                self.note(supply.dye, entry.name, given)
-        return self.gross != before
+            supply = entry.supply
+            for dye in entry.dyes:
+                if entry.finite:
+                    self._exchange(phi, dye, entry)
+                elif supply.rinsed is None:
+                    phi[dye], given = give(phi[dye], self.room, supply.cells, supply.amount)
+                    self.note(dye, entry.name, given)
+                elif not entry.begun:
+                    phi[dye], given = rinse(phi[dye], supply.cells, supply.rinsed)
+                    self.note(dye, entry.name, given)
+            entry.begun = True
+        return self.given != before
 
     def until(self, step: int, end: int) -> int:
         """The step, `end` at most, up to which the solver can go on from `step` by itself."""
@@ -160,8 +178,10 @@ class Supplies:
 
     def _least(self, acting: Sequence[int]) -> Float:
         least = np.zeros((len(self.given), *self.room.shape))
-        for one in (self.entries[i].supply for i in acting):
-            np.maximum(least[one.dye], np.where(one.cells, one.amount * self.room, 0.0), out=least[one.dye])
+        for entry in (self.entries[i] for i in acting):
+            full = np.where(entry.supply.cells, entry.supply.amount * self.room, 0.0)
+            for dye in entry.dyes:
+                np.maximum(least[dye], full, out=least[dye])
         return least
 
     def end(self, phi: Float, step: int, kept: Sequence[float]) -> bool:
@@ -170,12 +190,13 @@ class Supplies:
         Whether there were any: phi is then another.
         """
         for dye, amount in enumerate(kept):
-            names = [e.name for e in self.entries if e.supply.dye == dye and not e.finite and e.acts(step)]
+            names = [e.name for e in self.entries if dye in e.dyes and not e.finite and e.acts(step)]
             if names:
                 self.note(dye, " and ".join(names), amount)
         baths = [entry for entry in self.entries if entry.finite and entry.acts(step)]
         for entry in baths:
-            self._exchange(phi, entry)
+            for dye in entry.dyes:
+                self._exchange(phi, dye, entry)
         return bool(baths)
 
     def note(self, dye: int, name: str, amount: float) -> None:
@@ -183,8 +204,8 @@ class Supplies:
         if amount:
             self.given[dye][name] = self.given[dye].get(name, 0.0) + amount
 
-    def _exchange(self, phi: Float, entry: Entry) -> None:
-        dye, places = entry.supply.dye, entry.places
+    def _exchange(self, phi: Float, dye: int, entry: Entry) -> None:
+        places = entry.places
         amounts, room = phi[dye].reshape(-1), self.room.reshape(-1)
         amounts[places], entry.share, given = exchange(amounts[places], room[places], entry.share, entry.volume)
         self.note(dye, entry.name, given)
@@ -195,7 +216,8 @@ class Supplies:
         for entry in self.entries:
             share = 1.0 if entry.finite else entry.supply.amount
             full = np.where(entry.supply.cells, share * self.room, 0.0)
-            np.maximum(phi[entry.supply.dye], full, out=phi[entry.supply.dye])
+            for dye in entry.dyes:
+                np.maximum(phi[dye], full, out=phi[dye])
         return DyeState(phi, state.fixed, state.t)
 
     @property
@@ -205,7 +227,7 @@ class Supplies:
 
     @property
     def gross(self) -> tuple[float, ...]:
-        """The same without what has gone back into finite baths, the only way out of a cloth."""
+        """The same without what was rinsed out or has gone back into finite baths, the ways out of a cloth."""
         return tuple(math.fsum(amount for amount in account.values() if amount > 0.0) for account in self.given)
 
     def change_room(self, room: Float) -> None:
@@ -231,6 +253,8 @@ class Supplies:
         if baths.keys() != self.begun(step).keys() or len(given) != len(self.given):
             raise ValueError(f"baths {', '.join(baths) or 'none'}, and {len(given)} dyes")
         for entry in self.entries:
+            # What begins with step 0 is given before any step, and so before any checkpoint.
+            entry.begun = entry.first < max(step, 1)
             entry.share = float(baths.get(entry.name, entry.share))
             if entry.finite:
                 # A resist that was added before the bath has left its cells room for the dye of that time.
