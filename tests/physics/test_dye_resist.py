@@ -22,6 +22,7 @@ from nuno_dye.supplies.resist import (
     combine,
     find_resist,
     read_image,
+    stretch,
 )
 from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
 from nuno_schemas.errors import BadInput
@@ -135,14 +136,23 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
 
 
 def test_a_stencil_of_any_size_is_drawn_out_over_the_cloth(tmp_path: Path) -> None:
-    """Its mean stays; cells that several pixels fall into hold their mean; larger cells repeat them."""
+    """Its mean stays; cells that several pixels fall into hold their mean; between pixels' middles finer cells go
+    linearly.
+    """
     values = np.random.default_rng(1).random((40, 60))
     write_image(tmp_path / "a.png", values)
     item = ImageResist(file="a.png", fit="stretch")
     small = find_resist(item, (20, 20), SIZE, Folder(tmp_path))
     assert np.abs(small - values.reshape(20, 2, 20, 3).mean(axis=(1, 3))).max() < 2e-5
-    large = find_resist(item, (80, 120), SIZE, Folder(tmp_path))
-    assert np.abs(large - np.kron(values, np.ones((2, 2)))).max() < 2e-5
+    odd = find_resist(item, (33, 37), SIZE, Folder(tmp_path))
+    assert odd.mean() == pytest.approx(values.mean(), abs=1e-5)
+    across = find_resist(item, (40, 240), SIZE, Folder(tmp_path))
+    assert across.mean() == pytest.approx(values.mean(), abs=1e-5)
+    for k in range(4):
+        share = (k + 0.5) / 4.0
+        assert np.abs(across[:, 2 + k : -2 : 4] - (1 - share) * values[:, :-1] - share * values[:, 1:]).max() < 2e-5
+    down = find_resist(item, (160, 60), SIZE, Folder(tmp_path))
+    assert np.abs(down[2:-2:4] - 0.875 * values[:-1] - 0.125 * values[1:]).max() < 2e-5
     with pytest.raises(BadInput, match="60 x 40 pixels"):
         find_resist(ImageResist(file="a.png"), (20, 20), SIZE, Folder(tmp_path))
 
@@ -251,3 +261,39 @@ def test_bindings_without_room_between_are_refused(tmp_path: Path) -> None:
     region = {"shape": "disc", "centre": (1.0, 1.0), "diameter": 1e-3}
     with pytest.raises(BadInput, match="holds no cell"):
         find_resist(ShapeResist.model_validate({"region": region}), (10, 10), SIZE, Folder(tmp_path))
+
+
+def draw_disc(n: int, centre: tuple[float, float], radius: float, finer: int = 32) -> Float:
+    """(n, n) the share of each pixel of a unit square that lies in a disc, as drawing programs smooth an edge."""
+    y, x = (np.mgrid[0 : n * finer, 0 : n * finer] + 0.5) / (n * finer)
+    inside = np.hypot(x - centre[0], y - centre[1]) <= radius
+    return np.asarray(inside.reshape(n, finer, n, finer).mean(axis=(1, 3)))
+
+
+@pytest.mark.parametrize("cells", [(10, 13), (32, 33), (41, 96), (300, 288)])
+def test_a_stencil_of_a_disc_covers_its_area_in_cells_of_any_size(cells: tuple[int, int]) -> None:
+    """As much as its pixels do, to rounding: pi r^2 but for the points that the test counts a pixel's share by."""
+    for k in range(8):
+        centre, radius = (0.5 + 0.003 * k, 0.49 - 0.004 * k), 0.31 + 0.007 * k
+        image = draw_disc(32, centre, radius)
+        covered = stretch(image, cells)
+        assert covered.mean() == pytest.approx(image.mean(), rel=1e-13)
+        assert covered.mean() == pytest.approx(math.pi * radius**2, rel=1e-4)
+        assert covered.min() == 0.0 and covered.max() == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [8, 32, 64])
+def test_the_edge_of_a_stencil_has_no_stairs_in_cells_finer_than_its_pixels(n: int) -> None:
+    """Where B passes a half is within a tenth of a pixel, and half a cell's diagonal, of the circle; stairs are off by
+    more than half a pixel. An image with a pixel for each cell is left as it is.
+    """
+    centre, radius, times = (0.503, 0.488), 0.37, 16
+    image = draw_disc(n, centre, radius)
+    assert np.array_equal(stretch(image, (n, n)), image)
+    y, x = (np.mgrid[0 : times * n, 0 : times * n] + 0.5) / (times * n)
+    beyond = np.hypot(x - centre[0], y - centre[1]) - radius
+    smooth, stairs = (
+        max(beyond[found >= 0.5].max(), -beyond[found < 0.5].min())
+        for found in (stretch(image, (times * n, times * n)), np.kron(image, np.ones((times, times))))
+    )
+    assert smooth * n < 0.1 + math.sqrt(0.5) / times and stairs * n > 0.5

@@ -39,7 +39,8 @@ class ImageResist(_Resist):
     invert: bool = Field(default=False, description="black keeps dye out")
     fit: Literal["exact", "stretch"] = Field(
         default="exact",
-        description="stretch: an image of any size is drawn out over the cloth, by means over its cells",
+        description="stretch: an image of any size is drawn out over the cloth, by means over its cells, or linearly "
+        "between pixels that are larger than cells",
     )
 
 
@@ -166,11 +167,30 @@ def read_image(
 
 
 def stretch(values: Float, shape: tuple[int, int]) -> Float:
-    """(ny, nx) means of an image over the cells that it is drawn out over, in single precision."""
-    from PIL import Image
+    """(ny, nx) an image drawn out over cells, each the mean over it, so that the whole image's mean stays.
 
-    drawn = Image.fromarray(values.astype(np.float32)).resize(shape[::-1], Image.Resampling.BOX)
-    return np.clip(np.asarray(drawn, np.float64), 0.0, 1.0)
+    Along an axis with more pixels than cells, pixels are even; with fewer, values go linearly from a pixel's middle to
+    the next one's, so that edges are no stairs of pixels.
+    """
+    return np.clip(_draw_out(_draw_out(values, shape[0]).T, shape[1]).T, 0.0, 1.0)
+
+
+def _draw_out(values: Float, cells: int) -> Float:
+    """(cells, k) means of pixels (m, k): differences of their integral, which is known at every place."""
+    m = len(values)
+    if cells == m:
+        return values
+    # Where a row of values holds from and to; in the half pixels at the rims the outermost pixel's.
+    nodes = np.arange(m + 1.0) if cells < m else np.clip(np.arange(m + 2) - 0.5, 0.0, m)
+    first = values if cells < m else np.concatenate([values[:1], values])
+    slope = np.zeros_like(values) if cells < m else np.diff(values, axis=0, prepend=values[:1], append=values[-1:])
+    length = np.diff(nodes)[:, None]
+    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(length * (first + 0.5 * length * slope), axis=0)])
+    edges = np.minimum(np.arange(cells + 1) * (m / cells), m)
+    low = np.minimum(np.searchsorted(nodes, edges, side="right"), len(nodes) - 1) - 1
+    into = (edges - nodes[low])[:, None]
+    means: Float = np.diff(total[low] + into * (first[low] + 0.5 * into * slope[low]), axis=0) * (cells / m)
+    return means
 
 
 def _read_pixels(image: Any) -> tuple[Float, Float | float]:
