@@ -180,8 +180,8 @@ class IsothermPlugin(Plugin, Protocol):
 class DyeCloth(Plugin, Protocol):
     """Builds a cloth's cells, what they hold at the start, and what gives dye to them."""
 
-    def build(self, config: Any, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
-        """Cells, and the amounts (dyes, 2, ny, nx) of each dye before any is supplied. Raises BadInput."""
+    def build(self, config: Any, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
+        """Cells, and the amounts (dyes, 2, ny, nx) of `dyes`, by name, before any is supplied. Raises BadInput."""
         ...
 
     def resists(self, config: Any, cells: Cells, files: Files) -> tuple[Float, ...]:

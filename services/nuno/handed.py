@@ -222,7 +222,7 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.dye_solvers", "advance"): (
         DyeReport, lambda found, args: check_layout("", found, {"dyes": len(_of(DyeState, args).phi)}),
     ),
-    ("nuno.dye_cloths", "build"): (tuple, lambda found, args: check_cloth(found, args[3])),
+    ("nuno.dye_cloths", "build"): (tuple, lambda found, args: check_cloth(found, len(args[3]))),
     ("nuno.dye_cloths", "count"): (int, lambda found, args: check_number("it", found, Bounds(0))),
     ("nuno.dye_cloths", "resists"): (tuple, lambda found, args: check_resists(found, args[1])),
     ("nuno.dye_cloths", "supplies"): (tuple, lambda found, args: check_supplies(found, args[1], len(args[2]))),

@@ -41,7 +41,7 @@ def build(folder: Path, data: dict[str, Any], dyes: int = 1, **fields: Any) -> A
     config = CellsConfig.model_validate(
         {"file": "cells.npz", "cell_size": "0.05 mm", "tau2": 0.47, "tau3": TAU3, **fields}
     )
-    return CellsCloth().build(config, Folder(folder), 0, dyes)
+    return CellsCloth().build(config, Folder(folder), 0, [f"dye{k}" for k in range(dyes)])
 
 
 def test_arrays_are_taken_as_they_are(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def config(folder: Path, **fields: Any) -> PhotographConfig:
 
 
 def build(folder: Path, **fields: Any) -> Any:
-    return PhotographCloth().build(config(folder, **fields), SceneFiles(folder), 0, 1)[0]
+    return PhotographCloth().build(config(folder, **fields), SceneFiles(folder), 0, ["dye"])[0]
 
 
 def test_masks_say_which_layer_is_up_and_both_are_fibre_all_over(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_masks_that_do_not_fit_are_refused(masks: dict[str, Any], words: list[st
     for name, values in masks.items():
         write(tmp_path, f"{name}.png", values)
     with pytest.raises(BadInput) as refused:
-        PhotographCloth().build(given, SceneFiles(tmp_path), 0, 1)
+        PhotographCloth().build(given, SceneFiles(tmp_path), 0, ["dye"])
     assert all(word in str(refused.value) for word in words), refused.value
 
 
@@ -145,7 +145,7 @@ def test_colours_are_refused_with_their_limit(colours: dict[str, Any], words: li
 def test_what_is_no_photograph_is_refused(tmp_path: Path) -> None:
     given = config(tmp_path)
     (tmp_path / "cloth.png").write_text("a letter")
-    for work in (PhotographCloth().count, lambda c, f: PhotographCloth().build(c, f, 0, 1)):
+    for work in (PhotographCloth().count, lambda c, f: PhotographCloth().build(c, f, 0, ["dye"])):
         with pytest.raises(BadInput, match="cannot be read as PNG or JPEG"):
             work(given, SceneFiles(tmp_path))
     with pytest.raises(BadInput, match="a cell is larger than the photograph"):

@@ -57,7 +57,7 @@ def build(root: Path, dyes: int = 1, **scene: Any) -> tuple[Cells, DyeState]:
     given = {"cells": [40, 40], "tau2": 0.47, "tau3": {"I": 0.01, "II": 0.01, "III": 0.01}} | scene
     config = WovenClothConfig.model_validate(given)
     cloth = WovenCloth()
-    cells, state = cloth.build(config, Folder(root), 3, dyes)
+    cells, state = cloth.build(config, Folder(root), 3, [f"dye{k}" for k in range(dyes)])
     assert cloth.count(config, Folder(root)) == cells.fibre.size
     assert state.phi.shape == state.fixed.shape == (dyes, *cells.fibre.shape)
     assert not state.phi.any() and not state.fixed.any()

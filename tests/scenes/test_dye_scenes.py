@@ -12,7 +12,8 @@ from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays
 
-SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in ("drops", "halo", "photograph")]
+NAMES = ("drops", "halo", "ikat", "photograph")
+SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in NAMES]
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)

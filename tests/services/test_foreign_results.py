@@ -157,7 +157,7 @@ def give(packages: Packages, place: tuple[str, str], result: str) -> Any:
     x = np.zeros((4, 3))
     fabric = Fabric("own", x, x, np.ones(4), np.zeros(4, bool), np.zeros((0, 3), np.int32))
     arguments = {
-        "nuno.dye_cloths": (None, None, 0, 1),
+        "nuno.dye_cloths": (None, None, 0, ["dye"]),
         "nuno.colliders": (None, None, None),
         "nuno.forces": (None, fabric, 0),
     }.get(group, (None, None, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -53,11 +54,11 @@ class CellsCloth(Cloth):
             sizes = read_sizes(file)
         return 2 * sizes["ny"] * sizes["nx"]
 
-    def build(self, config: CellsConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+    def build(self, config: CellsConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
         """Raises BadInput that names the array, the index and the value."""
         path = files.resolve(config.file)
         with open_npz(path) as file:
-            read_sizes(file, dyes)
+            read_sizes(file, len(dyes))
             data = file.arrays(KEYS)
         for name in ("porosity", "tau1", "resist"):
             require_values(path, name, data[name], (data[name] >= 0.0) & (data[name] <= 1.0), "out of range", "0 to 1")
@@ -68,7 +69,7 @@ class CellsCloth(Cloth):
         put_on(self.resists(config, cells, files), cells)
         rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}
         for name, (room, formula) in rooms.items():
-            data[name] = _amounts(path, name, data[name].reshape(dyes, *room.shape), room, formula)
+            data[name] = _amounts(path, name, data[name].reshape(len(dyes), *room.shape), room, formula)
         return cells, DyeState(data["phi"], data["fixed"])
 
 

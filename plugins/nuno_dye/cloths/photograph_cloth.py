@@ -58,7 +58,7 @@ class PhotographCloth(Cloth):
         height, width = read_size(files.resolve(config.file))
         return 2 * (height // config.pixels) * (width // config.pixels)
 
-    def build(self, config: PhotographConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+    def build(self, config: PhotographConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
         """Raises BadInput for a photograph, masks or colours that do not fit each other."""
         light = read_photograph(files.resolve(config.file))
         if min(light.shape[:2]) < config.pixels:
@@ -79,7 +79,7 @@ class PhotographCloth(Cloth):
             v_max=config.v_max,
             photograph=Photograph(np.ascontiguousarray(light[inside]), np.ascontiguousarray(warp[inside])),
         )  # fmt: skip
-        return self.undyed(config, cells, files, dyes)
+        return self.undyed(config, cells, files, len(dyes))
 
     def warp(self, config: PhotographConfig, light: NDArray[np.uint8], files: Files) -> NDArray[np.bool_]:
         """(h, w) where the photograph shows warp."""

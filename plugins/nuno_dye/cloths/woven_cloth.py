@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -22,6 +23,7 @@ from nuno_dye.drafts.weaves import (
 )
 from nuno_dye.drafts.wif import Draft, read_wif
 from nuno_dye.drafts.yarns import UNDYED, Yarns
+from nuno_dye.supplies.ikat import Ikats, dye_yarns
 from nuno_schemas.dye import Cells, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -46,6 +48,7 @@ class WovenClothConfig(WovenConfig):
 
     weave: Weave = Field(default=PlainConfig(), description="plain, twill, satin, matrix or wif")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
+    ikat: Ikats = Field(default=(), description="yarns that were dyed before they were woven")
 
 
 class WovenCloth(Cloth):
@@ -58,15 +61,17 @@ class WovenCloth(Cloth):
         nx, ny = fit_draft(config, read_draft(config, files) if config.cells is None else None).extent
         return 2 * nx * ny
 
-    def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
-        """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
+    def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
+        """Raises BadInput for a weave, resist or ikat that is none, or does not fit the cloth."""
         draft = read_draft(config, files)
         config = fit_draft(config, draft)
         drawdown, lays = draw_weave(config, draft)
         cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
         if draft is not None:
             cells = replace(cells, ground=find_ground(draft, cells))
-        return self.undyed(config, cells, files, dyes)
+        cells, state = self.undyed(config, cells, files, len(dyes))
+        dye_yarns(config.ikat, cells, state, dyes, files, seed)
+        return cells, state
 
 
 def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:

@@ -281,7 +281,7 @@ def _build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]
     try:
         plugin, config = cloth.plugin, cloth.config
-        cells, state = plugin.build(config, loaded.files, loaded.scene.seed, len(dyes))
+        cells, state = plugin.build(config, loaded.files, loaded.scene.seed, dyes)
         return cells, state, plugin.supplies(config, cells, dyes)
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None

@@ -58,7 +58,7 @@ def figure_9(law: str) -> tuple[DyeSystem, DyeState]:
         {"cells": [200, 200], "cell_size": SIZE, "tau2": 0.47, "weft": yarn, "warp": yarn,
          "tau3": {"I": 1.0, "II": 1.0, "III": 1.0, "IV": 1.0, "V": 1.0}}
     )  # fmt: skip
-    cells, state = plugin.build(config, SceneFiles(Path(), ()), 0, 1)
+    cells, state = plugin.build(config, SceneFiles(Path(), ()), 0, ["dye"])
     y, x = np.ogrid[:200, :200]
     drop = np.hypot(y - 99.5, x - 99.5) < 15.0
     state.phi[0] = cells.mobile_room * drop

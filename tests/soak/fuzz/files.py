@@ -51,7 +51,7 @@ def made(group: str, plugin: Any, config: Any, files: Any) -> None:
             require(rotation.shape == (len(mover.joints), 4) == (len(translation), 4), "a pose of every joint")
             require_finite(rotation=rotation, translation=translation)
     elif group == "nuno.dye_cloths":
-        cells, _ = call("build", config, files, 0, 1)
+        cells, _ = call("build", config, files, 0, ["dye"])
         require(call("count", config, files) == cells.fibre.size, "as many cells as were counted")
         call("supplies", config, cells, ["dye"])
     else:
