@@ -12,7 +12,7 @@ from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays
 
-NAMES = ("drops", "halo", "ikat", "photograph")
+NAMES = ("drops", "folded", "halo", "ikat", "photograph")
 SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in NAMES]
 
 
@@ -35,7 +35,7 @@ def test_a_scene_of_dye_runs_and_shows_its_dye(path: Path) -> None:
 
 def test_what_diffuses_faster_where_it_is_thin_keeps_a_core_and_sends_a_halo() -> None:
     """Of as much dye as the even drop beside it: more at its darkest, and more of it farther than twice the drop."""
-    dyeing = DyeRun(scene_file.read(SCENES[1]), 0)
+    dyeing = DyeRun(scene_file.read(SCENES[NAMES.index("halo")]), 0)
     while not dyeing.finished:
         assert dyeing.advance().report.status == "ok"
     even, thinning = dyeing.state.phi.sum(axis=1)

@@ -5,7 +5,7 @@ Places are [m] to the right and down from the cloth's upper left corner. A cell 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -73,17 +73,12 @@ def find_middles(shape: tuple[int, int], size: float) -> tuple[Float, Float]:
 def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, int], size: float) -> Bool:
     """(ny, nx) the cells of a part. Raises BadInput for one that holds the middle of no cell."""
     x, y = find_middles(shape, size)
-    if isinstance(region, Disc):
-        inside = np.hypot(x - region.centre[0], y - region.centre[1]) <= 0.5 * region.diameter
-    elif isinstance(region, Rectangle):
-        (left, top), (right, bottom) = region.low, region.high
-        inside = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
-    elif isinstance(region, Polygon):
+    if isinstance(region, Polygon):
         inside = _fill(region.points, x, y)
     elif isinstance(region, Stroke):
         inside = np.isfinite(find_distance(region.points, 0.5 * region.width, x, y))
     else:
-        inside = np.ones(shape, np.bool_)
+        inside = np.broadcast_to(contains(region, x, y), shape)
     if not inside.any():
         width, height = shape[1] * size, shape[0] * size
         raise BadInput(
@@ -94,10 +89,42 @@ def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, i
     return np.asarray(inside, np.bool_)
 
 
+def contains(region: All | Disc | Rectangle | Polygon | Stroke, x: Float, y: Float) -> Bool:
+    """Whether places (ny, nx) [m] lie in a part; they need not be those of a grid, as `cover` has them."""
+    inside = np.ones(np.broadcast_shapes(x.shape, y.shape), np.bool_)
+    if isinstance(region, Disc):
+        inside = np.hypot(x - region.centre[0], y - region.centre[1]) <= 0.5 * region.diameter
+    elif isinstance(region, Rectangle):
+        (left, top), (right, bottom) = region.low, region.high
+        inside = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    elif isinstance(region, Polygon):
+        inside[:] = False
+        for (ax, ay), (bx, by) in _sides(region.points):
+            if ay != by:
+                inside ^= ((ay > y) != (by > y)) & (ax + (y - ay) / (by - ay) * (bx - ax) < x)
+    elif isinstance(region, Stroke):
+        inside[:] = False
+        for (ax, ay), (bx, by) in zip(region.points, [*region.points[1:], region.points[-1]], strict=True):
+            inside |= np.hypot(*_to_piece(x - ax, y - ay, bx - ax, by - ay)) <= 0.5 * region.width
+    return np.asarray(inside, np.bool_)
+
+
+def _sides(points: Sequence[Place]) -> Iterator[tuple[Place, Place]]:
+    """Of a closed line, from corner to corner."""
+    return zip(points, [*points[1:], points[0]], strict=True)
+
+
+def _to_piece(px: Float, py: Float, dx: float, dy: float) -> tuple[Float, Float]:
+    """From the nearest place of a piece, which goes on by (dx, dy) from where p is counted from, to p."""
+    long = dx * dx + dy * dy
+    along = np.clip((px * dx + py * dy) / long, 0.0, 1.0) if long > 0.0 else 0.0
+    return px - along * dx, py - along * dy
+
+
 def _fill(points: Sequence[Place], x: Float, y: Float) -> Bool:
     """(ny, nx) inside by the even-odd rule: a ray to the left crosses an odd number of sides."""
     inside = np.zeros((y.size, x.size), np.bool_)
-    for (ax, ay), (bx, by) in zip(points, [*points[1:], points[0]], strict=True):
+    for (ax, ay), (bx, by) in _sides(points):
         rows = np.flatnonzero((ay > y[:, 0]) != (by > y[:, 0]))
         crossing = ax + (y[rows] - ay) / (by - ay) * (bx - ax) if len(rows) else y[rows]
         inside[rows] ^= crossing < x
@@ -116,10 +143,7 @@ def find_distance(points: Sequence[Place], reach: float, x: Float, y: Float) -> 
         if not (len(columns) and len(rows)):
             continue
         px, py = x[:, columns] - ax, y[rows] - ay
-        dx, dy = bx - ax, by - ay
-        long = dx * dx + dy * dy
-        along = np.clip((px * dx + py * dy) / long, 0.0, 1.0) if long > 0.0 else np.zeros((len(rows), len(columns)))
-        near = np.hypot(px - along * dx, py - along * dy)
+        near = np.hypot(*_to_piece(px, py, bx - ax, by - ay))
         part = distance[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         np.minimum(part, np.where(near <= reach, near, np.inf), out=part)
     return distance

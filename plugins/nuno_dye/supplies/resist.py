@@ -1,6 +1,7 @@
 """What keeps dye out of cloth: B in [0, 1], the share of a cell's room for mobile dye that is taken.
 
-B comes from an image, as in the dye paper; from shapes; from lines of paste or binding; from shibori patterns.
+B comes from an image, as in the dye paper; from shapes; from lines of paste or binding; from shibori patterns; and from
+what cloth is clamped and stitched with while it is folded.
 Several leave what each of them leaves of the room: 1 - B = (1 - B_1)(1 - B_2)...
 """
 
@@ -11,9 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from nuno_dye.quantities import Length, Share
+from nuno_dye.supplies.folding import Clamps, Folds, Stitches, draw_packet
 from nuno_dye.supplies.regions import Polyline, Region, Stroke, cover, find_distance, find_middles
 from nuno_dye.supplies.shibori import Panels, Pattern, draw_pattern
 from nuno_schemas.dye import Cells
@@ -79,13 +82,27 @@ class Shibori(_Resist):
     fold: tuple[Panels, Panels] = Field(default=(1, 1), description="panels across and down that it is folded into")
 
 
-Resist = Annotated[ImageResist | ShapeResist | Paste | Binding | Shibori, Field(discriminator="kind")]
+class Folded(_Resist):
+    """A cloth that is folded into a packet, which is clamped and stitched; unfolded, each fold mirrors it."""
+
+    kind: Literal["folded"] = "folded"
+    folds: Folds = Field(default=(), description="pleats and triangles, one after the other")
+    clamps: Clamps = Field(default=(), description="shapes that are pressed onto the packet, in its places")
+    stitches: Stitches = Field(default=(), description="running stitches through the packet, drawn tight")
+
+    @model_validator(mode="after")
+    def _keeps_something_out(self) -> Folded:
+        if not (self.clamps or self.stitches):
+            raise PydanticCustomError("nothing_pressed", "folds alone keep no dye out: add clamps or stitches", {})
+        return self
+
+
+AnyResist = ImageResist | ShapeResist | Paste | Binding | Shibori | Folded
+Resist = Annotated[AnyResist, Field(discriminator="kind")]
 Resists = Annotated[tuple[Resist, ...], Field(max_length=MOST_RESISTS)]
 
 
-def find_resist(
-    resist: ImageResist | ShapeResist | Paste | Binding | Shibori, shape: tuple[int, int], size: float, files: Files
-) -> Float:
+def find_resist(resist: AnyResist, shape: tuple[int, int], size: float, files: Files) -> Float:
     """(ny, nx) B of one item. Raises BadInput for an image that does not fit, and what touches no cell."""
     if isinstance(resist, ImageResist):
         stretched = resist.fit == "stretch"
@@ -93,6 +110,8 @@ def find_resist(
         values = stretch(values, shape) if stretched else values
     elif isinstance(resist, ShapeResist):
         values = cover(resist.region, shape, size).astype(np.float64)
+    elif isinstance(resist, Folded):
+        values = draw_packet(resist.folds, resist.clamps, resist.stitches, shape, size)
     elif isinstance(resist, Shibori):
         values = draw_pattern(resist.pattern, resist.fold, shape, size)
     else:
@@ -113,6 +132,8 @@ def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, f
         except BadInput as error:
             if isinstance(item, ImageResist):
                 raise
+            if isinstance(item, Folded):
+                raise error.at(f"resist[{index}].{error.field}") from None
             inside = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
             raise error.at(f"resist[{index}].{inside}") from None
     return tuple(found)
