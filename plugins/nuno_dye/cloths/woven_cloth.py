@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from pydantic import BaseModel, Field
 
 from nuno_dye.cloths.cloth import Cloth, Tau3Config
 from nuno_dye.cloths.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_measured
+from nuno_dye.drafts.drawing import draw_draft
 from nuno_dye.drafts.weaves import (
     MatrixConfig,
     PlainConfig,
@@ -24,6 +26,7 @@ from nuno_dye.drafts.weaves import (
 from nuno_dye.drafts.wif import Draft, read_wif
 from nuno_dye.drafts.yarns import UNDYED, Yarns
 from nuno_dye.supplies.ikat import Ikats, dye_yarns
+from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.dye import Cells, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -72,6 +75,10 @@ class WovenCloth(Cloth):
         cells, state = self.undyed(config, cells, files, len(dyes))
         dye_yarns(config.ikat, cells, state, dyes, files, seed)
         return cells, state
+
+    def draw_draft(self, path: Path) -> DrawnDraft:
+        """A WIF file as weavers draw it. Raises BadInput for one that does not say how to weave."""
+        return draw_draft(read_wif(path))
 
 
 def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:

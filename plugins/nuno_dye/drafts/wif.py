@@ -24,12 +24,35 @@ MOST_LIFTS = 2**28
 
 
 @dataclass(frozen=True)
+class Loom:
+    """How a loom is set up.
+
+    threading  (ends, shafts) bool      on which shafts an end hangs
+    pressed    (picks, treadles) bool   treadles that are pressed; without a tie-up (picks, shafts), those that move
+    tie_up     (treadles, shafts) bool  which shafts a treadle moves; None of a lift plan
+    """
+
+    threading: Bool
+    pressed: Bool
+    tie_up: Bool | None
+
+    @property
+    def moved(self) -> Bool:
+        """(picks, shafts) the shafts that move at each pick."""
+        if self.tie_up is None:
+            return self.pressed
+        pick, treadle = np.nonzero(self.pressed)
+        return _join(self.tie_up[treadle], pick, len(self.pressed))
+
+
+@dataclass(frozen=True)
 class Draft:
     """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above."""
 
     drawdown: Bool
     warp: Yarns
     weft: Yarns
+    loom: Loom
 
 
 def read_wif(path: Path) -> Draft:
@@ -41,12 +64,16 @@ def read_wif(path: Path) -> Draft:
     if shafts * max(ends, picks) > MOST_CROSSINGS:
         weaving.need("SHAFTS").refuse("too many shafts for so many yarns", f"{MOST_CROSSINGS // max(ends, picks)}")
     rising = weaving.get("RISING SHED")
-    lifts = read_lifts(sections, picks, shafts)
+    pressed, tie_up = read_lifts(sections, picks, shafts)
+    section = sections.need("THREADING", "says on which shafts each end hangs")
+    loom = Loom(_read_table(section, ends, shafts, "end", "a shaft"), pressed, tie_up)
+    lifts = loom.moved
     if rising is not None and not rising.truth():
         lifts = ~lifts
-    drawdown = weave(sections.need("THREADING", "says on which shafts each end hangs"), lifts, ends)
+    _check_work(section, int(loom.threading.sum()) * picks)
+    drawdown = weave(loom.threading, lifts)
     check_interlacing(drawdown, sections.file)
-    return Draft(drawdown, read_yarns(sections, "WARP", ends), read_yarns(sections, "WEFT", picks))
+    return Draft(drawdown, read_yarns(sections, "WARP", ends), read_yarns(sections, "WEFT", picks), loom)
 
 
 def count_yarns(sections: Sections) -> tuple[int, int]:
@@ -57,20 +84,19 @@ def count_yarns(sections: Sections) -> tuple[int, int]:
     return number, picks.whole(1, most, f"a number of yarns across {number} ends")
 
 
-def read_lifts(sections: Sections, picks: int, shafts: int) -> Bool:
-    """(picks, shafts) the shafts that move at each pick."""
+def read_lifts(sections: Sections, picks: int, shafts: int) -> tuple[Bool, Bool | None]:
+    """What is pressed at each pick, and the tie-up; see `Loom`."""
     if not (sections.get("TREADLING").entries and sections.get("TIEUP").entries):
         why = "a lift plan, or a treadling and a tie-up, say which shafts move"
         if not sections.get("LIFTPLAN").entries:
             sections.need("TREADLING", why)
             sections.need("TIEUP", why)
-        return _read_table(sections.get("LIFTPLAN"), picks, shafts, "pick", "a shaft")
+        return _read_table(sections.get("LIFTPLAN"), picks, shafts, "pick", "a shaft"), None
     treadles = count_treadles(sections, MOST_CROSSINGS // max(shafts, picks))
     tied = _read_table(sections.get("TIEUP"), treadles, shafts, "treadle", "a shaft", sparse=True)
     pressed = _read_table(sections.get("TREADLING"), picks, treadles, "pick", "a treadle")
-    pick, treadle = np.nonzero(pressed)
-    _check_work(sections.get("TREADLING"), len(pick) * shafts)
-    return _join(tied[treadle], pick, picks)
+    _check_work(sections.get("TREADLING"), int(pressed.sum()) * shafts)
+    return pressed, tied
 
 
 def count_treadles(sections: Sections, most: int) -> int:
@@ -95,12 +121,10 @@ def _join(rows: Bool, place: NDArray[np.intp], number: int) -> Bool:
     return out
 
 
-def weave(threading: Section, lifts: Bool, ends: int) -> Bool:
+def weave(threading: Bool, lifts: Bool) -> Bool:
     """(picks, ends) True where an end's shafts, or one of them, are up."""
-    picks, shafts = lifts.shape
-    end, shaft = np.nonzero(_read_table(threading, ends, shafts, "end", "a shaft"))
-    _check_work(threading, len(end) * picks)
-    return np.ascontiguousarray(_join(np.ascontiguousarray(lifts.T)[shaft], end, ends).T)
+    end, shaft = np.nonzero(threading)
+    return np.ascontiguousarray(_join(np.ascontiguousarray(lifts.T)[shaft], end, len(threading)).T)
 
 
 def _read_table(section: Section, rows: int, columns: int, what: str, entry: str, sparse: bool = False) -> Bool:

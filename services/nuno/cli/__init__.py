@@ -46,6 +46,7 @@ COMMANDS = {
     "test": ("nuno_bench.instruments.command", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
     "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
     "dyes": ("nuno.cli.presets", "the dyes that scenes can name, with sources"),
+    "weave": ("nuno.cli.weave", "a weaver's draft, a WIF file: what it holds, drawn in its colours and at its scale"),
     "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }

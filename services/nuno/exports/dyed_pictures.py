@@ -176,23 +176,26 @@ def draw_amounts(pictures: DyedPictures, times: list[float], progress: Progress 
             progress(done, len(wanted))
 
 
-def caption(picture: Picture, text: str, pixel: float) -> Picture:
+def caption(picture: Picture, text: str, pixel: float | None) -> Picture:
     """The picture on a strip with a text, and a bar as long as its label says; what has no room is left out.
 
-    `pixel` is the side of a pixel [m]. Text is Pillow's own font, so that it looks the same on every machine.
+    `pixel` is the side of a pixel [m], None where there is no scale. Text is Pillow's own font, so that it looks the
+    same on every machine.
     """
     from PIL import Image, ImageDraw, ImageFont
 
     height, width = picture.shape[:2]
     image = Image.new("RGB", (width, height + BAND), PAPER)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(FONT)
-    length, label = _bar(pixel, width)
     reach = draw.textlength(text, font)
     if reach + 2 * FONT > width:
         return picture
     image.paste(Image.fromarray(picture), (0, 0))
     middle = height + BAND // 2
     draw.text((FONT // 2, middle), text, INK, font, anchor="lm")
+    if pixel is None:
+        return np.asarray(image)
+    length, label = _bar(pixel, width)
     if reach + length + draw.textlength(label, font) + 5 * FONT < width:
         right = width - FONT // 2
         draw.text((right, middle), label, INK, font, anchor="rm")
