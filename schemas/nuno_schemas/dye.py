@@ -45,6 +45,7 @@ class Cells(Layers):
     twist     (2, ny, nx)        tau 1 of the yarn, in [0, 1]
     resist    (2, ny, nx)        B, share of the room for mobile dye that paste or binding takes, in [0, 1]
     size      [m]                side of a cell
+    coarser                      how many times as large cells are as those that D_ab is given for
     """
 
     porosity: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
@@ -52,6 +53,7 @@ class Cells(Layers):
     resist: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
     size: Annotated[float, Bounds(above=0.0)]
     tortuosity: Tortuosity
+    coarser: Annotated[int, Bounds(1)] = field(default=1, kw_only=True)
 
     @property
     def mobile_room(self) -> Float:

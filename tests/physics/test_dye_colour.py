@@ -12,7 +12,7 @@ from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, spots, who
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.woven import Lay
+from nuno_dye.cloths.coarse import Lay
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.pictures import picture as module
 from nuno_dye.pictures.colour import colour_of, mix

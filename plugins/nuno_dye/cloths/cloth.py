@@ -56,12 +56,12 @@ class Cloth:
     def resists(self, config: Any, cells: Cells, files: Files) -> tuple[Float, ...]:
         """Raises BadInput for what touches no cell, and an image that does not fit."""
         _, ny, nx = cells.fibre.shape
-        return find_resists(config.resist, (ny, nx), config.cell_size, files)
+        return find_resists(config.resist, (ny, nx), cells.size, files)
 
     def supplies(self, config: Any, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
         _, ny, nx = cells.fibre.shape
-        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
+        return prepare_supplies(config.supply, (ny, nx), cells.size, dyes)
 
     def undyed(self, config: Any, cells: Cells, files: Files, dyes: int) -> tuple[Cells, DyeState]:
         """Cells with what keeps dye out of them, and no dye in them. Raises BadInput as `resists`."""

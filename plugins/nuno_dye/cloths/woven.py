@@ -7,16 +7,17 @@ tau 3 III would lock each crossing in.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from nuno_dye.cloths.cloth import ClothConfig, FibreConfig
+from nuno_dye.cloths.coarse import Lay, coarsen, thin_out
 from nuno_dye.quantities import Share
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config
 
 MOST_CELLS = 2**27
@@ -55,21 +56,20 @@ class WovenConfig(ClothConfig):
     gap_porosity: Share | None = Field(default=None, description="P of a gap; its layer's yarns' unless given")
     vary: VaryConfig | None = Field(default=None, description="differences from yarn to yarn")
 
+    coarser: Annotated[int, Field(ge=1, le=8)] = Field(
+        default=1, description="the same cloth in cells so many times as large, and fewer: quicker, smaller, less exact"
+    )
+
     @property
     def extent(self) -> tuple[int, int]:
-        """Cells across and down."""
+        """Cells across and down, before any are put together."""
         return self.cells or (200, 200)
 
-
-class Lay(NamedTuple):
-    """How a layer's yarns lie side by side, by cell across them.
-
-    yarn   (n,) int32  the yarn in whose pitch a cell lies
-    fibre  (n,) bool   whether it lies in the yarn itself
-    """
-
-    yarn: Int
-    fibre: Bool
+    @property
+    def coarse_extent(self) -> tuple[int, int]:
+        """Cells across and down as the cloth has them."""
+        nx, ny = self.extent
+        return nx // self.coarser, ny // self.coarser
 
 
 def lay_evenly(width: int, gap: int, cells: int) -> Lay:
@@ -100,9 +100,10 @@ def build_cells(
     `lays` are those of weft and warp, where yarns are not even. Raises BadInput for a cloth of too many cells, and
     for a variation of nothing.
     """
-    (nx, ny), weft, warp = config.extent, config.weft, config.warp
+    (across_all, down_all), weft, warp = config.extent, config.weft, config.warp
     _check(config)
-    down, across = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
+    fine = lays or (lay_evenly(weft.width, weft.gap, down_all), lay_evenly(warp.width, warp.gap, across_all))
+    (down, across), (nx, ny) = (thin_out(lay, config.coarser) for lay in fine), config.coarse_extent
     picks, ends = drawdown.shape
     over = drawdown[np.ix_(down.yarn % picks, across.yarn % ends)]
     fibre = np.empty((2, ny, nx), np.bool_)
@@ -113,7 +114,10 @@ def build_cells(
         shape = (ny, 1) if layer == 0 else (1, nx)
         porosity[layer], twist[layer], resist[layer] = (value.reshape(shape) for value in values)
     up, yarns = np.stack([~over, over]), (down.yarn, across.yarn)
-    return Cells(fibre, up, porosity, twist, resist, config.cell_size, tortuosity, v_max=v_max, yarns=yarns)
+    return Cells(
+        fibre, up, porosity, twist, resist, config.cell_size * config.coarser, coarsen(tortuosity, config.coarser),
+        v_max=v_max, yarns=yarns, coarser=config.coarser,
+    )  # fmt: skip
 
 
 def _per_cell(yarn: YarnConfig, lay: Lay, config: WovenConfig, seed: int, layer: int) -> tuple[Float, Float, Float]:
@@ -138,7 +142,10 @@ def draw_factors(vary: VaryConfig | None, name: Quantity, lay: Lay, seed: int, l
 
 
 def _check(config: WovenConfig) -> None:
-    nx, ny = config.extent
+    nx, ny = config.coarse_extent
+    if not nx * ny:
+        problem, limit = "no cell is left", f"{min(config.extent)}, the cells across or down"
+        raise BadInput(problem, field="coarser", value=config.coarser, limit=limit)
     if 2 * nx * ny > MOST_CELLS:
         raise BadInput("too many cells", field="cells", value=f"2 x {ny} x {nx}", limit=f"{MOST_CELLS}")
     vary = config.vary

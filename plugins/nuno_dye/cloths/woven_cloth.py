@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cloths.cloth import Cloth, Tau3Config
-from nuno_dye.cloths.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_measured
+from nuno_dye.cloths.coarse import Lay
+from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells, lay_measured
 from nuno_dye.drafts.drawing import draw_draft
 from nuno_dye.drafts.weaves import (
     MatrixConfig,
@@ -61,7 +62,7 @@ class WovenCloth(Cloth):
     Config: ClassVar[type[BaseModel]] = WovenClothConfig
 
     def count(self, config: WovenClothConfig, files: Files) -> int:
-        nx, ny = fit_draft(config, read_draft(config, files) if config.cells is None else None).extent
+        nx, ny = fit_draft(config, read_draft(config, files) if config.cells is None else None).coarse_extent
         return 2 * nx * ny
 
     def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_dye.cloths.woven import Lay
+from nuno_dye.cloths.coarse import Lay
 from nuno_dye.quantities import Positive, Share
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.fabric import Bool, Float, Int

@@ -36,7 +36,8 @@ def _dye(one: Dye) -> str:
 def _size(dyeing: DyeRun) -> str:
     _, ny, nx = dyeing.cells.fibre.shape
     size = dyeing.cells.size * 1e3
-    return f"{nx * size:.4g} mm x {ny * size:.4g} mm: {2 * ny * nx:,} cells of {size:.4g} mm, in two layers"
+    larger = f", {dyeing.cells.coarser} times as large as given" if dyeing.cells.coarser > 1 else ""
+    return f"{nx * size:.4g} mm x {ny * size:.4g} mm: {2 * ny * nx:,} cells of {size:.4g} mm{larger}, in two layers"
 
 
 def _supply(entry: Entry) -> str:

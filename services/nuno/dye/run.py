@@ -65,7 +65,8 @@ class DyeRun(Stepper):
         """Whether B has changed since the start."""
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (
-            Dye(one.name, one.D0, one.adsorption, law, one.weisz_zollinger)
+            # D_ab / d^2 is a rate of yarn and liquor, whatever the size of the cells they are cut into.
+            Dye(one.name, one.D0, one.adsorption * self.cells.coarser**2, law, one.weisz_zollinger)
             for one, law in zip(dye.dyes, laws, strict=True)
         )
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
@@ -277,7 +278,7 @@ class DyeRun(Stepper):
 def _build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
     number, size = estimate_memory(loaded)
-    require_memory(loaded, "dye.cloth", f"{number:,} cells", size, "larger cells, or fewer dyes")
+    require_memory(loaded, "dye.cloth", f"{number:,} cells", size, "coarser: 2, larger cells, or fewer dyes")
     cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]
     try:
         plugin, config = cloth.plugin, cloth.config

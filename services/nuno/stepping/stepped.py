@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
-from nuno.words import factor
+from nuno.words import factor, roughly
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
@@ -146,7 +146,7 @@ class Stepper(ABC):
         rate = factor(1 / scene.frame_rate / seconds)
         return [
             ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),
-            ("time", f"about {seconds * scene.frames:.2g} s, {rate} real time (by a frame)"),
+            ("time", f"{roughly(seconds * scene.frames)}, {rate} real time (by a frame)"),
             ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
         ]
 
