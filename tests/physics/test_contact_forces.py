@@ -167,6 +167,7 @@ def test_the_same_is_felt_after_a_change_and_from_a_checkpoint(tmp_path: Path, c
         assert np.abs(np.array(felt(one)[0].force) - before.force).max() < 1e-9
 
 
+@pytest.mark.full
 def test_a_knit_presses_on_its_cells_and_a_bare_net_on_nothing(tmp_path: Path) -> None:
     """Areas are a knit's cells; of points and springs alone no pressure is told."""
     knit = {"plugin": "knit", "form": "panel", "wales": 8, "courses": 8, "centre": [0, 0, RADIUS + 1e-4]}

@@ -177,6 +177,7 @@ def test_lines_are_drawn_on_cloth_that_is_held(tmp_path: Path) -> None:
     assert resumed.digest() == simulation.digest()
 
 
+@pytest.mark.full
 def test_a_checkpoint_of_held_cloth_has_all_that_its_springs_have(tmp_path: Path) -> None:
     """Yarns that lock go on locking."""
     knit = {

@@ -46,7 +46,7 @@ def test_a_disc_is_filled_with_triangles_of_one_size(seed: int, layout: str) -> 
     assert area_of(flat) == pytest.approx(polygon(0.3, 0.02), rel=1e-12) == pytest.approx(np.pi * 0.3**2, rel=1e-3)
 
 
-@pytest.mark.parametrize("layout", ["irregular", "aligned", "crossed"])
+@pytest.mark.parametrize("layout", ["irregular", "aligned"])
 @pytest.mark.parametrize("shape", [{"radius": 0.3}, {"size": (0.7, 0.5)}])
 def test_a_hole_takes_its_area_out_of_the_middle(shape: dict[str, Any], layout: str) -> None:
     """pi r^2, but for the chords of its rim, and nothing else: with one border more, and all triangles of one size."""
