@@ -231,6 +231,13 @@ class Scene(Part):
         return self
 
     @model_validator(mode="after")
+    def _bodies_to_feel(self) -> Scene:
+        if self.record.contact_forces and not self.bodies:
+            problem = "there are no bodies that could feel anything; give the scene some, or leave this out"
+            raise PydanticCustomError("no_bodies", problem, {"inside": ("record", "contact_forces")})
+        return self
+
+    @model_validator(mode="after")
     def _rests_at_all(self) -> Scene:
         if self.rest_speed is not None and self.until != "rest":
             problem = "this tells when cloth rests, and the scene does not end there; give until: rest, or leave it out"

@@ -55,6 +55,17 @@ PARTS: dict[str, tuple[dict[str, Any], str, str]] = {
          "bodies": BALL},
         "objects[0].model.attach: cloth is attached to a frame that no body has", "did you mean 'ball/world'?",
     ),
+    "taken by no body": (
+        {"objects": sheet(), "bodies": BALL, "operations": [{"plugin": "attach", "at": 0.1, "body": "bal"}]},
+        "operations[0].body: there is no such body", "did you mean 'ball'?",
+    ),
+    "let go of by no body": (
+        {"objects": sheet(), "operations": [{"plugin": "release", "at": 0.1, "body": "ball"}]},
+        "operations[0].body: there is no such body", "give the scene the body",
+    ),
+    "felt by no body": (
+        {"record": {"contact_forces": True}}, "record.contact_forces: there are no bodies", "give the scene some",
+    ),
     "attached to no frame": (
         {"objects": [*sheet(), {"name": "s", "model": SKIRT | {"attach": {"body": "ball", "frame": "hips"}}}],
          "bodies": BALL},

@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]' or forces.wind.velocity='[5, 0, 0]'; step: how many frames; "
         "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}', or lines on cloth, "
-        "e.g. 'wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}'",
+        "e.g. 'wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}', or what a body takes hold of "
+        "and lets go, e.g. 'attach: {body: hand, within: 1 cm}', 'release: {body: hand}'",
     )
 
 

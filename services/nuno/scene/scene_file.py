@@ -265,6 +265,11 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
             remedy = nearest("", [part.name for part in scene.objects])
             unsaid = BadInput("say which object it changes", remedy=remedy)
             raise located(unsaid, file, lines, dotted(("operations", i, "object")))
+        body, known = getattr(operation.config, "body", None), [body.name for body in scene.bodies]
+        if body is not None and body not in known:
+            remedy = nearest(body, known) if known else "give the scene the body"
+            unknown = BadInput("there is no such body", value=body, remedy=remedy)
+            raise located(unknown, file, lines, dotted(("operations", i, "body")))
     all_chosen += operations
     return Loaded(
         scene,
