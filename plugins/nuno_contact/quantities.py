@@ -16,6 +16,7 @@ Tilt = Annotated[float, quantity("rad", ge=0, le=0.5)]
 Turn = Annotated[float, quantity("rad", ge=0, le=0.8)]
 Time = Annotated[float, quantity("s")]
 Later = Annotated[float, quantity("s", gt=0)]
+Silence = Annotated[float, quantity("s", gt=0, le=100)]  # shorter than a run waits for any of its services
 Span = Annotated[float, quantity("s", ge=0)]
 Rate = Annotated[float, quantity("Hz", gt=0)]
 Speed = Annotated[float, quantity("m/s", gt=0)]

@@ -60,7 +60,7 @@ MANY = 24
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """A remedy that names the nearest known name, then all of them; of more than MANY, the nearest few."""
-    names = sorted(known)
+    names = sorted(set(known))
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
     if len(names) > MANY and close:

@@ -18,7 +18,8 @@ ALL_BUT = 1.0 - 1e-9
 class BodyPoses(BaseModel):
     """Whoever moves a body of `motion: {plugin: topic}`: where each of its joints is to be, in their order.
 
-    Of one joint `position` and `rotation` may be given without a list around them.
+    Of one joint `position` and `rotation` may be given without a list around them, and a rotation that is left out is
+    none.
     """
 
     model_config = ConfigDict(use_attribute_docstrings=True)
@@ -30,8 +31,8 @@ class BodyPoses(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _of_one(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "positions" not in data and {"position", "rotation"} <= data.keys():
-            return {"positions": [data["position"]], "rotations": [data["rotation"]]}
+        if isinstance(data, dict) and "position" in data:
+            return {"positions": [data["position"]], "rotations": [data.get("rotation", (1.0, 0.0, 0.0, 0.0))]}
         return data
 
 

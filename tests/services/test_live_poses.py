@@ -131,7 +131,7 @@ def test_what_cannot_be_followed_is_refused_and_named(tmp_path: Path) -> None:
     run.wait_until_paused()
     nan = b'{"position": [NaN, 0, 0], "rotation": [1, 0, 0, 0]}'
     two = {"positions": [[0, 0, 0], [0, 0, 0]], "rotations": [[1, 0, 0, 0], [1, 0, 0, 0]]}
-    bad = [b"hello", nan, two, {"position": [0, 0, 0]}, {"position": [0, 0, 0], "rotation": [0, 0, 0, 0]}, nan]
+    bad = [b"hello", nan, two, {"rotation": [1, 0, 0, 0]}, {"position": [0, 0, 0], "rotation": [0, 0, 0, 0]}, nan]
     good = [{"position": position, "rotation": rotation} for position, rotation in poses()]
     send(run, "robot/hand", *bad, *good)
     assert places(tmp_path / "run.mcap")[1:].tolist() == [one["position"] for one in good]
@@ -139,7 +139,13 @@ def test_what_cannot_be_followed_is_refused_and_named(tmp_path: Path) -> None:
     assert (told["heard"], told["used"], told["refused"]) == (26, 20, 6)
     with open_recording(tmp_path / "run.mcap") as recording:
         warnings = [event.text for event in recording.events() if event.kind == "warning"]
-    for words in ("no poses, which are JSON", "not finite", "another skeleton", "a rotation of no length"):
+    for words in (
+        "no poses, which are JSON",
+        "no poses: positions: Field required",
+        "not finite",
+        "another skeleton",
+        "a rotation of no length",
+    ):
         assert sum(words in text and "body hand" in text for text in warnings) == 1, words
 
 
@@ -218,6 +224,9 @@ def test_a_body_that_is_not_there_is_named(tmp_path: Path) -> None:
     with nuno.drive(run.run, "hand") as ball:
         with pytest.raises(BadInput, match="position: not finite"):
             ball.send([np.nan, 0.0, 0.0])
+        for shapes in (([0.0, 0.0],), ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]), ([[0.0, 0.0, 0.0]] * 2,)):
+            with pytest.raises(BadInput, match="of another shape"):
+                ball.send(*shapes)
         assert ball.add("attach: {body: hand, vertices: [40]}")["vertices"] == 1.0
         with pytest.raises(BadInput, match="held already"):
             ball.add("attach: {body: hand, vertices: [40]}")

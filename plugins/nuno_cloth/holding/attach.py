@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_cloth.holding.common import VERTICES, VertexNumber, check_vertices, unchanged
-from nuno_cloth.quantities import Metres
+from nuno_cloth.quantities import Reach
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Int, State
@@ -26,7 +26,7 @@ class AttachConfig(Config):
         default=None,
         description="the joint of it that carries them; each by the one that it is nearest to unless given",
     )
-    within: Metres = Field(
+    within: Reach = Field(
         default=0.01, description="vertices are taken that are no farther than this from the body's surface [m]"
     )
     vertices: tuple[VertexNumber, ...] | None = Field(default=None, description=VERTICES)

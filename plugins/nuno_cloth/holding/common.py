@@ -23,7 +23,8 @@ def check_vertices(given: tuple[int, ...], fabric: Fabric) -> Int:
         raise BadInput("no vertex is named", field="vertices", value=[], limit="one or more")
     if chosen.max() >= fabric.number:
         limit = f"0 to {fabric.number - 1}"
-        raise BadInput("there is no such vertex", field="vertices", value=int(chosen.max()), limit=limit)
+        remedy = "numbers are those of the object; or take what is within reach of a body: within: 1 cm"
+        raise BadInput("there is no such vertex", field="vertices", value=int(chosen.max()), limit=limit, remedy=remedy)
     names, counts = np.unique(chosen, return_counts=True)
     if counts.max() > 1:
         raise BadInput("this vertex is named twice", field="vertices", value=int(names[counts.argmax()]))

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.keyframes import read_rotation
-from nuno_contact.quantities import Later, Number, Point, Speed, TurnRate
+from nuno_contact.quantities import Number, Point, Silence, Speed, TurnRate
 from nuno_schemas.live import Live
 from nuno_schemas.plugin import Config, Files, Mover
 
@@ -31,7 +31,7 @@ class TopicConfig(Config):
         description="clock: frames wait for the clock and take the newest poses; poses: each frame waits for the next "
         "ones and none is left out, as with a robot's simulator that goes on in step",
     )
-    silence: Later = Field(
+    silence: Silence = Field(
         default=1.0, description="after this time without poses that is said; a frame waits no longer for them [s]"
     )
     silent: Literal["hold", "stop"] = Field(

@@ -45,11 +45,13 @@ class Driving:
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
         """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
         zero; or of a skeleton (j, 3) and (j, 4), of all joints. What the run cannot follow it refuses, and says so.
-        Raises BadInput for what is not finite.
+        Raises BadInput for what is of another shape or not finite.
         """
-        positions = np.asarray(position, np.float64).reshape(-1, 3)
-        rotations = np.asarray(rotation, np.float64).reshape(-1, 4)
-        for name, values in (("position", positions), ("rotation", rotations)):
+        positions, rotations = (np.atleast_2d(np.asarray(values, np.float64)) for values in (position, rotation))
+        for name, values, width in (("position", positions, 3), ("rotation", rotations, 4)):
+            if values.shape[1:] != (width,) or len(values) != len(positions):
+                limit = f"{width} numbers, or as many of each joint"
+                raise BadInput("of another shape", field=name, value=f"shape {values.shape}", limit=limit)
             if not np.isfinite(values).all():
                 raise BadInput("not finite", field=name, value=values.tolist())
         sent = BodyPoses.model_validate({"positions": positions.tolist(), "rotations": rotations.tolist()})

@@ -66,10 +66,13 @@ def describe(answer: Mapping[str, Any]) -> str:
         state += f" for {left} {'frame' if left == 1 else 'frames'}, then paused;"
     text = f"{state} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s"
     if "field" in answer:
-        text = f"{answer['field']} {_short(answer['old'])} -> {_short(answer['new'])}; {text}"
+        changed = f"{_short(answer['old'])} -> " if answer["old"] is not None else ""
+        text = f"{answer['field']} {changed}{_short(answer['new'])}; {text}"
     return text
 
 
 def _short(value: object) -> str:
+    if isinstance(value, dict):  # what an operation has done, in numbers
+        value = {name: int(n) if isinstance(n, float) and n.is_integer() else n for name, n in value.items()}
     text = "nothing" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -103,7 +103,7 @@ class Followers:
 
     def __init__(self, context: Context, bodies: Iterator[tuple[str, tuple[str, ...], Live]]) -> None:
         """`bodies` by name, with the joints of each. Raises BadInput for a key that zenoh does not take."""
-        self.context = context
+        self.context, self.rate = context, context.loaded.scene.frame_rate
         self.each = [Follower(*one) for one in bodies]
         bus = context.bus
         for one in self.each:
@@ -179,7 +179,7 @@ class Followers:
         """Say each thing once, silence each time anew."""
         if what not in one.said:
             one.said.add(what)
-            self.context.event("warning", f"the body {one.body} {text}", frame)
+            self.context.event("warning", f"the body {one.body} {text}", frame, frame / self.rate)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """What came for each body."""
@@ -192,10 +192,13 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
         sent = BodyPoses.model_validate_json(payload)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        problem, remedy = "no poses, which are JSON", 'for example {"position": [0, 1, 0], "rotation": [1, 0, 0, 0]}'
-        value = payload[:60].decode(errors="replace")
-        raise BadInput(problem, field=place or None, value=value, limit=str(first["msg"]), remedy=remedy) from None
+        place, said = ".".join(map(str, first["loc"])), str(first["msg"])
+        problem = f"no poses: {place}: {said}" if place else f"no poses, which are JSON: {said}"
+        remedy, value = (
+            'for example {"position": [0, 1, 0], "rotation": [1, 0, 0, 0]}',
+            payload[:60].decode(errors="replace"),
+        )
+        raise BadInput(problem, value=value, remedy=remedy) from None
     rotation, translation = np.array(sent.rotations, np.float64), np.array(sent.positions, np.float64)
     if not len(rotation) == len(translation) == len(joints):
         value = f"{len(translation)} positions and {len(rotation)} rotations"
