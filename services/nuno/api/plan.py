@@ -12,6 +12,7 @@ from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.choose.cloth import decide
 from nuno.cloth import build
+from nuno.cloth.texture import texture_size
 from nuno.cloth.worn import start_warnings
 from nuno.report.show import describe_start
 from nuno.scene.scene_file import Loaded
@@ -77,6 +78,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _worn(simulation, simulation.geometry, simulation.poses)
+    rows += _texture(simulation)
     seconds = simulation.time_frame()  # from here on the cloth has moved
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
     rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
@@ -84,6 +86,21 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     kept = sum(array.nbytes for array in simulation.keep().arrays.values())
     size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
     return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
+
+
+def _texture(simulation: Simulation) -> list[tuple[str, str]]:
+    """How large the cells of the dye are on the object that is dyed, and how they come to its own measures."""
+    dyed = simulation.loaded.dye
+    if dyed is None:
+        return []
+    names = [piece.name for piece in simulation.pieces]
+    width, height = texture_size(simulation.parts()[names.index(str(dyed.said.object))])
+    text = f"{width:.3g} m x {height:.3g} m on {dyed.said.object}"
+    cells = getattr(dyed.cloth.config, "cells", None)
+    if cells is not None:
+        size = width / cells[0]
+        text += f": cell_size {1e3 * size:.3g} mm and cells [{cells[0]}, {max(1, round(height / size))}] are its own"
+    return [("texture", text)]
 
 
 def _meetings(loaded: Loaded) -> list[tuple[str, str]]:
