@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from live_run import Run, wait_until
-from scenes import write_scene
+from scenes import BALL, write_scene
 
 import nuno
 from nuno.ahead import keep_up
@@ -16,6 +16,8 @@ from nuno.choose.cloth import decide
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
+from nuno.stepping.clock import Clock
+from nuno_schemas.messages import STATE
 
 DURATION, RATE, PAUSE = 0.5, 25.0, 3.0
 
@@ -97,3 +99,25 @@ def test_accuracy_is_dropped_for_the_clock_only_where_the_scene_leaves_it_open(
     assert chosen(0.01, 0.02)[0] == kept  # it keeps up as it is
     assert chosen(2.0, 1.0)[0] == kept  # nothing would be gained
     assert chosen(0.01, 1.0, accuracy="normal")[0] == kept
+
+
+def test_what_is_added_while_the_clock_is_waited_for_is_no_second_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each frame is there once, as it was before; the change is of the next one."""
+    hold = Clock.hold
+
+    def add(clock: Clock, began: float) -> None:
+        if clock._driver.stepper.frame == 3:
+            answer = clock._driver.control({"action": "add", "item": "attach: {body: ball, vertices: [1]}"})
+            assert answer["ok"], answer
+        hold(clock, began)
+
+    monkeypatch.setattr(Clock, "hold", add)
+    path = write_scene(tmp_path, duration=0.24, frame_rate=RATE, bodies=BALL)
+    found = nuno.run(path, real_time=True, record=tmp_path / "a.mcap")
+    assert found.report["changes"][0]["frame"] == 3
+    with nuno.open(tmp_path / "a.mcap") as recording:
+        assert [frame.number for frame in recording.frames()] == list(range(7))
+        assert len(recording.series()["t"]) == 7 and recording.counts[STATE.name] == 7
+    assert nuno.verify(tmp_path / "a.mcap").frame is None
