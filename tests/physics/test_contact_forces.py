@@ -48,6 +48,7 @@ def felt(simulation: Simulation) -> list[BodyContact]:
     return feel(simulation)[0].bodies
 
 
+@pytest.mark.quick(solver=["symplectic_euler", "respa"])
 @pytest.mark.parametrize(
     ("solver", "contact"),
     [
@@ -138,6 +139,7 @@ def test_what_is_attached_pulls_at_its_body(tmp_path: Path) -> None:
     assert body.force[1] == pytest.approx(-weight, rel=0.01) and abs(body.torque[0]) < 0.01 * weight * 0.1
 
 
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler", "respa", "xpbd"])
 @pytest.mark.parametrize("contact", ["penalty", "sliding", "offset"])
 def test_looking_changes_nothing(tmp_path: Path, solver: str, contact: str) -> None:

@@ -51,6 +51,7 @@ def local(simulation: Simulation) -> np.ndarray:
     return np.asarray((simulation.state.x - poses.translation[0]) @ rotation_matrices(poses.rotation)[0])
 
 
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler", "xpbd", "rk4"])
 def test_what_is_attached_keeps_its_place_in_the_frame(tmp_path: Path, solver: str) -> None:
     """From the moment on at which it is taken, however the body moves and turns; the rest moves in it."""

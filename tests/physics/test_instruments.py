@@ -34,6 +34,7 @@ def test_the_elastica_is_the_published_one() -> None:
 
 
 @pytest.mark.quick(layout=["irregular"])
+@pytest.mark.quick(layout=["aligned"])
 @pytest.mark.parametrize("layout", ["aligned", "irregular"])
 @pytest.mark.parametrize("gamma", [1.0, 10.0, pytest.param(100.0, marks=pytest.mark.full)])
 def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:

@@ -66,8 +66,7 @@ def describe(answer: Mapping[str, Any]) -> str:
         state += f" for {left} {'frame' if left == 1 else 'frames'}, then paused;"
     text = f"{state} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s"
     if "field" in answer:
-        changed = f"{_short(answer['old'])} -> " if answer["old"] is not None else ""
-        text = f"{answer['field']} {changed}{_short(answer['new'])}; {text}"
+        text = f"{answer['field']} {_short(answer['old'])} -> {_short(answer['new'])}; {text}"
     return text
 
 
