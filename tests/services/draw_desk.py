@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from nuno.draw.desk import Desk
-from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
+from nuno.pages.server import Server
 from nuno.scene import scene_file
 
 SHEET = """\
@@ -37,7 +37,7 @@ def write_sheet(folder: Path) -> Path:
 @contextmanager
 def served(desk: Desk) -> Iterator[Server]:
     """The desk's page, served meanwhile."""
-    server = Server(desk.board, desk.act)
+    server = desk.server()
     thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
     thread.start()
     try:

@@ -17,10 +17,10 @@ import nuno
 from nuno.cloth.build import Piece
 from nuno.draw import keep
 from nuno.draw.append import append_items
-from nuno.draw.guard import MOST_BYTES
 from nuno.draw.lines import by_object, positions, read_strokes
-from nuno.draw.server import Server
 from nuno.draw.sight import Sight
+from nuno.pages.guard import MOST_BYTES
+from nuno.pages.server import Server
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, yaml_lines
 from nuno_schemas.errors import BadInput
@@ -115,13 +115,13 @@ def test_it_listens_on_loopback_only_and_each_has_its_own_token(server: Server, 
     ],
 )
 def test_a_line_that_cannot_be_is_refused_by_its_number(server: Server, line: object, problem: str) -> None:
-    answer = do(server, "export", shape=server.board.now.shape, lines=[LINE, line])
+    answer = do(server, "export", shape=0, lines=[LINE, line])
     assert not answer["ok"] and problem in answer["problem"] and answer["field"].startswith("lines[1]")
     assert answer["remedy"]
 
 
 def test_lines_about_other_triangles_are_refused(server: Server) -> None:
-    answer = do(server, "export", shape=server.board.now.shape + 1, lines=[LINE])
+    answer = do(server, "export", shape=1, lines=[LINE])
     assert (answer["ok"], answer["field"]) == (False, "shape")
 
 

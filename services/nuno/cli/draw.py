@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 import threading
-import webbrowser
 
 from nuno.cli.common import add_config, add_scene
 from nuno.draw.desk import Desk
 from nuno.draw.follow import Follower
-from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.pages.server import serving
 from nuno.scene import scene_file, shipped
 from nuno.supervision import runs
-from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
 
@@ -26,18 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     desk = open_desk(args)
-    server = Server(desk.board, desk.act)
-    print(f"draw at  {server.guard.address}", flush=True)
-    print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    if has_screen() and not args.no_browser:
-        webbrowser.open(server.guard.address)
     try:
-        threading.Event().wait()
+        with serving(desk.server(), "draw", not args.no_browser):
+            threading.Event().wait()
     except KeyboardInterrupt:
         print("ending", flush=True)
     finally:
-        server.shutdown()
         desk.close()
     return 0
 

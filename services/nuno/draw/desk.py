@@ -15,9 +15,10 @@ from typing import Any
 from nuno.draw import keep
 from nuno.draw.follow import Follower
 from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
-from nuno.draw.refusals import beside, describe
+from nuno.draw.refusals import beside
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
+from nuno.pages.server import Server, describe
 from nuno.scene.scene_file import Loaded
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage
@@ -59,6 +60,10 @@ class Desk:
         with self._lock:
             found: dict[str, Any] = getattr(self, ACTS[name])(request)
             return found
+
+    def server(self) -> Server:
+        """What serves the page, until it is closed."""
+        return Server("nuno.draw", self.act, {"frame": self.board.tell})
 
     def about(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """What the page begins with."""

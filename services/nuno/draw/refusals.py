@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from nuno.draw.lines import Stroke, line_at, piece_of
 from nuno.draw.sight import Sight
@@ -13,18 +12,6 @@ from nuno_schemas.errors import BadInput
 
 _LINE = re.compile(r"lines\[(\d+)\]")
 _TRIANGLE = re.compile(r"triangle (\d+)")
-
-
-def describe(error: BadInput) -> dict[str, Any]:
-    """What the page is told of an error."""
-    value = None if error.value is None else str(error.value)[:200]
-    return {
-        "problem": error.problem,
-        "field": error.field or "",
-        "value": value,
-        "limit": error.limit,
-        "remedy": error.remedy,
-    }
 
 
 def beside(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:

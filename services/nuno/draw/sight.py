@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth.build import Piece
+from nuno.pages.server import whole
 from nuno_schemas.fabric import Float, Int
 
 NO_POINTS = np.zeros((0, 3))
 NO_FACES = np.zeros((0, 3), np.int32)
 SAID = ("name", "start", "stop", "colour")
 """What the page is told of a piece of cloth."""
+PATIENCE = 10.0
+"""How long a question for the next frame waits for one [s]."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +104,8 @@ class Board:
         with self._changed:
             self._changed.wait_for(lambda: self._sight.number != after, patience)
             return self._sight
+
+    def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """The next frame, for a page that says what it has. Raises Refused."""
+        after, shape, place = (whole(query, key) for key in ("after", "shape", "place"))
+        return "application/octet-stream", self.wait(after, PATIENCE).encode(shape, place)

@@ -34,15 +34,3 @@ export async function follow(show, lost) {
     }
   }
 }
-
-/** Ask the server to do something; its answer, with ok false where it refused. */
-export async function ask(action, more = {}) {
-  try {
-    const answer = await fetch("do", {
-      method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ do: action, ...more }),
-    });
-    return answer.ok ? await answer.json() : { ok: false, problem: (await answer.text()).trim() };
-  } catch {
-    return { ok: false, problem: "nuno draw does not answer", remedy: "Is it still running in its terminal? Your lines stay here." };
-  }
-}

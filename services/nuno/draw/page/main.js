@@ -1,7 +1,9 @@
+import { ask } from "./ask.js";
+import { sentence } from "./dom.js";
 import { Hand } from "./hand.js";
 import { Lines } from "./lines.js";
-import { ask, follow } from "./link.js";
-import { Panel, mm, sentence } from "./panel.js";
+import { follow } from "./link.js";
+import { Panel, mm } from "./panel.js";
 import { Stage } from "./stage.js";
 
 const $ = (id) => document.getElementById(id);
@@ -215,7 +217,7 @@ function begin() {
     document.title = `${about.name} · nuno draw`;
     changed();
   });
-  follow(show, (gone) => { if (gone) toast("nuno draw does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
+  follow(show, (gone) => { if (gone) toast("nuno does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
 }
 
 begin();

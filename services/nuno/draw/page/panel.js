@@ -1,8 +1,5 @@
-const make = (tag, props = {}, ...children) => {
-  const node = Object.assign(document.createElement(tag), props);
-  node.append(...children);
-  return node;
-};
+import { make, sentence } from "./dom.js";
+
 export const mm = (metres) => String(Number((1000 * metres).toPrecision(3)));
 
 /** The list of lines, and what was said of them beside the list and on the cloth. */
@@ -67,5 +64,3 @@ export class Panel {
     }
   }
 }
-
-export const sentence = (text) => { const t = text.trim(); return t ? t[0].toUpperCase() + t.slice(1) + (/[.!?]$/.test(t) ? "" : ".") : t; };

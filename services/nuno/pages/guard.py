@@ -57,7 +57,7 @@ class Guard:
             raise Refused(FORBIDDEN, "this is not the host that was asked for")
         token, _, rest = path.removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
-            raise Refused(FORBIDDEN, "open the whole address that nuno draw printed")
+            raise Refused(FORBIDDEN, "open the whole address that nuno printed")
         origins = headers.get_all("Origin") or []
         own = len(origins) == 1 and origins[0] == f"http://{given[0]}"
         if not own and (origins or method == "POST"):

@@ -1,54 +1,73 @@
-"""The page's server: files of the page, the cloth as it moves, and what the page asks to be done."""
+"""A page's server: files of the page, what it is told of by its own addresses, and what it asks to be done."""
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Mapping
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from socket import socket
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from nuno.draw.guard import HEADERS, Guard, Refused
-from nuno.draw.refusals import describe
-from nuno.draw.sight import Board
+from nuno.pages.guard import HEADERS, Guard, Refused
+from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 MOST_CONNECTIONS = 32
 IDLE = 30.0
-"""Silence after which a connection ends [s]: longer than a page waits for a frame."""
-PATIENCE = 10.0
-"""How long a question for the next frame waits for one [s]."""
+"""Silence after which a connection ends [s]: longer than a page waits for what it is told of."""
+SHARED = files("nuno.pages") / "shared"
 NOT_FOUND, BAD_REQUEST, BUSY = 404, 400, 503
 
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
+Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
+"""From the query of an address to content type and bytes. Raises Refused."""
 
 
-def page_files() -> dict[str, tuple[str, bytes]]:
-    """Name -> content type and bytes of all that the page consists of."""
+def page_files(package: str) -> dict[str, tuple[str, bytes]]:
+    """Name -> content type and bytes of all that a package's page consists of, and of what all pages share."""
     found = {}
-    for path in (files("nuno.draw") / "page").iterdir():
-        kind = KINDS.get(path.name.rpartition(".")[2])
-        if kind is not None:
-            found[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
+    for folder in (SHARED, files(package) / "page"):
+        for path in folder.iterdir():
+            kind = KINDS.get(path.name.rpartition(".")[2])
+            if kind is not None:
+                found[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
     return found
 
 
-class Server(ThreadingHTTPServer):
-    """Serves one page on a free port of loopback; a thread for each connection, of which there are few.
+def describe(error: BadInput) -> dict[str, Any]:
+    """What a page is told of an error; `words` is what the command line prints."""
+    value = None if error.value is None else str(error.value)[:200]
+    return {
+        "problem": error.problem,
+        "field": error.field or "",
+        "line": error.line,
+        "value": value,
+        "limit": error.limit,
+        "remedy": error.remedy,
+        "words": str(error),
+    }
 
-    `act` carries out what the page asks for; what it raises as BadInput, the page shows.
+
+class Server(ThreadingHTTPServer):
+    """Serves one page, that of a package, on a free port of loopback; a thread for each connection, of which there
+    are few.
+
+    `act` carries out what the page asks for; what it raises as BadInput, the page shows. `told` answers what is read
+    at addresses beside the page's files.
     """
 
     daemon_threads = True
 
-    def __init__(self, board: Board, act: Act) -> None:
+    def __init__(self, package: str, act: Act, told: Mapping[str, Tell]) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
-        self.board, self.act, self.files = board, act, page_files()
+        self.act, self.told, self.files = act, told, page_files(package)
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -93,9 +112,8 @@ class Handler(BaseHTTPRequestHandler):
             self._send(refused.status, "text/plain; charset=utf-8", f"{refused.status}: {refused.why}\n".encode())
 
     def _get(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        if name == "frame":
-            after, shape, place = (_whole(query, key) for key in ("after", "shape", "place"))
-            return "application/octet-stream", self.server.board.wait(after, PATIENCE).encode(shape, place)
+        if name in self.server.told:
+            return self.server.told[name](query)
         try:
             return self.server.files[name or "index.html"]
         except KeyError:
@@ -131,8 +149,26 @@ class Handler(BaseHTTPRequestHandler):
         """Nothing: the address, which is a secret, would stand in the log."""
 
 
-def _whole(query: Mapping[str, list[str]], key: str) -> int:
+def whole(query: Mapping[str, list[str]], key: str) -> int:
+    """A whole number of a query, -1 where it is not given. Raises Refused."""
     text = query.get(key, ["-1"])[0]
     if not text.lstrip("-").isdecimal() or len(text) > 12:
         raise Refused(BAD_REQUEST, f"{key} is a whole number")
     return int(text)
+
+
+@contextmanager
+def serving(server: Server, name: str, opened: bool) -> Iterator[None]:
+    """Serve a page until the block ends; its address is printed and, where there is a screen and it is `opened`, shown
+    in a browser.
+    """
+    print(f"{name} at  {server.guard.address}", flush=True)
+    print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    if opened and has_screen():
+        webbrowser.open(server.guard.address)
+    try:
+        yield
+    finally:
+        server.shutdown()
+        server.server_close()
