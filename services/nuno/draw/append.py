@@ -48,8 +48,8 @@ def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     assert isinstance(node, yaml.MappingNode)
     value = next((child for key, child in node.value if key.value == field), None)
-    rows = "".join(f"{' ' * (value.start_mark.column if value else 2)}- {_flow(item)}\n" for item in items)
-    at = _end_of(text, value or node)
+    rows = "".join(f"{' ' * (value.start_mark.column if value else 2)}- {flow(item)}\n" for item in items)
+    at = end_of(text, value or node)
     newline = "" if text[:at].endswith("\n") or not at else "\n"
     after = text[:at] + newline + ("" if value else f"{field}:\n") + rows + text[at:]
     expected = before | {field: [*(there or []), *items]}
@@ -60,17 +60,17 @@ def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
     raise BadInput("lines cannot be added to this text and all else left as it is", file, field=field, remedy=remedy)
 
 
-def _end_of(text: str, node: yaml.Node) -> int:
+def end_of(text: str, node: yaml.Node) -> int:
     """Where the last line of what a node holds ends: what follows it, comments too, is not its own."""
     last: yaml.Node = node
     while isinstance(last, yaml.CollectionNode) and not last.flow_style and last.value:
         child = last.value[-1]
         last = child[1] if isinstance(child, tuple) else child
-    end = text.find("\n", _last_mark(text, last))
+    end = text.find("\n", last_mark(text, last))
     return len(text) if end < 0 else end + 1
 
 
-def _last_mark(text: str, node: yaml.Node) -> int:
+def last_mark(text: str, node: yaml.Node) -> int:
     """The last character of a node that is no blank; a block of text ends at the line after its own."""
     end = node.end_mark.index
     if isinstance(node, yaml.ScalarNode) and node.style in ("|", ">"):
@@ -78,14 +78,16 @@ def _last_mark(text: str, node: yaml.Node) -> int:
     return max(end, node.start_mark.index)
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
     """Plain values as YAML on one line, as scenes are written: text in quotes only where it could be something else."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(child)}" for key, child in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {flow(child)}" for key, child in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_flow, value)) + "]"
+        return "[" + ", ".join(map(flow, value)) + "]"
     if isinstance(value, str) and re.fullmatch(r"[\w][\w .-]*", value) and yaml_lines.parse_value(value) == value:
         return value
+    if isinstance(value, float):  # 2e-05, as JSON has it, is a text in YAML 1.1
+        return str(yaml.representer.SafeRepresenter().represent_float(value).value)
     return json.dumps(value)
 
 

@@ -37,6 +37,19 @@ CLOSE = 5.0
 """How long closing waits for what is being asked [s]."""
 
 
+def order(bus: Bus, request: dict[str, object]) -> dict[str, Any]:
+    """A request to a run, as of `nuno control`; what it answers. Raises BadInput where it refuses."""
+    try:
+        answer = bus.ask_json("control", request, ASK)
+    except RunFailed as error:
+        remedy = "look at what the run says where it was started"
+        raise BadInput(f"the run does not answer: {error}", remedy=remedy) from None
+    if answer.get("ok"):
+        return answer
+    told = answer.get("refused", {"problem": str(answer.get("error", "refused"))})
+    raise BadInput(**(told | {"file": None}))  # whatever the run calls what it was asked
+
+
 class Follower:
     """Follows one run in a thread of its own, on to a board, until the run ends or `close` is called.
 
@@ -71,15 +84,7 @@ class Follower:
 
     def control(self, **request: object) -> dict[str, Any]:
         """A request, as of `nuno control`; what the run answers. Raises BadInput where it refuses."""
-        try:
-            answer = self._bus.ask_json("control", request, ASK)
-        except RunFailed as error:
-            remedy = "look at what the run says where it was started"
-            raise BadInput(f"the run does not answer: {error}", remedy=remedy) from None
-        if answer.get("ok"):
-            return answer
-        told = answer.get("refused", {"problem": str(answer.get("error", "refused"))})
-        raise BadInput(**(told | {"file": None}))  # whatever the run calls what it was asked
+        return order(self._bus, request)
 
     def step(self) -> None:
         """Take one frame of a paused run, and wait until it stands still again. Raises BadInput."""

@@ -165,10 +165,14 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
         lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
-    folder, shared = path.resolve().parent, shipped.folder().resolve()
-    roots = (*roots, shared) if shared in folder.parents else roots
-    loaded = load(data, lines, named or str(path), SceneFiles(folder, roots))
+    loaded = load(data, lines, named or str(path), files_of(path, roots))
     return replace(loaded, overrides=tuple(overrides), path=path)
+
+
+def files_of(path: Path, roots: tuple[Path, ...] = ()) -> SceneFiles:
+    """The files that a scene at a path may name: beside it, in roots, and of a shipped one in a folder those above."""
+    folder, shared = path.resolve().parent, shipped.folder().resolve()
+    return SceneFiles(folder, (*roots, shared) if shared in folder.parents else roots)
 
 
 def _or_first(solver: Solver, first: str) -> Solver:
