@@ -27,6 +27,8 @@ FLAGS = (
     "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --remote-debugging-pipe"
 )
 
+KEYS = {"Tab": 9, "Enter": 13, "Escape": 27}
+
 
 def find_browser() -> str | None:
     """A browser that is installed here."""
@@ -120,6 +122,22 @@ class Page:
     def click(self, name: str) -> None:
         """Press the button with an id."""
         self.value(f"document.getElementById({json.dumps(name)}).click()")
+
+    def type(self, text: str) -> None:
+        """What a keyboard puts where the cursor is."""
+        self.call("Input.insertText", text=text)
+
+    def press(self, key: str, control: bool = False) -> None:
+        """One key, such as Tab, Enter, Escape or z; with Control held."""
+        held = {
+            "key": key,
+            "code": key if len(key) > 1 else f"Key{key.upper()}",
+            "windowsVirtualKeyCode": KEYS.get(key) or ord(key.upper()),
+            "modifiers": 2 if control else 0,
+        }
+        text = {"text": "\r"} if key == "Enter" and not control else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **held, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **held)
 
     def drag(self, points: Sequence[tuple[float, float]], button: str = "left") -> None:
         """Press the mouse at the first point [pixels], move it along, and let it go at the last."""

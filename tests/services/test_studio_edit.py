@@ -74,9 +74,10 @@ def changed(before: str, after: str) -> list[str]:
             ("bodies", 0),
             {"name": "ball", "collider": {"plugin": "sphere"}},
             None,
-            ["- bodies:", "+ bodies: [{name: ball, collider: {plugin: sphere}}]"],
+            ["+   - {name: ball, collider: {plugin: sphere}}"],
         ),
         (("view", "azimuth"), 0.5, "0.50", ["+ view: {azimuth: 0.50}"]),
+        (("forces", 0), {"plugin": "wind"}, None, ["+ forces:", "+   - {plugin: wind}"]),
         (("damping",), 2e-05, None, ["+ damping: 2.0e-05"]),
         (
             ("name",),

@@ -25,6 +25,7 @@ COMMANDS = {
     "top": ("nuno.cli.top", "what the services of a run that goes on are doing: rates, who is behind, what was lost"),
     "topics": ("nuno.cli.topics", "what a run that goes on publishes on its bus: topics, types, sizes, rates"),
     "draw": ("nuno.cli.draw", "a page for drawing ridges and valleys on a cloth by hand"),
+    "studio": ("nuno.cli.studio", "a page for scenes, runs and recordings, in the browser"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),
     "bench": (

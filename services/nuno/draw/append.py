@@ -23,6 +23,9 @@ from nuno.recording.writer import part_of
 from nuno.scene import yaml_lines
 from nuno_schemas.errors import BadInput
 
+MARK = "\ufeff"
+"""A byte order mark, which some editors begin a file with."""
+
 
 def read_text(path: Path) -> str:
     """A file's text as it is, line ends and byte order mark too. Raises BadInput."""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Mapping
@@ -18,6 +15,7 @@ from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
 from nuno.draw.refusals import beside
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
+from nuno.pages.child import Child
 from nuno.pages.server import Server, describe
 from nuno.scene.scene_file import Loaded
 from nuno.supervision import runs
@@ -26,8 +24,6 @@ from nuno_schemas.errors import BadInput, RunFailed
 
 START_PATIENCE = 1800.0
 """Longest that a run may take to be there [s]: the first one on a machine compiles kernels for minutes."""
-END_PATIENCE = 20.0
-"""How long a run may take to end [s] when the page's server does."""
 ACTS = dict.fromkeys(("pause", "resume", "step"), "control")
 ACTS |= {name: name for name in ("about", "start", "back", "check", "apply", "save", "export")}
 """What the page may ask for, and which method of a desk does it."""
@@ -44,7 +40,7 @@ class Desk:
         self.loaded, self.board, self.follower = loaded, board, follower
         self.start_sight = board.now
         """What the page began with: lines are saved by their places there."""
-        self._own: subprocess.Popen[bytes] | None = None
+        self._own: Child | None = None
         self._waiting: threading.Thread | None = None
         self._trial: keep.Trial | None = None
         self._keeper = keep.Keeper(loaded) if loaded is not None else None
@@ -81,19 +77,16 @@ class Desk:
             raise BadInput("a run goes on already", remedy="pause it, or go back to the start")
         run = runs.new_id(self.loaded.scene.name)
         saved = self._keeper is not None and self._keeper.saved
-        log = tempfile.TemporaryFile()  # noqa: SIM115 - the run's own, for as long as it goes on
-        self._own = subprocess.Popen(
-            _command(self.loaded, run, saved), stdin=subprocess.DEVNULL, stdout=log, stderr=log
-        )
+        self._own = Child(_arguments(self.loaded, run, saved))
         self.board.show(state="preparing", run=run)
-        self._waiting = threading.Thread(target=self._join, args=(run, self._own, log), daemon=True)
+        self._waiting = threading.Thread(target=self._join, args=(run, self._own), daemon=True)
         self._waiting.start()
         return {"run": run}
 
-    def _join(self, run: str, process: subprocess.Popen[bytes], log: Any) -> None:
+    def _join(self, run: str, process: Child) -> None:
         """Wait until a run that was started here can be followed, and show it; or show why it is not there."""
         end = time.monotonic() + START_PATIENCE
-        while process.poll() is None and time.monotonic() < end and self._own is process:
+        while process.code is None and time.monotonic() < end and self._own is process:
             endpoint = runs.running().get(run)
             if endpoint is not None:
                 with contextlib.suppress(RunFailed, BadInput, BadMessage):
@@ -111,9 +104,8 @@ class Desk:
             time.sleep(0.1)
         if self._own is process:
             self._own = None
-            log.seek(0)
-            said = log.read().decode(errors="replace").strip()
-            self.board.show(self.start_sight, state="start", run="", message=said[-2000:] or "the run did not start")
+            said = process.said[-2000:] or "the run did not start"
+            self.board.show(self.start_sight, state="start", run="", message=said)
 
     def back(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """End the run that was started here, and show the scene's start again."""
@@ -135,13 +127,7 @@ class Desk:
                     follower.control(action="stop")
             follower.close()
         if process is not None:
-            if follower is None:
-                process.terminate()
-            try:
-                process.wait(END_PATIENCE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.end(terminate=follower is None)
 
     def close(self) -> None:
         """End what was started here."""
@@ -219,11 +205,9 @@ class Desk:
         return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
 
 
-def _command(loaded: Loaded, run: str, saved: bool) -> list[str]:
+def _arguments(loaded: Loaded, run: str, saved: bool) -> list[str]:
     roots = [text for root in loaded.files.roots for text in ("--root", str(root))]
     # The scene as it was opened: what is saved to its file meanwhile, the page adds itself.
     opened = f"{keep.LIST}={json.dumps(loaded.data.get(keep.LIST) or [])}"
     changes = [text for item in (*loaded.overrides, *([opened] if saved else [])) for text in ("--set", item)]
-    # -P: a module of the user's folder must not stand in for one of ours.
-    head = [sys.executable, "-P", "-m", "nuno", "run", str(loaded.path)]
-    return [*head, "--paused", "--no-view", "--run", run, *roots, *changes]
+    return ["run", str(loaded.path), "--paused", "--no-view", "--run", run, *roots, *changes]

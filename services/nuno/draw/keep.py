@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno import registry
 from nuno.cloth import build
-from nuno.draw.append import append_items, read_text, write_whole
+from nuno.draw.append import MARK, append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Sight
 from nuno.scene import scene_file, shipped, yaml_lines
@@ -21,8 +21,6 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 
 LIST, OPERATION = "operations", "wrinkle"
-MARK = "\ufeff"
-"""A byte order mark, which some editors begin a file with."""
 Lines = Mapping[str, list[dict[str, Any]]]
 """Lines as a scene has them, by the object that they are on."""
 

@@ -93,9 +93,19 @@ def _put(text: str, path: Path, shown: str) -> str:
     for depth, part in enumerate(path):
         child = _child(node, part)
         if child is None or _says_nothing(child):
-            return _add(text, node, part, _nested(path[depth + 1 :], shown), child)
+            rest = path[depth + 1 :]
+            block = isinstance(node, yaml.MappingNode) and not node.flow_style
+            if rest == (0,) and block:  # a list that begins, as scenes have theirs
+                return _add(text, node, part, f"\n{' ' * (_column(node) + 2)}- {shown}", child)
+            return _add(text, node, part, _nested(rest, shown), child)
         node = child
     return _replace(text, node, shown)
+
+
+def _column(node: yaml.Node) -> int:
+    """Where the names of a block's fields begin, or the dashes of its items."""
+    first = node.value[0]
+    return int((first[0] if isinstance(first, tuple) else node).start_mark.column)
 
 
 def _says_nothing(node: yaml.Node) -> bool:
@@ -123,8 +133,8 @@ def _add(text: str, node: yaml.Node, part: str | int, shown: str, there: yaml.No
     if there is not None:
         key = next(key for key, value in node.value if value is there)
         at = text.index(":", key.end_mark.index) + 1
-        return f"{text[:at]} {shown}{text[at:]}"
-    shown = shown if isinstance(part, int) else f"{flow(part)}: {shown}"
+        return f"{text[:at]}{_behind(shown)}{text[at:]}"
+    shown = shown if isinstance(part, int) else f"{flow(part)}:{_behind(shown)}"
     if node.flow_style:
         if not node.value:
             at = node.start_mark.index + 1
@@ -132,11 +142,14 @@ def _add(text: str, node: yaml.Node, part: str | int, shown: str, there: yaml.No
         last = node.value[-1]
         at = last_mark(text, last[1] if isinstance(last, tuple) else last)
         return f"{text[:at]}, {shown}{text[at:]}"
-    first = node.value[0]
-    column = node.start_mark.column if isinstance(part, int) else first[0].start_mark.column
-    at = end_of(text, node)
+    column, at = _column(node), end_of(text, node)
     newline = "" if text[:at].endswith("\n") else "\n"
     return f"{text[:at]}{newline}{' ' * column}{'- ' if isinstance(part, int) else ''}{shown}\n{text[at:]}"
+
+
+def _behind(shown: str) -> str:
+    """What follows a colon."""
+    return shown if shown.startswith("\n") else f" {shown}"
 
 
 def _dropped(text: str, path: Path) -> Iterator[str]:

@@ -1,0 +1,25 @@
+"""`nuno studio`: a page for scenes, runs and recordings."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+
+from nuno.pages.server import serving
+from nuno.studio.desk import Desk
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address, and open nothing")
+
+
+def main(args: argparse.Namespace) -> int:
+    desk = Desk()
+    try:
+        with serving(desk.server(), "studio", not args.no_browser):
+            threading.Event().wait()
+    except KeyboardInterrupt:
+        print("ending", flush=True)
+    finally:
+        desk.close()
+    return 0

@@ -1,0 +1,169 @@
+"""What the page asks for."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nuno.draw.append import MARK, read_text
+from nuno.draw.desk import Desk as DrawDesk
+from nuno.draw.shown import see_scene
+from nuno.draw.sight import Board
+from nuno.pages.guard import Refused
+from nuno.pages.server import NOT_FOUND, Server
+from nuno.scene import scene_file, yaml_lines
+from nuno.studio import edit, scenes
+from nuno.studio.recordings import Recordings
+from nuno.studio.run import Run
+from nuno.supervision import runs
+from nuno_schemas.errors import BadInput
+
+ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "draw")
+"""What the page may ask for, each a method of a desk."""
+OF_RECORDINGS = {"recording": "open", "picture": "draw", "verify": "verify", "verdict": "verdict", "delete": "delete"}
+"""What it may ask of one recording, and which method of the recordings does it."""
+
+
+class Desk:
+    """One page's work, in the folder that it was started in."""
+
+    def __init__(self) -> None:
+        self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
+        self._own: Run | None = None
+        self._drawn: list[tuple[Server, DrawDesk]] = []
+        self._heavy, self._starting = threading.Lock(), threading.Lock()
+        self._schema = functools.cache(scenes.schema)
+
+    def server(self) -> Server:
+        """What serves the page, until it is closed."""
+        told = {
+            "schema": lambda _: ("application/json", self._schema()),
+            "picture": self._picture,
+        }
+        return Server("nuno.studio", self.act, told)
+
+    def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out one request of the page's. Raises BadInput, which the page shows."""
+        name = str(request.get("do"))
+        if name in OF_RECORDINGS:
+            found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
+        elif name == "recordings":
+            found = {"recordings": self.recordings.list()}
+        elif name in ACTS:
+            found = getattr(self, f"_{name}")(request)
+        else:
+            raise BadInput("no such request", value=name, limit=", ".join((*ACTS, "recordings", *OF_RECORDINGS)))
+        return found
+
+    def close(self) -> None:
+        """End what was started here."""
+        with self._starting:
+            for server, desk in self._drawn:
+                server.shutdown()
+                server.server_close()
+                desk.close()
+            if self._own is not None:
+                self._own.close()
+            self.recordings.close()
+
+    def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        try:
+            path = self.recordings.picture_of(self.recordings.find(query.get("recording", [""])[0]))
+            return "image/png", path.read_bytes()
+        except (BadInput, OSError):
+            raise Refused(NOT_FOUND, "there is no such picture") from None
+
+    def _scenes(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        pictures = self.recordings.pictures()
+        return {
+            "folder": str(Path.cwd()),
+            "scenes": [one | {"picture": pictures.get(one["scene"])} for one in self.scenes.list()],
+        }
+
+    def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        path = self.scenes.find(request.get("scene"))
+        text = read_text(path)
+        own = path.parent == self.scenes.folder
+        return {"text": text, "own": own, "file": path.name} | scenes.check(text.removeprefix(MARK), path)
+
+    def _text(self, request: Mapping[str, Any]) -> tuple[str, Path]:
+        """What stands in the page, and the file that it stands for. Raises BadInput."""
+        text = request.get("text")
+        if not isinstance(text, str):
+            raise BadInput("a request about a scene has its text", field="text")
+        return text.removeprefix(MARK), self.scenes.find(request.get("scene"))
+
+    def _check(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        return scenes.check(*self._text(request))
+
+    def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Put a value into the text, or take it out; the new text, and what it says."""
+        text, path = self._text(request)
+        place = request.get("path")
+        if not isinstance(place, list) or not place or not all(isinstance(part, str | int) for part in place):
+            raise BadInput("a change has the path of a field", field="path")
+        where: yaml_lines.Path = tuple(place)
+        if request.get("drop"):
+            after = edit.drop(text, where, path.name)
+        else:
+            value, written = _value_of(request)
+            after = edit.put(text, where, value, path.name, written)
+        return {"text": after} | scenes.check(after, path)
+
+    def _save(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        text, path = self._text(request)
+        return scenes.save(text, str(request.get("before")), path, self.scenes.folder, request.get("name"))
+
+    def _plan(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        text, path = self._text(request)
+        with self._heavy:  # it compiles kernels
+            return {"rows": scenes.plan(text, path)}
+
+    def _run(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        text, path = self._text(request)
+        loaded = scenes.load(text, path)
+        with self._starting:
+            if self._own is not None and self._own.going:
+                raise BadInput("a run goes on already", value=self._own.name, remedy="stop it before")
+            if self._own is not None:
+                self._own.close()
+            changed = text if text != read_text(path).removeprefix(MARK) else None
+            self._own = Run(loaded, changed, bool(request.get("paused")))
+            return self._own.tell()
+
+    def _control(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        action = request.get("action")
+        if action not in ("pause", "resume", "step", "stop"):
+            raise BadInput("no such action", value=action, limit="pause, resume, step, stop")
+        if self._own is None:
+            raise BadInput("no run goes on", remedy="start one with Run")
+        self._own.control(action)
+        return self._own.tell()
+
+    def _now(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        return self._own.tell() if self._own is not None else {"state": "none"}
+
+    def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Serve the page for drawing lines on a scene's cloth. Raises BadInput for cloth that takes none."""
+        path = self.scenes.find(request.get("scene"))
+        with self._heavy:
+            loaded = scene_file.read(path)
+            desk = DrawDesk(loaded, Board(see_scene(loaded)))
+        server = desk.server()
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        self._drawn.append((server, desk))
+        return {"address": server.guard.address}
+
+
+def _value_of(request: Mapping[str, Any]) -> tuple[Any, str | None]:
+    """A value, and how it was typed where it was typed as YAML: what is none is a text."""
+    if "written" not in request:
+        return request.get("value"), None
+    written = str(request["written"])
+    try:
+        return yaml_lines.parse_value(written), written
+    except BadInput:
+        return written, None

@@ -1,0 +1,100 @@
+import { ask } from "./ask.js";
+import { make } from "./dom.js";
+import { pictureOf } from "./gallery.js";
+import { rowsOf } from "./rows.js";
+import { taken } from "./say.js";
+import { factor } from "./words.js";
+
+/** How often a run is asked about [ms]; the server knows, and does not ask the run. */
+const OFTEN = 250;
+const SAID = { preparing: "getting ready", running: "running", paused: "paused", over: "over", failed: "failed", refused: "refused", stopped: "stopped", none: "" };
+const GOING = ["preparing", "running", "paused"];
+const $ = (id) => document.getElementById(id);
+
+/** The run that was started here: how far it is, what it says, and at its end its report and picture. */
+class Dock {
+  constructor() {
+    this.now = { state: "none" };
+    $("pause").addEventListener("click", () => this.order(this.now.state === "paused" ? "resume" : "pause"));
+    $("step").addEventListener("click", () => this.order("step"));
+    $("stop").addEventListener("click", () => this.order("stop"));
+    $("more").addEventListener("click", () => this.fold($("run-said").hidden));
+    $("dismiss").addEventListener("click", () => { $("dock").hidden = true; });
+  }
+
+  get going() { return GOING.includes(this.now.state); }
+
+  /** Show a run from now on, until it has ended. */
+  follow(now) {
+    if (now.run !== this.now.run) { this.ended = null; $("run-said").replaceChildren(make("pre")); this.fold(false); }
+    $("dock").hidden = now.state === "none";
+    this.show(now);
+    clearTimeout(this.timer);
+    if (this.going) this.timer = setTimeout(() => this.look(), OFTEN);
+    else if (now.state !== "none" && this.ended !== now.run) this.end(now);
+  }
+
+  async look() {
+    const answer = await ask("now");
+    if (answer.ok) this.follow(answer);
+    else if (answer.gone) { $("run-time").textContent = "nuno does not answer"; this.timer = setTimeout(() => this.look(), 4 * OFTEN); }
+  }
+
+  async order(action) {
+    const answer = await ask("control", { action });
+    if (taken(answer)) this.follow(answer);
+  }
+
+  show(now) {
+    this.now = now;
+    $("dock").dataset.state = now.state;
+    $("run-state").textContent = SAID[now.state] ?? now.state;
+    $("run-name").textContent = now.run ?? "";
+    $("run-progress").value = now.end ? Math.min(1, now.t / now.end) : 0;
+    const far = now.frame >= 0 ? `${now.t.toFixed(2)} of ${Number(now.end.toPrecision(6))} s · frame ${now.frame} of ${now.frames}` : "";
+    $("run-time").textContent = [far, factor(now.factor)].filter(Boolean).join(" · ");
+    $("pause").textContent = now.state === "paused" ? "Resume" : "Pause";
+    $("pause").disabled = !["running", "paused"].includes(now.state);
+    $("step").disabled = now.state !== "paused";
+    $("stop").disabled = !this.going;
+    $("pause").hidden = $("step").hidden = $("stop").hidden = !this.going;
+    $("dismiss").hidden = this.going;
+    const lines = (now.said ?? "").split("\n"), warned = lines.filter((line) => /\bWARNING\b/.test(line));
+    $("run-warned").replaceChildren(...warned.map((line) => make("div", { textContent: line })));
+    const pre = $("run-said").querySelector("pre");
+    if (pre && pre.textContent !== now.said) pre.textContent = now.said;
+  }
+
+  fold(open) {
+    $("run-said").hidden = !open;
+    $("more").textContent = open ? "Show less" : "Show more";
+    $("more").setAttribute("aria-expanded", String(open));
+  }
+
+  /** The report's lines and the last frame, in the place of what was printed; that stays where there is no recording. */
+  async end({ run, recording }) {
+    this.ended = run;
+    const answer = await ask("recording", { recording });
+    if (this.now.run !== run) return;
+    this.fold(true);
+    if (!answer.ok) return;
+    const picture = make("div"), link = make("a", { href: `#run=${encodeURIComponent(recording)}`, textContent: "Open the recording" });
+    $("run-said").replaceChildren(make("div", { className: "shown" }, picture, make("div", {}, rowsOf(answer.rows), make("p", {}, link))));
+    await showPicture(picture, recording);
+  }
+}
+
+/** The picture of a recording's last frame, which is drawn where there is none yet. */
+export async function showPicture(box, recording) {
+  box.replaceChildren(make("span", { className: "soft", textContent: "Drawing the last frame …" }));
+  for (;;) {
+    const answer = await ask("picture", { recording });
+    if (!answer.ok || answer.problem) { box.replaceChildren(make("span", { className: "soft", textContent: answer.problem })); return; }
+    if (!answer.drawing) break;
+    await new Promise((later) => setTimeout(later, OFTEN));
+    if (!box.isConnected) return;
+  }
+  box.replaceChildren(make("img", { src: pictureOf(recording), alt: "The last frame" }));
+}
+
+export const dock = new Dock();

@@ -1,0 +1,41 @@
+import { ask } from "./ask.js";
+import { dock } from "./dock.js";
+import { gallery } from "./gallery.js";
+import { recording, recordings } from "./recordings.js";
+import { confirm } from "./say.js";
+import { SceneView } from "./scene.js";
+
+const view = document.getElementById("view");
+let scene = null, shown = "";
+
+/** Where the address points: scenes, scene=NAME, runs, run=NAME. */
+async function route() {
+  const hash = location.hash || "#scenes";
+  if (hash === shown) return;
+  if (scene?.unsaved && !(await confirm({ title: "Leave this scene?", text: "What was changed is not saved and would be lost.", yes: "Leave" }))) {
+    history.replaceState(null, "", shown);
+    return;
+  }
+  shown = hash;
+  const [what, text = ""] = hash.slice(1).split("="), name = decodeURIComponent(text);
+  scene = null;
+  for (const [id, own] of [["to-scenes", ["scenes", "scene"]], ["to-runs", ["runs", "run"]]]) {
+    if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
+    else document.getElementById(id).removeAttribute("aria-current");
+  }
+  document.title = `${name || (what === "runs" ? "Runs" : "Scenes")} · nuno studio`;
+  view.replaceChildren();
+  if (what === "scene") { scene = new SceneView(view, name); await scene.open(); }
+  else if (what === "runs") await recordings(view);
+  else if (what === "run") await recording(view, name);
+  else await gallery(view);
+  if (shown === hash) view.dataset.shown = hash;
+}
+
+window.addEventListener("hashchange", route);
+window.addEventListener("beforeunload", (e) => { if (scene?.unsaved) e.preventDefault(); });
+document.addEventListener("keydown", (e) => scene?.keys(e));
+route();
+ask("now").then((answer) => { if (answer.ok) dock.follow(answer); });
+/** For whoever wants to look into the page from its console, or test it. */
+window.nuno = { get scene() { return scene; }, dock };

@@ -1,0 +1,63 @@
+import { ask } from "./ask.js";
+import { make } from "./dom.js";
+import { showPicture } from "./dock.js";
+import { rowsOf } from "./rows.js";
+import { confirm, taken, toast } from "./say.js";
+import { bytes, moment, seconds } from "./words.js";
+
+/** How often a comparison is asked about [ms]. */
+const OFTEN = 300;
+
+const cell = (content, className = "") => make("td", { className }, content ?? "");
+
+/** All recordings of the folder. */
+export async function recordings(view) {
+  const answer = await ask("recordings");
+  if (!taken(answer)) return;
+  const rows = answer.recordings.map((one) => make("tr", {},
+    cell(make("a", { href: `#run=${encodeURIComponent(one.name)}`, textContent: one.name })), cell(one.scene, "spare"), cell(one.state), cell(seconds(one.seconds), "number"), cell(bytes(one.bytes), "number"), cell(moment(one.when), "spare")));
+  view.replaceChildren(make("div", { className: "head" }, make("h1", { textContent: "Runs" })));
+  if (!rows.length) { view.append(make("p", { className: "none", textContent: "No run has been recorded in this folder. Open a scene and press Run." })); return; }
+  const heads = [["recording"], ["scene", "spare"], ["state"], ["simulated"], ["size"], ["recorded", "spare"]];
+  view.append(make("div", { className: "panel wide" }, make("table", {},
+    make("thead", {}, make("tr", {}, ...heads.map(([textContent, className = ""]) => make("th", { textContent, className, scope: "col" })))), make("tbody", {}, ...rows))));
+}
+
+/** One recording: its report, its last frame, and what can be done with it. */
+export async function recording(view, name) {
+  const answer = await ask("recording", { recording: name });
+  if (!answer.ok) {
+    view.replaceChildren(make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, remover(name))), make("pre", { className: "panel", textContent: answer.words ?? answer.problem }));
+    return;
+  }
+  const picture = make("div"), verdict = make("pre", { id: "verdict", role: "status" });
+  const verify = make("button", { type: "button", id: "verify", textContent: "Verify", title: "Simulate it again, and compare each frame to the last bit", onclick: () => compare(name, verify, verdict, "verify") });
+  view.replaceChildren(
+    make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, verify, remover(name))),
+    make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
+    verdict, make("div", { className: "panel shown" }, picture, make("div", {}, ...(answer.lacks ? [make("p", { className: "bad", textContent: answer.lacks })] : []), rowsOf(answer.rows))));
+  compare(name, verify, verdict, "verdict");
+  await showPicture(picture, name);
+}
+
+async function compare(name, button, verdict, action) {
+  for (let asked = action; ; asked = "verdict") {
+    const answer = await ask(asked, { recording: name });
+    if (!taken(answer)) return;
+    if (!answer.verifying && answer.equal === null) return;
+    button.disabled = answer.verifying;
+    verdict.className = answer.verifying ? "panel" : `panel ${answer.equal ? "good" : "bad"}`;
+    verdict.textContent = answer.verifying ? answer.words || "Simulating it again …" : answer.equal ? answer.words.split("\n").at(-1) : answer.words;
+    if (!answer.verifying || !verdict.isConnected) return;
+    await new Promise((later) => setTimeout(later, OFTEN));
+  }
+}
+
+function remover(name) {
+  return make("button", { type: "button", id: "delete", className: "bad", textContent: "Delete", onclick: async () => {
+    if (!(await confirm({ title: "Delete this recording?", text: `${name}, its picture and its log are removed from the disk. This cannot be undone.`, yes: "Delete" }))) return;
+    if (!taken(await ask("delete", { recording: name }))) return;
+    toast(`${name} is deleted`);
+    location.hash = "#runs";
+  } });
+}

@@ -1,0 +1,42 @@
+import { sentence } from "./dom.js";
+
+const $ = (id) => document.getElementById(id);
+
+/** Say something in a box; what went wrong stays there until it is closed. */
+export function toast(title, text = "", bad = false) {
+  const box = $("toast");
+  box.className = bad ? "bad" : "";
+  box.querySelector("b").textContent = title;
+  box.querySelector("p").textContent = text;
+  box.hidden = false;
+  clearTimeout(toast.timer);
+  if (!bad) toast.timer = setTimeout(() => { box.hidden = true; }, 7000);
+}
+
+/** Say why the server refused something, in the words of the command line; whether it did not. */
+export function taken(answer) {
+  if (answer.ok) return true;
+  toast(sentence(answer.problem), answer.words ? answer.words.split("\n").slice(1).join("\n") : (answer.remedy ?? ""), true);
+  return false;
+}
+
+/** Ask a person; what they typed where `label` names something to type, and else whether they agreed. */
+export function confirm({ title, text, yes, label = "", value = "" }) {
+  const box = $("asked"), input = $("asked-input");
+  $("asked-title").textContent = title;
+  $("asked-text").textContent = text;
+  $("asked-yes").textContent = yes;
+  $("asked-label").hidden = !label;
+  $("asked-label").querySelector("span").textContent = label;
+  input.value = value;
+  box.returnValue = "no";
+  box.showModal();
+  (label ? input : $("asked-no")).focus();
+  return new Promise((done) => {
+    box.addEventListener("close", () => done(box.returnValue === "yes" && (!label || input.value.trim())), { once: true });
+  });
+}
+
+$("toast").querySelector("button").addEventListener("click", () => { $("toast").hidden = true; });
+// Enter in the input means yes, not the first button of the form.
+$("asked-input").addEventListener("keydown", (e) => { if (e.key === "Enter") { e.preventDefault(); $("asked-yes").click(); } });

@@ -1,0 +1,160 @@
+import { ask } from "./ask.js";
+import { make } from "./dom.js";
+import { dock } from "./dock.js";
+import { Form, wordsOf } from "./form.js";
+import { rowsOf } from "./rows.js";
+import { confirm, taken, toast } from "./say.js";
+import { Schema } from "./schema.js";
+import { Text } from "./text.js";
+import { count } from "./words.js";
+
+/** How long nothing is typed [ms] until the text is checked. */
+const TYPED = 300;
+let schema = null;
+
+async function known() {
+  schema ??= new Schema(await (await fetch("schema")).json());
+  return schema;
+}
+
+/** A scene that is open: its text and its form, in step. */
+export class SceneView {
+  constructor(view, name) { Object.assign(this, { view, name, version: 0, queue: Promise.resolve() }); }
+
+  async open() {
+    const [answer, read] = await Promise.all([ask("open", { scene: this.name }), known()]);
+    if (!taken(answer)) return;
+    Object.assign(this, { saved: answer.text, own: answer.own, file: answer.file });
+    this.build();
+    this.text = new Text(this.view.querySelector(".editor"), () => this.typed());
+    this.form = new Form(this.view.querySelector(".fields"), read, (what) => this.change(what), (path) => this.look(path));
+    this.text.open(answer.text);
+    this.take(answer);
+    this.view.addEventListener("line", (e) => { this.side("text"); this.text.go(e.detail); });
+  }
+
+  build() {
+    const button = (id, textContent, does, props = {}) => make("button", { type: "button", id, textContent, onclick: does, ...props });
+    const side = (which, textContent) => button(`side-${which}`, textContent, () => this.side(which));
+    this.box = make("div", { className: "scene" },
+      make("div", { className: "head" }, make("h1", { textContent: this.name }), make("span", { id: "unsaved", className: "unsaved", role: "status" }),
+        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form")),
+        make("span", { className: "group" },
+          button("undo", "Undo", () => this.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.text.redo(), { title: "Ctrl Shift Z" }),
+          button("save", this.own ? "Save" : "Save as …", () => this.save(), { title: "Ctrl S" }),
+          button("draw", "Draw lines", () => this.draw(), { title: "Ridges and valleys on the cloth by hand, in a page of its own" }),
+          button("plan", "Plan", () => this.plan(), { title: "What will run, what is left out, the stable step, the cost" }),
+          button("run-step", "Step", () => this.run(true), { title: "Start a run that waits after its first frame" }),
+          button("run", "Run", () => this.run(false), { className: "main", title: "Ctrl Enter" }))),
+      make("div", { className: "sides" },
+        make("section", { className: "side text", ariaLabel: "Text" },
+          make("div", { className: "editor" }, make("div", { className: "gutter", ariaHidden: "true" }), make("textarea", { id: "text", spellcheck: false, wrap: "off", ariaLabel: "The scene as YAML" })),
+          make("div", { className: "verdict", role: "status", id: "verdict" })),
+        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" }))),
+      make("div", { className: "panel plan", id: "planned", hidden: true }));
+    this.view.replaceChildren(this.box);
+    this.side("text");
+  }
+
+  /** In a narrow window, which side is shown. */
+  side(which) {
+    this.box.dataset.side = which;
+    for (const one of ["text", "form"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
+  }
+
+  typed() {
+    this.version++;
+    this.state();
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.check(), TYPED);
+  }
+
+  async check() {
+    const version = this.version, answer = await ask("check", { scene: this.name, text: this.text.value });
+    if (version === this.version && taken(answer)) this.take(answer);
+  }
+
+  /** A change by the form: one after the other, each of the text that the one before has made. */
+  change(what) {
+    this.queue = this.queue.then(async () => {
+      const version = this.version, answer = await ask("change", { scene: this.name, text: this.text.value, ...what });
+      if (version !== this.version || !taken(answer)) return;
+      this.text.set(answer.text);
+      this.take(answer, true);
+    });
+    return this.queue;
+  }
+
+  /** What the server says of the text. */
+  take({ data, lines, mistakes }, keep = false) {
+    Object.assign(this, { lines, mistakes });
+    this.text.mark(mistakes.map(({ line }) => line).filter(Boolean));
+    this.form.show(data, mistakes, keep);
+    const verdict = document.getElementById("verdict"), first = mistakes.find(({ line }) => line);
+    verdict.replaceChildren(make("span", { className: mistakes.length ? "bad" : "good", textContent: mistakes.length ? count(mistakes.length, "mistake") : "No mistakes" }));
+    if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => this.text.go(first.line) }));
+    // What is wrong with the whole of the text has no field.
+    verdict.append(...mistakes.filter((one) => !this.form.placed.has(one)).map(wordsOf));
+    this.state();
+  }
+
+  state() {
+    const changed = this.text.value !== this.saved;
+    document.getElementById("unsaved").textContent = changed ? "not saved" : "";
+    document.getElementById("undo").disabled = !this.text.past.length;
+    document.getElementById("redo").disabled = !this.text.future.length;
+    document.getElementById("save").disabled = this.own && !changed;
+  }
+
+  get unsaved() { return Boolean(this.text) && this.text.value !== this.saved; }
+
+  look(path) { this.text.point(this.lines[path]); }
+
+  async plan() {
+    const box = document.getElementById("planned"), button = document.getElementById("plan");
+    const close = make("button", { type: "button", className: "close", textContent: "✕", ariaLabel: "Close the plan", onclick: () => { box.hidden = true; } });
+    box.hidden = false;
+    box.replaceChildren(make("span", { className: "soft", textContent: "Planning: the first frame is tried. The first time, this takes a minute or two." }), close);
+    button.disabled = true;
+    const answer = await ask("plan", { scene: this.name, text: this.text.value });
+    button.disabled = false;
+    if (answer.ok) box.replaceChildren(rowsOf(answer.rows), close);
+    else box.replaceChildren(answer.words ? wordsOf(answer) : answer.problem, close);
+    box.scrollIntoView({ block: "nearest" });
+  }
+
+  async run(paused) {
+    document.getElementById("planned").hidden = true;
+    const answer = await ask("run", { scene: this.name, text: this.text.value, paused });
+    if (taken(answer)) dock.follow(answer);
+  }
+
+  async save() {
+    const name = this.own ? this.file : await confirm({ title: "Save the scene", text: "It goes into the folder that the studio was started in.", yes: "Save", label: "Name of the file", value: this.file });
+    if (!name) return;
+    const text = this.text.value, answer = await ask("save", { scene: this.name, text, before: this.saved, name });
+    if (!taken(answer)) return;
+    this.saved = text;
+    toast(`Saved as ${answer.name}`, answer.text);
+    if (this.own) this.state();
+    else location.hash = `#scene=${encodeURIComponent(answer.name)}`;
+  }
+
+  async draw() {
+    if (this.unsaved) { toast("Save the scene first", "Lines are drawn on the scene as it is in its file.", true); return; }
+    const button = document.getElementById("draw");
+    button.disabled = true;
+    const answer = await ask("draw", { scene: this.name });
+    button.disabled = false;
+    if (taken(answer)) window.open(answer.address, "_blank", "noopener");
+  }
+
+  keys(e) {
+    const key = e.key.toLowerCase();
+    if (!(e.ctrlKey || e.metaKey) || !this.text) return;
+    const does = { z: () => (e.shiftKey ? this.text.redo() : this.text.undo()), y: () => this.text.redo(), s: () => this.save(), enter: () => this.run(false) }[key];
+    if (!does) return;
+    e.preventDefault();
+    does();
+  }
+}

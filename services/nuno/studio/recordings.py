@@ -1,0 +1,130 @@
+"""The recordings of a folder: what each is, and what is done with it."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from nuno.pages.child import Child
+from nuno.recording.gaps import shortcoming
+from nuno.recording.reader import END, open_recording
+from nuno.recording.writer import part_of
+from nuno.report.show import lines
+from nuno.scene.files import stamp_of
+from nuno.supervision import log, runs
+from nuno_schemas.errors import BadInput
+
+PICTURE = ".png"
+WHOLE = ".mcap"
+PART = part_of(Path(WHOLE)).name
+"""What the names of recordings end in: of those that are whole, and of those that are not."""
+
+
+class Recordings:
+    """Those in a folder, which need not be there yet."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
+        self._drawing: dict[str, Child] = {}
+        self._verifying: dict[str, Child] = {}
+
+    def list(self) -> list[dict[str, Any]]:
+        """The newest first: name, scene, state, simulated time [s], bytes, whether there is a picture."""
+        found = []
+        for path in (*self.folder.glob(f"*{WHOLE}"), *self.folder.glob(f"*{PART}")):
+            with contextlib.suppress(OSError):  # it was removed meanwhile, or came to be whole
+                stamp = stamp_of(path)
+                if self._known.get(path.name, (None,))[0] != stamp:
+                    self._known[path.name] = (stamp, _facts(path))
+                found.append((stamp[1], self._known[path.name][1] | {"picture": self.picture_of(path).is_file()}))
+        return [facts | {"when": when / 1e9} for when, facts in sorted(found, key=lambda pair: -pair[0])]
+
+    def find(self, name: object) -> Path:
+        """Raises BadInput for what is no recording of this folder."""
+        path = self.folder / str(name)
+        if not isinstance(name, str) or path.name != name or not name.endswith((WHOLE, PART)) or not path.is_file():
+            raise BadInput("no such recording here", value=name, remedy="load the list again")
+        return path
+
+    def picture_of(self, path: Path) -> Path:
+        """Where `nuno run` puts the picture of its last frame."""
+        return path.with_name(_run_of(path) + PICTURE)
+
+    def pictures(self) -> dict[str, str]:
+        """Of each scene that has been recorded with a picture the last recording's name."""
+        newest = reversed([facts for facts in self.list() if facts["picture"]])
+        return {facts["scene"]: facts["name"] for facts in newest}
+
+    def open(self, name: object) -> dict[str, Any]:
+        """What one holds: the rows of its report, and what it lacks. Raises BadInput."""
+        path = self.find(name)
+        with open_recording(path) as recording:
+            report, lacks = recording.report(), shortcoming(recording)
+            rows = lines(report) if report else []
+        (facts,) = (one for one in self.list() if one["name"] == name)
+        return facts | {"rows": rows, "lacks": lacks or ""}
+
+    def draw(self, name: object) -> dict[str, Any]:
+        """Have its last frame drawn, by a process of its own; whether that goes on, and what it says where it fails."""
+        path = self.find(name)
+        if self.picture_of(path).is_file():
+            return {"drawing": False, "problem": ""}
+        child = self._drawing.get(path.name)
+        if child is None:
+            child = self._drawing[path.name] = Child(["export", str(path), "--png", str(self.picture_of(path))])
+        return {"drawing": child.code is None, "problem": child.said if child.code else ""}
+
+    def verify(self, name: object) -> dict[str, Any]:
+        """Begin to simulate it again and compare. Raises BadInput."""
+        path = self.find(name)
+        before = self._verifying.get(path.name)
+        if before is None or before.code is not None:
+            self._verifying[path.name] = Child(["verify", str(path)])
+        return self.verdict(name)
+
+    def verdict(self, name: object) -> dict[str, Any]:
+        """What the last comparison says: whether it goes on, whether all was equal, and its words."""
+        child = self._verifying.get(str(name))
+        if child is None:
+            return {"verifying": False, "equal": None, "words": ""}
+        code = child.code
+        return {"verifying": code is None, "equal": None if code is None else code == 0, "words": child.said}
+
+    def delete(self, name: object) -> dict[str, Any]:
+        """Remove a recording with its log and its picture. Raises BadInput."""
+        path = self.find(name)
+        run = _run_of(path)
+        if run in runs.running():
+            raise BadInput("its run goes on", value=path.name, remedy="stop it before")
+        try:
+            path.unlink()
+            for beside in (self.picture_of(path), path.with_name(run + log.SUFFIX)):
+                beside.unlink(missing_ok=True)
+        except OSError as error:
+            raise BadInput(f"cannot be removed: {error.strerror}", str(path)) from None
+        return {}
+
+    def close(self) -> None:
+        """End what was begun here."""
+        for child in (*self._drawing.values(), *self._verifying.values()):
+            if child.code is None:
+                child.end()
+
+
+def _run_of(path: Path) -> str:
+    return path.name.removesuffix(PART).removesuffix(WHOLE)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """From the file's own summary; one that is being written has none yet."""
+    facts: dict[str, Any] = {"name": path.name, "scene": "", "seconds": None, "bytes": path.stat().st_size}
+    if path.name.endswith(PART):
+        return facts | {"state": "not finished"}
+    try:
+        with open_recording(path) as recording:
+            scene, state = recording.scene, recording.metadata.get(END, {}).get("state", "unknown")
+            return facts | {"scene": str(scene.get("name", "")), "seconds": recording.span[1], "state": state}
+    except BadInput as error:
+        return facts | {"state": "cannot be read", "problem": str(error)}

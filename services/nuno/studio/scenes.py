@@ -1,0 +1,163 @@
+"""The scenes that the page can open, and the text of one: checked, changed, planned and saved."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nuno.api.plan import Row, describe
+from nuno.draw.append import read_text, write_whole
+from nuno.pages import server
+from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.scene.override import item_at
+from nuno.scene.scene_file import Loaded
+from nuno.scene.yaml_lines import dotted
+from nuno_schemas.errors import BadInput, nearest
+
+MOST = 20
+"""Mistakes that are told at once."""
+SUFFIXES = (".yaml", ".yml")
+NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.ya?ml", re.ASCII)
+"""What a new file may be called."""
+IS_SCENE = re.compile(r"^nuno\s*:", re.MULTILINE)
+
+
+class Scenes:
+    """Shipped scenes by name, and the scene files of a folder by their names there, which end in .yaml or .yml."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def paths(self) -> dict[str, Path]:
+        """Those of the folder first."""
+        own = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
+        return {path.name: path for path in own if IS_SCENE.search(_text_of(path))} | shipped.scenes()
+
+    def find(self, name: object) -> Path:
+        """Raises BadInput where there is none."""
+        paths = self.paths()
+        if name not in paths:
+            raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
+        return paths[str(name)]
+
+    def list(self) -> list[dict[str, Any]]:
+        """What is told of each: name of the entry and of the scene, description, whether it is one of the folder."""
+        found = []
+        for name, path in self.paths().items():
+            try:
+                data, _ = yaml_lines.parse(_text_of(path), str(path))
+                said = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
+            except BadInput as error:
+                said = {"scene": "", "description": str(error)}
+            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name} | said)
+        return found
+
+
+def _text_of(path: Path) -> str:
+    """Empty for what is no text."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def check(text: str, path: Path) -> dict[str, Any]:
+    """What a text says, the line of each field in it, and its mistakes, each as the command line has it.
+
+    The loader tells the first. Where that is a value that can be left out, what it tells without that is the next.
+    """
+    try:
+        data, lines = yaml_lines.parse(text, str(path))
+    except BadInput as error:
+        return {"data": None, "lines": {}, "mistakes": [server.describe(error)]}
+    mistakes: list[dict[str, Any]] = []
+    left = deepcopy(data)
+    while len(mistakes) < MOST:
+        try:
+            scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path))
+            break
+        except BadInput as error:
+            if any(error.field == known["field"] for known in mistakes):
+                break  # it is missing now that it is left out
+            mistakes.append(server.describe(error))
+            if not _leave_out(left, error.field, lines):
+                break
+    return {"data": _plain(data), "lines": {dotted(place): n for place, n in lines.items()}, "mistakes": mistakes}
+
+
+def _leave_out(data: dict[str, Any], field: str | None, lines: Mapping[yaml_lines.Path, int]) -> bool:
+    """Take a field's value out of the data; whether it was there, and nothing that others may name."""
+    place = next((path for path in lines if path and dotted(path) == field), None)
+    if place is None or place[-1] in ("name", "plugin") or not isinstance(place[-1], str):
+        return False
+    inside = item_at(data, place[:-1])
+    return isinstance(inside, dict) and inside.pop(place[-1], None) is not None
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can say it."""
+    if isinstance(value, dict):
+        return {key: _plain(child) for key, child in value.items()}
+    if isinstance(value, list):
+        return [_plain(child) for child in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def load(text: str, path: Path) -> Loaded:
+    """The scene of a text that stands for the file at a path. Raises BadInput."""
+    data, lines = yaml_lines.parse(text, str(path))
+    return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path)), path=path)
+
+
+def plan(text: str, path: Path) -> list[Row]:
+    """The rows of `nuno plan`. Raises BadInput."""
+    return list(describe(load(text, path)))
+
+
+def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:
+    """Write a text to its own file, or under a new name into the folder; what the page says of it. Raises BadInput.
+
+    `before` is what the file said when the page read it: one that was changed since is left alone.
+    """
+    if not isinstance(name, str) or not NEW.fullmatch(name):
+        limit = "letters, digits, - _ . and then .yaml"
+        raise BadInput("not the name of a scene's file", field="name", value=name, limit=limit)
+    target = folder / name
+    if target.exists() and (not path.exists() or not target.samefile(path)):
+        raise BadInput("a file of that name is there already", field="name", value=name, remedy="take another name")
+    if target.exists() and read_text(target) != before:
+        remedy = "save under another name, or open it again to go on from what it says now"
+        raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
+    yaml_lines.parse(text, name)
+    write_whole(target, text)
+    files = scene_file.files_of(path)
+    more = ""
+    if target.parent.resolve() != path.resolve().parent:
+        files_used = _files_used(text, path)
+        roots = " ".join(f"--root {root}" for root in (files.folder, *files.roots)) if files_used else ""
+        more = f"It names files that lie elsewhere: nuno run {name} {roots}" if roots else ""
+    return {"name": name, "file": str(target), "text": more}
+
+
+def _files_used(text: str, path: Path) -> bool:
+    try:
+        loaded = load(text, path)
+    except BadInput:
+        return False
+    return bool(loaded.files.used) or any(
+        isinstance(value := item_at(loaded.data, place), str) and (path.parent / value).is_file()
+        for place in yaml_lines.places(loaded.data)
+    )
+
+
+def schema() -> bytes:
+    """The JSON Schema of scenes, as bytes."""
+    from nuno.scene.json_schema import scene_schema
+
+    return json.dumps(scene_schema(), separators=(",", ":")).encode()

@@ -1,0 +1,186 @@
+"""What the page of `nuno studio` asks for: scenes checked and saved, runs, recordings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live_run import PATIENCE, wait_until
+from studio_desk import FILE, SHEET, write_sheet
+
+import nuno
+from nuno.api.plan import describe
+from nuno.pages.server import page_files
+from nuno.recording.writer import part_of
+from nuno.scene import scene_file, shipped
+from nuno.studio.desk import Desk
+from nuno_schemas.errors import BadInput
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    """In a folder of its own, with one scene in it."""
+    monkeypatch.chdir(tmp_path)
+    write_sheet(tmp_path)
+    one = Desk()
+    yield one
+    one.close()
+
+
+def ask(desk: Desk, name: str, /, **more: object) -> dict[str, Any]:
+    return desk.act({"do": name} | more)
+
+
+def about(desk: Desk, does: str, /, text: str = SHEET, **more: object) -> dict[str, Any]:
+    return ask(desk, does, scene=FILE, text=text, **more)
+
+
+def run_to_end(desk: Desk, text: str = SHEET) -> dict[str, Any]:
+    about(desk, "run", text)
+    wait_until(lambda: ask(desk, "now")["state"] in ("over", "failed", "refused", "stopped"), PATIENCE)
+    return ask(desk, "now")
+
+
+def test_the_page_takes_nothing_from_elsewhere_and_is_small() -> None:
+    files = page_files("nuno.studio")
+    text = "".join(body.decode() for _, body in files.values())
+    assert set(re.findall(r"https?://[^\s\"'`]+", text)) == {"http://www.w3.org/2000/svg"}
+    assert len(text) < 100_000
+
+
+def test_scenes_of_the_folder_and_those_with_nuno_are_listed(desk: Desk) -> None:
+    Path("notes.yaml").write_text("a: 1\n")
+    Path("broken.yaml").write_text("nuno: 1\nname: [\n")
+    found = {one["name"]: one for one in ask(desk, "scenes")["scenes"]}
+    assert found[FILE] == {
+        "name": FILE, "own": True, "scene": "sheet", "description": "A small sheet falls.", "picture": None
+    }  # fmt: skip
+    assert "broken.yaml:3: not valid YAML" in found["broken.yaml"]["description"]
+    assert found.keys() - {FILE, "broken.yaml"} == shipped.scenes().keys()
+    for name in ("../sheet.yaml", "notes.yaml", "/etc/passwd", 5):
+        with pytest.raises(BadInput, match="no such scene"):
+            ask(desk, "open", scene=name)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("damping: 0.5", "damping: -1"),
+        ("damping: 0.5", "dampin: 0.5"),
+        ("fabric: silk", "fabric: sillk"),
+        ("plugin: sheet", "plugin: sheat"),
+        ("[40 cm, 40 cm]", "[40 cm, 40 kg]"),
+        ("resolution: [9, 9]", "resolution: [9]"),
+        ("name: cloth ", "nam: cloth "),
+        ("duration: 0.4 s", "duration: [0.4 s"),
+        ("objects:", "bodies: [{name: a, collider: {plugin: sphere}, friction: many}]\nobjects:"),
+    ],
+)
+def test_a_mistake_has_the_very_words_of_the_command_line(desk: Desk, before: str, after: str) -> None:
+    text = SHEET.replace(before, after)
+    assert text != SHEET
+    Path(FILE).write_text(text)
+    with pytest.raises(BadInput) as refused:
+        scene_file.read(Path(FILE))
+    (mistake,) = about(desk, "check", text)["mistakes"][:1]
+    assert (mistake["words"], mistake["line"]) == (str(refused.value), refused.value.line)
+
+
+def test_mistakes_that_stand_side_by_side_are_told_together(desk: Desk) -> None:
+    text = SHEET.replace("damping: 0.5", "damping: -1").replace("fabric: silk", "fabric: sillk")
+    found = about(desk, "check", text.replace("dt: auto", "dt: never"))
+    assert {(one["field"], one["line"]) for one in found["mistakes"]} == {
+        ("damping", 8), ("objects[0].model.fabric", 12), ("solver.dt", 7)
+    }  # fmt: skip
+    assert about(desk, "check")["mistakes"] == []
+
+
+def test_a_plan_has_the_rows_of_the_command_line(desk: Desk) -> None:
+    rows = [row for row in about(desk, "plan")["rows"] if row[0] != "time"]  # which is measured
+    assert rows == [row for row in describe(scene_file.read(Path(FILE))) if row[0] != "time"] and len(rows) > 5
+    with pytest.raises(BadInput) as refused:
+        about(desk, "plan", SHEET.replace("silk", "sillk"))
+    assert refused.value.line == 12
+
+
+def test_a_scene_is_saved_in_the_folder_and_nowhere_else(desk: Desk) -> None:
+    text = SHEET.replace("0.5", "0.7")
+    for name in ("../up.yaml", "/tmp/up.yaml", "sheet.txt", ".yaml", "a b.yaml", "", None):
+        with pytest.raises(BadInput, match="not the name"):
+            about(desk, "save", text, before=SHEET, name=name)
+    Path("other.yaml").write_text("nuno: 1\n")
+    with pytest.raises(BadInput, match="is there already"):
+        about(desk, "save", text, before=SHEET, name="other.yaml")
+    with pytest.raises(BadInput, match="changed since"):
+        about(desk, "save", text, before="nuno: 1\n", name=FILE)
+    assert Path(FILE).read_text() == SHEET and Path("other.yaml").read_text() == "nuno: 1\n"
+    about(desk, "save", text, before=SHEET, name=FILE)
+    about(desk, "save", text, before=SHEET, name="new.yaml")
+    assert Path(FILE).read_text() == Path("new.yaml").read_text() == text
+
+
+def test_a_run_has_the_same_bits_as_from_the_command_line_and_is_of_the_text(desk: Desk) -> None:
+    text = SHEET.replace("0.5     # air", "0.9")
+    now = run_to_end(desk, text)
+    assert (now["state"], now["frame"], now["frames"]) == ("over", 20, 20)
+    with nuno.open(Path("recordings") / now["recording"]) as recording:
+        digests = [frame.digest for frame in recording.frames()]
+        rows = recording.report()
+    alone = nuno.run(FILE, damping=0.9)
+    assert len(digests) == 21 and digests[-1] == alone.digest != nuno.run(FILE).digest
+    found = ask(desk, "recording", recording=now["recording"])
+    assert dict(found["rows"])["digest"] == alone.digest and rows["digest"] == alone.digest
+    assert Path(FILE).read_text() == SHEET
+
+
+def test_a_run_is_stepped_paused_and_stopped(desk: Desk) -> None:
+    text = SHEET.replace("0.4 s", "400 s")
+    about(desk, "run", text, paused=True)
+    wait_until(lambda: ask(desk, "now")["state"] == "paused", PATIENCE)
+    with pytest.raises(BadInput, match="goes on already"):
+        about(desk, "run", text)
+    first = ask(desk, "now")["frame"]
+    ask(desk, "control", action="step")
+    wait_until(lambda: ask(desk, "now")["frame"] == first + 1 and ask(desk, "now")["state"] == "paused")
+    ask(desk, "control", action="resume")
+    wait_until(lambda: ask(desk, "now")["frame"] > first + 20 and ask(desk, "now")["factor"])
+    name = ask(desk, "now")["recording"]
+    with pytest.raises(BadInput, match="its run goes on"):
+        ask(desk, "delete", recording=f"{name}.part")
+    assert [one["state"] for one in ask(desk, "recordings")["recordings"]] == ["not finished"]
+    ask(desk, "control", action="stop")
+    wait_until(lambda: ask(desk, "now")["state"] == "over")
+    (only,) = ask(desk, "recordings")["recordings"]
+    assert (only["name"], only["scene"], only["state"]) == (name, "sheet", "stopped")
+    with pytest.raises(BadInput, match="no run goes on"):
+        ask(desk, "control", action="pause")
+
+
+def test_what_ends_a_run_before_it_begins_is_told(desk: Desk) -> None:
+    now = run_to_end(desk, SHEET.replace("dt: auto", "dt: 20 ms"))
+    assert now["state"] == "refused" and "stab" in now["said"] and not list(Path("recordings").glob("*.mcap*"))
+
+
+def test_a_recording_is_verified_and_deleted_with_what_lies_beside(desk: Desk) -> None:
+    name = run_to_end(desk)["recording"]
+    path, other = Path("recordings") / name, Path("recordings/other.mcap")
+    other.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    part_of(Path("recordings/cut.mcap")).write_bytes(b"")
+    assert {one["name"]: one["state"] for one in ask(desk, "recordings")["recordings"]} == {
+        name: "done", "other.mcap": "unknown", "cut.mcap.part": "not finished"
+    }  # fmt: skip
+    assert ask(desk, "recording", recording="other.mcap")["lacks"].startswith("INCOMPLETE")
+    ask(desk, "verify", recording=name)
+    wait_until(lambda: not ask(desk, "verdict", recording=name)["verifying"], PATIENCE)
+    verdict = ask(desk, "verdict", recording=name)
+    assert verdict["equal"] and verdict["words"].endswith("equal to the last bit: 21 frames")
+    wait_until(lambda: not ask(desk, "picture", recording=name)["drawing"], PATIENCE)
+    assert {one["name"]: one["picture"] for one in ask(desk, "scenes")["scenes"]}[FILE] == name
+    for wrong in ("../sheet.yaml", FILE, f"../recordings/{name}", "", None):
+        with pytest.raises(BadInput, match="no such recording"):
+            ask(desk, "delete", recording=wrong)
+    ask(desk, "delete", recording=name)
+    assert sorted(path.name for path in Path("recordings").iterdir()) == ["cut.mcap.part", "other.mcap"]
