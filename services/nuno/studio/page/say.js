@@ -20,9 +20,13 @@ export function taken(answer) {
   return false;
 }
 
+/** Gives what was asked last its answer. */
+let settle = () => {};
+
 /** Ask a person; what they typed where `label` names something to type, and else whether they agreed. */
 export function confirm({ title, text, yes, label = "", value = "" }) {
   const box = $("asked"), input = $("asked-input");
+  settle();  // the box was closed, and its event is still to come
   $("asked-title").textContent = title;
   $("asked-text").textContent = text;
   $("asked-yes").textContent = yes;
@@ -33,10 +37,11 @@ export function confirm({ title, text, yes, label = "", value = "" }) {
   box.showModal();
   (label ? input : $("asked-no")).focus();
   return new Promise((done) => {
-    box.addEventListener("close", () => done(box.returnValue === "yes" && (!label || input.value.trim())), { once: true });
+    settle = () => { settle = () => {}; done(box.returnValue === "yes" && (!label || input.value.trim())); };
   });
 }
 
+$("asked").addEventListener("close", () => { if (!$("asked").open) settle(); });
 $("toast").querySelector("button").addEventListener("click", () => { $("toast").hidden = true; });
 // Enter in the input means yes, not the first button of the form.
 $("asked-input").addEventListener("keydown", (e) => { if (e.key === "Enter") { e.preventDefault(); $("asked-yes").click(); } });

@@ -1,0 +1,241 @@
+"""The page of `nuno studio`, in a browser: what a person does there by mouse and keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from chromium import Page, find_browser
+from studio_desk import FILE, SHEET, studio, write_sheet
+
+import nuno
+from nuno.api.plan import describe
+from nuno.pages.server import Server
+from nuno.report.show import lines
+from nuno.scene import scene_file, shipped
+from nuno.studio.desk import Desk
+from nuno_schemas.errors import BadInput
+
+pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+PATIENCE = 300.0
+"""The first run on a machine compiles kernels [s]."""
+SOME = ("skirt-hula", "skirt-dyed", "bloom-skirt", "towel", "contact/knot", "dye/drops", "knit/stocking-leg",
+        "sewn/outfit", "extreme/far-away", "instruments/drapemeter")  # fmt: skip
+"""Of each folder one, and those that have most to say."""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
+        yield one
+        assert one.said == []
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
+    monkeypatch.chdir(tmp_path)
+    write_sheet(tmp_path)
+    with studio() as both:
+        yield both
+
+
+def look(page: Page, server: Server, place: str, ready: str) -> None:
+    # A page with changes that are not saved asks whether to leave.
+    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
+    page.open("about:blank")
+    page.open(server.guard.address + place)
+    page.wait(f"window.nuno !== undefined && ({ready})")
+
+
+def look_at_scene(page: Page, server: Server, name: str = FILE) -> None:
+    place = f"#scene={name.replace('/', '%2F')}"
+    look(page, server, place, f"nuno.scene?.name === '{name}' && document.getElementById('verdict')?.textContent")
+
+
+def text(page: Page) -> str:
+    return str(page.value("document.getElementById('text').value"))
+
+
+def rows(page: Page, box: str) -> list[tuple[str, str]]:
+    """Headings and texts that a list shows."""
+    found = page.value(
+        f"[...document.querySelectorAll('{box} dt')].map((dt) => [dt.textContent, dt.nextSibling.textContent])"
+    )
+    return [(name, said) for name, said in found]
+
+
+def focus(page: Page, name: str) -> None:
+    page.value(f"document.getElementById({name!r}).focus()")
+
+
+def write(page: Page, field: str, value: str) -> None:
+    """Type over what stands in a field."""
+    focus(page, f"field:{field}")
+    page.value("document.activeElement.select()")
+    page.type(value)
+
+
+def choose(page: Page, name: str, value: str) -> None:
+    page.value(
+        f"(() => {{ const s = document.getElementById({name!r}); s.focus(); s.value = {value!r}; "
+        "s.dispatchEvent(new Event('change', { bubbles: true })); })()"
+    )
+
+
+def wait_text(page: Page, wanted: str) -> None:
+    page.wait(f"document.getElementById('text').value === {wanted!r}")
+
+
+def test_a_scene_is_found_and_opened_by_keyboard(page: Page, served: tuple[Desk, Server]) -> None:
+    look(page, served[1], "", "document.querySelectorAll('.cards li').length > 5")
+    focus(page, "search")
+    page.type("small falls")
+    page.wait("document.querySelectorAll('.cards li:not([hidden])').length === 1")
+    page.press("Tab")
+    page.press("Enter")
+    page.wait(f"nuno.scene?.name === '{FILE}' && document.getElementById('verdict')?.textContent === 'No mistakes'")
+    assert text(page) == SHEET
+
+
+def test_the_form_changes_one_value_of_the_text_and_undo_takes_it_back(page: Page, served: tuple[Desk, Server]) -> None:
+    look_at_scene(page, served[1])
+    write(page, "damping", "0.75")
+    wait_text(page, once := SHEET.replace("damping: 0.5 ", "damping: 0.75 "))
+    choose(page, "field:objects[0].model.fabric", "jacket")
+    wait_text(page, twice := once.replace("silk, pin", "jacket, pin"))
+    choose(page, "field:objects[0].model", "swatch")
+    wait_text(page, twice.replace("plugin: sheet", "plugin: swatch"))
+    # The fields of the other plugin are there, and those that it does not know are told apart.
+    page.wait("document.querySelector('.unknown[data-path=\"objects[0].model.resolution\"] .mistake') !== null")
+    for _ in range(3):
+        page.press("z", control=True)
+    wait_text(page, SHEET)
+    page.wait(
+        "document.getElementById('field:damping').value === '0.5' && document.querySelectorAll('.mistake').length === 0"
+    )
+    page.click("all:")
+    choose(page, "add:forces", "wind")
+    wait_text(page, SHEET.replace("# the end\n", "forces:\n  - {plugin: wind}\n# the end\n"))
+    page.click("remove:forces[0]")
+    wait_text(page, SHEET.replace("# the end\n", "forces: []\n# the end\n"))
+    write(page, "description", "")
+    page.press("Enter")
+    page.wait("!document.getElementById('text').value.includes('description')")
+
+
+def test_the_text_changes_the_form_and_a_mistake_stands_at_its_field(page: Page, served: tuple[Desk, Server]) -> None:
+    look_at_scene(page, served[1])
+    page.value(
+        "(() => { const t = document.getElementById('text'); t.focus(); t.setSelectionRange(0, t.value.length); })()"
+    )
+    page.type(wrong := SHEET.replace("0.5 ", "2 km ").replace("40 cm, 40 cm", "30 cm, 20 cm"))
+    page.wait("document.querySelector('[data-path=\"damping\"] .mistake') !== null")
+    assert page.value("document.getElementById('field:objects[0].model.size').value") == "[30 cm, 20 cm]"
+    Path("wrong.yaml").write_text(wrong)
+    with pytest.raises(BadInput) as refused:
+        scene_file.read(Path("wrong.yaml"))
+    said = page.value(
+        "[...document.querySelectorAll('.mistake')].map((box) => [...box.children].map((p) => p.textContent))"
+    )
+    words = str(refused.value).replace("wrong.yaml", FILE).splitlines()
+    assert len(said) == 1 and said[0] == [refused.value.problem, *map(str.strip, words[1:]), f"{FILE}:8: damping"]
+    page.click("first")
+    assert page.value(
+        "document.getElementById('text').value.slice(document.getElementById('text').selectionStart)"
+    ).startswith("damping")
+    assert page.value("[...document.querySelectorAll('.gutter .wrong')].map((row) => row.textContent)") == ["8"]
+    write(page, "damping", "2")
+    page.wait("document.getElementById('verdict').textContent === 'No mistakes'")
+    page.press("s", control=True)
+    page.wait("document.getElementById('unsaved').textContent === ''")
+    assert Path(FILE).read_text() == SHEET.replace("0.5 ", "2 ").replace("40 cm, 40 cm", "30 cm, 20 cm")
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_the_form_knows_every_field_of_shipped_scenes(page: Page, served: tuple[Desk, Server], name: str) -> None:
+    look_at_scene(page, served[1], name)
+    assert page.value("document.getElementById('verdict').textContent") == "No mistakes"
+    assert page.value("document.querySelectorAll('.unknown').length") == 0
+    shown = set(page.value("[...document.querySelectorAll('[data-path]')].map((row) => row.dataset.path)"))
+    data = scene_file.read(shipped.find(name)).data
+    scalars = {path for path in _scalars(data, "") if path != "nuno"}
+    # What a field takes as a number or a mapping stands on one line.
+    lines_of = tuple(page.value("[...document.querySelectorAll('.control input')].map((one) => one.id.slice(6) + '.')"))
+    assert {path for path in scalars if not path.startswith(lines_of)} <= shown
+
+
+def _scalars(value: Any, path: str) -> Iterator[str]:
+    """Paths of what is written as one value: numbers, texts, lists of these."""
+    if isinstance(value, dict) and value:
+        for key, one in value.items():
+            yield from _scalars(one, f"{path}.{key}" if path else key)
+    elif isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+        for i, one in enumerate(value):
+            yield from _scalars(one, f"{path}[{i}]")
+    elif path:
+        yield path
+
+
+def test_a_scene_is_planned_run_paused_and_stopped(page: Page, served: tuple[Desk, Server]) -> None:
+    Path(FILE).write_text(SHEET.replace("0.4 s", "400 s"))
+    look_at_scene(page, served[1])
+    page.click("plan")
+    page.wait("document.querySelectorAll('#planned dt').length > 3", PATIENCE)
+    expected = list(describe(scene_file.read(Path(FILE))))
+    assert [row for row in rows(page, "#planned") if row[0] != "time"] == [row for row in expected if row[0] != "time"]
+    focus(page, "text")
+    page.press("Enter", control=True)
+    page.wait("nuno.dock.now.state === 'running' && nuno.dock.now.factor", PATIENCE)
+    page.wait("/real time/.test(document.getElementById('run-time').textContent)")
+    page.click("pause")
+    page.wait("nuno.dock.now.state === 'paused' && !document.getElementById('step').disabled")
+    frame = page.value("nuno.dock.now.frame")
+    page.click("step")
+    page.wait(f"nuno.dock.now.state === 'paused' && nuno.dock.now.frame === {frame + 1}")
+    page.click("pause")
+    page.wait(f"nuno.dock.now.frame > {frame + 5}")
+    page.click("stop")
+    page.wait("document.querySelector('#run-said img')?.complete", PATIENCE)
+    with nuno.open("last") as recording:
+        report = recording.report()
+    assert report["state"] == "stopped" and rows(page, "#run-said") == [(name, said) for name, said in lines(report)]
+    assert page.value("document.querySelector('#run-said img').naturalWidth") > 100
+    page.click("dismiss")
+
+
+def test_a_recording_is_opened_verified_and_deleted_once_asked(page: Page, served: tuple[Desk, Server]) -> None:
+    path = Path("recordings/one.mcap")
+    path.parent.mkdir()
+    nuno.run(FILE, record=path)
+    look(page, served[1], "#runs", "document.querySelector('tbody a') !== null")
+    assert page.value("[...document.querySelectorAll('tbody td')].slice(0, 4).map((td) => td.textContent)") == [
+        "one.mcap", "sheet", "done", "0.4 s"
+    ]  # fmt: skip
+    page.value("document.querySelector('tbody a').focus()")
+    page.press("Enter")
+    page.wait("document.querySelector('.shown img')?.naturalWidth > 100", PATIENCE)
+    page.click("verify")
+    page.wait("document.getElementById('verdict').textContent === 'equal to the last bit: 21 frames'", PATIENCE)
+    focus(page, "delete")
+    page.press("Enter")
+    page.wait("document.getElementById('asked').open")
+    page.press("Escape")
+    page.wait("!document.getElementById('asked').open")
+    assert path.is_file()
+    page.click("delete")
+    page.press("Tab")
+    page.press("Enter")
+    page.wait("location.hash === '#runs' && document.querySelector('.none') !== null")
+    assert not path.exists() and not path.with_suffix(".png").exists()
+
+
+def test_drawing_lines_is_a_page_of_its_own(page: Page, served: tuple[Desk, Server]) -> None:
+    Path(FILE).write_text(SHEET.replace("fabric: silk", "cells: triangles, fabric: silk"))
+    look_at_scene(page, served[1])
+    page.value("window.open = (address) => { window.opened = address; }")
+    page.click("draw")
+    address = page.wait("window.opened", PATIENCE)
+    page.open(address)
+    page.wait("window.nuno?.stage?.shape >= 0 && document.getElementById('name').textContent === 'sheet'")
