@@ -29,6 +29,7 @@ PAUSE = 0.3
 """How long nothing may come [s] until the run is asked what it does."""
 ASK = 30.0
 """How long that answer may take [s]."""
+GOING = ("preparing", "running", "paused")
 ENDS = {0: "over", 1: "failed", 2: "refused"}
 """What exit codes mean; another is that of a process that was ended by a signal."""
 
@@ -69,10 +70,12 @@ class Run:
     def tell(self) -> dict[str, Any]:
         """What the page shows: the state, how far it is, simulated seconds a second, and what the run has printed."""
         code = self._child.code
+        # A run that has stopped still finishes its recording.
+        now = self.state if self.state in GOING else "ending"
         return {
             "run": self.name,
             "recording": self.record.name,
-            "state": self.state if code is None else ENDS.get(code, "stopped"),
+            "state": now if code is None else ENDS.get(code, "stopped"),
             "frame": self.frame,
             "frames": self.frames,
             "t": self.t,

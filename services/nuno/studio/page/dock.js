@@ -7,8 +7,8 @@ import { factor } from "./words.js";
 
 /** How often a run is asked about [ms]; the server knows, and does not ask the run. */
 const OFTEN = 250;
-const SAID = { preparing: "getting ready", running: "running", paused: "paused", over: "over", failed: "failed", refused: "refused", stopped: "stopped", none: "" };
-const GOING = ["preparing", "running", "paused"];
+const SAID = { preparing: "getting ready", running: "running", paused: "paused", ending: "ending", over: "over", failed: "failed", refused: "refused", stopped: "stopped", none: "" };
+const GOING = ["preparing", "running", "paused", "ending"];
 const $ = (id) => document.getElementById(id);
 
 /** The run that was started here: how far it is, what it says, and at its end its report and picture. */
@@ -56,7 +56,7 @@ class Dock {
     $("pause").textContent = now.state === "paused" ? "Resume" : "Pause";
     $("pause").disabled = !["running", "paused"].includes(now.state);
     $("step").disabled = now.state !== "paused";
-    $("stop").disabled = !this.going;
+    $("stop").disabled = !this.going || now.state === "ending";
     $("pause").hidden = $("step").hidden = $("stop").hidden = !this.going;
     $("dismiss").hidden = this.going;
     const lines = (now.said ?? "").split("\n"), warned = lines.filter((line) => /\bWARNING\b/.test(line));
