@@ -12,7 +12,7 @@ from PIL import Image
 
 from nuno import registry
 from nuno.cli import main
-from nuno.cli.fabric import read_values
+from nuno.begin.sheet import read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
