@@ -7,13 +7,14 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from socket import socket
-from typing import Any
+from typing import IO, Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
-from nuno.pages.guard import HEADERS, Guard, Refused
+from nuno.pages.guard import FILE, HEADERS, Guard, Refused
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
@@ -27,6 +28,13 @@ NOT_FOUND, BAD_REQUEST, BUSY = 404, 400, 503
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
 Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
 """From the query of an address to content type and bytes. Raises Refused."""
+
+
+class Take(NamedTuple):
+    """How files are taken: by a name, from a stream of so many bytes, of which it reads all; and at most how many."""
+
+    keep: Callable[[str, IO[bytes], int], dict[str, Any]]
+    most: int
 
 
 def page_files(package: str) -> dict[str, tuple[str, bytes]]:
@@ -59,15 +67,15 @@ class Server(ThreadingHTTPServer):
     are few.
 
     `act` carries out what the page asks for; what it raises as BadInput, the page shows. `told` answers what is read
-    at addresses beside the page's files.
+    at addresses beside the page's files. `take` is for files that are dropped on the page.
     """
 
     daemon_threads = True
 
-    def __init__(self, package: str, act: Act, told: Mapping[str, Tell]) -> None:
+    def __init__(self, package: str, act: Act, told: Mapping[str, Tell], take: Take | None = None) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
-        self.act, self.told, self.files = act, told, page_files(package)
+        self.act, self.told, self.take, self.files = act, told, take, page_files(package)
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -105,7 +113,8 @@ class Handler(BaseHTTPRequestHandler):
         try:
             parts = urlsplit(self.path)
             name = self.server.guard.check(method, parts.path, self.headers)
-            kind, body = self._post(name) if method == "POST" else self._get(name, parse_qs(parts.query))
+            query = parse_qs(parts.query)
+            kind, body = self._post(name, query) if method == "POST" else self._get(name, query)
             self._send(200, kind, body)
         except Refused as refused:
             self.close_connection = True  # what is left of the request is not read
@@ -119,7 +128,12 @@ class Handler(BaseHTTPRequestHandler):
         except KeyError:
             raise Refused(NOT_FOUND, "there is no such page") from None
 
-    def _post(self, name: str) -> tuple[str, bytes]:
+    def _post(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        take = self.server.take
+        if name == "file" and take is not None:
+            length = self.server.guard.length(self.headers, take.most, FILE)
+            keep = partial(take.keep, query.get("name", [""])[0], self.rfile, length)
+            return self._carry_out(keep)
         length = self.server.guard.length(self.headers)
         body = self.rfile.read(length)
         if name != "do":
@@ -130,8 +144,11 @@ class Handler(BaseHTTPRequestHandler):
             request = None
         if not isinstance(request, dict):
             raise Refused(BAD_REQUEST, "a request is a JSON object")
+        return self._carry_out(partial(self.server.act, request))
+
+    def _carry_out(self, act: Callable[[], dict[str, Any]]) -> tuple[str, bytes]:
         try:
-            answer = {"ok": True} | self.server.act(request)
+            answer = {"ok": True} | act()
         except BadInput as error:
             answer = {"ok": False} | describe(error)
         return "application/json", json.dumps(answer).encode()

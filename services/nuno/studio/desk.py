@@ -13,9 +13,10 @@ from nuno.draw.desk import Desk as DrawDesk
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
 from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND, Server
+from nuno.pages.server import NOT_FOUND, Server, Take
 from nuno.scene import scene_file, yaml_lines
-from nuno.studio import edit, scenes
+from nuno.studio import arrivals, edit, scenes
+from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
 from nuno.supervision import runs
@@ -36,14 +37,16 @@ class Desk:
         self._drawn: list[tuple[Server, DrawDesk]] = []
         self._heavy, self._starting = threading.Lock(), threading.Lock()
         self._schema = functools.cache(scenes.schema)
+        self.files = Files(Path(), runs.RECORDINGS)
 
     def server(self) -> Server:
         """What serves the page, until it is closed."""
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
+            "shown": self.files.picture,
         }
-        return Server("nuno.studio", self.act, told)
+        return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
@@ -52,10 +55,14 @@ class Desk:
             found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
         elif name == "recordings":
             found = {"recordings": self.recordings.list()}
+        elif name in FILE_ACTS:
+            found = getattr(self.files, name)(request)
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            raise BadInput("no such request", value=name, limit=", ".join((*ACTS, "recordings", *OF_RECORDINGS)))
+            raise BadInput(
+                "no such request", value=name, limit=", ".join((*ACTS, *FILE_ACTS, "recordings", *OF_RECORDINGS))
+            )
         return found
 
     def close(self) -> None:

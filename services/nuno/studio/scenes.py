@@ -37,7 +37,7 @@ class Scenes:
     def paths(self) -> dict[str, Path]:
         """Those of the folder first."""
         own = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
-        return {path.name: path for path in own if IS_SCENE.search(_text_of(path))} | shipped.scenes()
+        return {path.name: path for path in own if IS_SCENE.search(text_of(path))} | shipped.scenes()
 
     def find(self, name: object) -> Path:
         """Raises BadInput where there is none."""
@@ -51,7 +51,7 @@ class Scenes:
         found = []
         for name, path in self.paths().items():
             try:
-                data, _ = yaml_lines.parse(_text_of(path), str(path))
+                data, _ = yaml_lines.parse(text_of(path), str(path))
                 said = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
             except BadInput as error:
                 said = {"scene": "", "description": str(error)}
@@ -59,7 +59,7 @@ class Scenes:
         return found
 
 
-def _text_of(path: Path) -> str:
+def text_of(path: Path) -> str:
     """Empty for what is no text."""
     try:
         return path.read_text(encoding="utf-8-sig")

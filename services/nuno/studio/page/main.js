@@ -1,5 +1,6 @@
 import { ask } from "./ask.js";
 import { dock } from "./dock.js";
+import { files, takeFiles } from "./files.js";
 import { gallery } from "./gallery.js";
 import { recording, recordings } from "./recordings.js";
 import { confirm } from "./say.js";
@@ -8,7 +9,7 @@ import { SceneView } from "./scene.js";
 const view = document.getElementById("view");
 let scene = null, shown = "";
 
-/** Where the address points: scenes, scene=NAME, runs, run=NAME. */
+/** Where the address points: scenes, scene=NAME, runs, run=NAME, files. */
 async function route() {
   const hash = location.hash || "#scenes";
   if (hash === shown) return;
@@ -19,14 +20,15 @@ async function route() {
   shown = hash;
   const [what, text = ""] = hash.slice(1).split("="), name = decodeURIComponent(text);
   scene = null;
-  for (const [id, own] of [["to-scenes", ["scenes", "scene"]], ["to-runs", ["runs", "run"]]]) {
+  for (const [id, own] of [["to-scenes", ["scenes", "scene"]], ["to-runs", ["runs", "run"]], ["to-files", ["files"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
     else document.getElementById(id).removeAttribute("aria-current");
   }
-  document.title = `${name || (what === "runs" ? "Runs" : "Scenes")} · nuno studio`;
+  document.title = `${name || { runs: "Runs", files: "Files" }[what] || "Scenes"} · nuno studio`;
   view.replaceChildren();
   if (what === "scene") { scene = new SceneView(view, name); await scene.open(); }
   else if (what === "runs") await recordings(view);
+  else if (what === "files") await files(view);
   else if (what === "run") await recording(view, name);
   else await gallery(view);
   if (shown === hash) view.dataset.shown = hash;
@@ -35,6 +37,7 @@ async function route() {
 window.addEventListener("hashchange", route);
 window.addEventListener("beforeunload", (e) => { if (scene?.unsaved) e.preventDefault(); });
 document.addEventListener("keydown", (e) => scene?.keys(e));
+takeFiles();
 route();
 ask("now").then((answer) => { if (answer.ok) dock.follow(answer); });
 /** For whoever wants to look into the page from its console, or test it. */

@@ -1,0 +1,279 @@
+"""What can be done with a file: each offer writes a scene beside it, as `nuno sew` and `nuno new` do, ready to run."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nuno import registry
+from nuno.begin.after import write_after
+from nuno.begin.worn import Garment, describe_worn, name_garments
+from nuno.scene import shipped
+from nuno.scene.override import as_override as _as
+from nuno.studio.arrivals import reserve
+from nuno.studio.seen import Seen, files_of
+from nuno_schemas.errors import BadInput, nearest
+
+NONE, OWN = "", "nuno:"
+"""A choice of nothing, and what stands before the names of what comes with nuno."""
+GARMENTS = {
+    "shirt-on-mannequin": "a T-shirt cut to it", "circle-skirt": "a circle skirt",
+    "skirt-on-mannequin": "a fitted skirt", "poncho": "a poncho",
+}  # fmt: skip
+"""Scenes of garments that are made after a body, which they call `mannequin`."""
+EDGE = "2 cm"
+"""Of a pattern's triangles, as `nuno sew`."""
+GAP = 0.05
+"""How far above a body a cloth begins [m]."""
+BALL = 0.7
+"""Height of the top of the ball of `drape-over-sphere` [m]."""
+MESHES, PATTERNS, PICTURES = (".obj", ".ply", ".stl", ".glb"), (".json",), (".png", ".jpg", ".jpeg")
+Option = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is chosen of an offer: its name, its heading, and options of value and words, the first unless told."""
+
+    name: str
+    label: str
+    options: Sequence[Option]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A file, what was seen of it, what was chosen beside it by name, and what tells of other files what they are."""
+
+    path: Path
+    seen: Seen
+    chosen: Mapping[str, str]
+    see: Callable[[Path], Seen]
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    def new(self, *parts: str) -> Path:
+        """A scene's file that is not there yet, after the names of what it is made of."""
+        (name,) = name_garments(["-".join(Path(part).stem for part in parts)])
+        path = reserve(self.folder, f"{name}.yaml")
+        path.unlink()
+        return path
+
+    def collider(self, body: str) -> dict[str, str]:
+        """A mesh of the folder as a body."""
+        scale = self.see(self.folder / body).scale
+        return {"plugin": "mesh", "file": body} | ({"scale": scale} if scale else {})
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What can be done, in words, with what is chosen; `make` writes the scene and gives its file."""
+
+    name: str
+    text: str
+    make: Callable[[Task], Path]
+    choices: tuple[Callable[[Path], Choice], ...] = ()
+
+
+def offers_for(seen: Seen) -> list[Offer]:
+    """The likeliest first."""
+    if seen.kind == "mesh":
+        return ([WEAR, DRESS, COVER, STOCKING] if seen.is_body else []) + ([FALL] if seen.is_cloth else [])
+    return [] if seen.mistakes else BY_KIND.get(seen.kind, [])
+
+
+def describe(offers: Sequence[Offer], folder: Path) -> list[dict[str, Any]]:
+    """As the page shows them."""
+    return [
+        {"name": one.name, "text": one.text, "choices": [asdict(find(folder)) for find in one.choices]}
+        for one in offers
+    ]
+
+
+def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[str, object]) -> Path:
+    """Carry out an offer for a file; the scene that was written. Raises BadInput for a choice that is none."""
+    seen = see(path)
+    offers = {one.name: one for one in offers_for(seen)}
+    if name not in offers:
+        raise BadInput("this cannot be done with it", path.name, value=name, remedy=nearest(str(name), offers))
+    offer, picked = offers[str(name)], dict[str, str]()
+    for choice in (find(path.parent) for find in offer.choices):
+        known = [value for value, _ in choice.options]
+        value = chosen.get(choice.name, known[0])
+        if value not in known:
+            raise BadInput("no such choice", field=choice.name, value=value, remedy=nearest(str(value), known))
+        picked[choice.name] = str(value)
+    return offer.make(Task(path, seen, picked, see))
+
+
+def _bodies(folder: Path) -> Choice:
+    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
+    return Choice("body", "on", [*own, (NONE, "the mannequin that comes with nuno")])
+
+
+def _patterns(folder: Path) -> Choice:
+    own = [(path.name, path.name) for path in files_of(folder, PATTERNS)]
+    with_nuno = [(f"{OWN}{path.name}", f"{path.stem}, with nuno") for path in sorted(_sewn().glob("*.yaml"))]
+    return Choice("pattern", "pattern", [*own, *with_nuno])
+
+
+def _motions(folder: Path) -> Choice:
+    own = [(path.name, f"moved by {path.name}") for path in files_of(folder, (".bvh",))]
+    return Choice("motion", "who", [(NONE, "stands"), *own, (f"{OWN}walk.bvh", "walks, with nuno")])
+
+
+def _fabrics(_: Path) -> Choice:
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    said = model.Config.model_json_schema()["properties"]["fabric"]
+    names = next(one["enum"] for one in said["oneOf"] if "enum" in one)
+    return Choice("fabric", "of", [(name, name) for name in sorted(names, key=lambda name: name != said["default"])])
+
+
+def _garments(_: Path) -> Choice:
+    return Choice("garment", "garment", list(GARMENTS.items()))
+
+
+def _stencils(folder: Path) -> Choice:
+    own = [(path.name, path.name) for path in files_of(folder, PICTURES)]
+    return Choice("stencil", "with", [(NONE, "no stencil"), *own])
+
+
+def _drafts(folder: Path) -> Choice:
+    own = [(path.name, path.name) for path in files_of(folder, (".wif",))]
+    return Choice("draft", "on", [*own, (NONE, "a twill that comes with nuno")])
+
+
+def _below(folder: Path) -> Choice:
+    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
+    return Choice("body", "on", [(NONE, "a ball"), *own])
+
+
+def _sewn() -> Path:
+    return shipped.folder() / "sewn" / "patterns"
+
+
+def _beside(folder: Path, chosen: str, place: Path) -> str:
+    """The name of what was chosen, in a folder: what comes with nuno is copied there."""
+    if not chosen.startswith(OWN):
+        return chosen
+    source = place / chosen.removeprefix(OWN)
+    there = folder / source.name
+    if not there.is_file() or there.read_bytes() != source.read_bytes():
+        there = reserve(folder, source.name)
+        shutil.copyfile(source, there)
+    return there.name
+
+
+def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE) -> Path:
+    """As `nuno sew PATTERN --body BODY --motion BVH` writes it; what is not given is chosen."""
+    chosen = {"body": body, "pattern": pattern, "motion": motion}
+    body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
+    scale = task.see(task.folder / body).scale if body else ""
+    pattern = _beside(task.folder, pattern, _sewn())
+    motion = _beside(task.folder, motion, shipped.folder())
+    scene = task.new(pattern, "worn")
+    (name,) = name_garments([Path(pattern).stem])
+    garments = [Garment(name, pattern, task.chosen["fabric"])]
+    text = describe_worn(scene.stem, garments, EDGE, body or None, motion or None, scale)
+    scene.write_text(text, encoding="utf-8")
+    return scene
+
+
+def _dress(task: Task) -> Path:
+    garment = task.chosen["garment"]
+    scene = task.new(garment.replace("-on-mannequin", ""), task.path.stem)
+    return write_after(garment, scene, [_as("bodies.mannequin.collider", task.collider(task.path.name))])[-1]
+
+
+def _cover(task: Task) -> Path:
+    """A square of cloth, as wide as the body and half of it more, begins above the body."""
+    low, high = task.seen.low, task.seen.high
+    side = round(1.5 * max(high[0] - low[0], high[2] - low[2]) + 0.2, 2)
+    body = {"name": "body", "collider": task.collider(task.path.name), "friction": 0.4}
+    return write_after("drape-over-sphere", task.new("cover", task.path.stem), [
+        _as("objects.cloth.model.size", [side, side]),
+        _as("objects.cloth.model.centre", [_middle(low, high, 0), round(high[1] + GAP, 4), _middle(low, high, 2)]),
+        _as("objects.cloth.model.fabric", task.chosen["fabric"]),
+        _as("bodies.floor.collider.point", [0.0, round(min(0.0, low[1]), 4), 0.0]),
+        _as("bodies.ball", body | {"contact": {"plugin": "sliding", "gap": "3 mm"}}),
+    ])[-1]  # fmt: skip
+
+
+def _middle(low: Sequence[float], high: Sequence[float], axis: int) -> float:
+    return round(0.5 * (low[axis] + high[axis]), 4)
+
+
+def _stocking(task: Task) -> Path:
+    body = _as("bodies.leg.collider", task.collider(task.path.name))
+    return write_after("knit/stocking-leg", task.new("stocking", task.path.stem), [body])[-1]
+
+
+def _fall(task: Task) -> Path:
+    """The mesh as cloth, its lowest point a little above the ball's top, or on a body where its file has it."""
+    low, high = task.seen.low, task.seen.high
+    model: dict[str, Any] = {"plugin": "mesh", "file": task.path.name, "fabric": task.chosen["fabric"]}
+    model |= {"scale": task.seen.scale} if task.seen.scale else {}
+    model |= {"merge": True} if task.path.suffix == ".obj" else {}
+    if task.chosen["body"]:
+        return write_after("sewn/shirt", task.new(task.path.stem, "worn"), [
+            _as("objects.shirt", {"name": "cloth", "colour": "#5b84b8", "model": model}),
+            _as("bodies.mannequin.collider", task.collider(task.chosen["body"])),
+        ])[-1]  # fmt: skip
+    model["centre"] = [-_middle(low, high, 0), round(BALL + GAP - low[1], 4), -_middle(low, high, 2)]
+    scene = task.new(task.path.stem, "falls")
+    return write_after("drape-over-sphere", scene, [_as("objects.cloth.model", model)])[-1]
+
+
+def _dance(task: Task) -> Path:
+    return write_after("skirt-walk", task.new("skirt", task.path.stem), [
+        _as("bodies.walker.motion.file", task.path.name), _as("objects.skirt.model.attach.frame", task.seen.joint),
+    ])[-1]  # fmt: skip
+
+
+def _weave(task: Task, draft: str, stencil: str, what: str) -> Path:
+    changes = [_as("dye.cloth.weave.file", draft)] if draft else []
+    changes += [_as("dye.cloth.resist.0.file", stencil) if stencil else _as("dye.cloth.resist", [])]
+    return write_after("dye/draft", task.new(task.path.stem, what), changes)[-1]
+
+
+def _change(scene: str, field: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
+    """A scene of nuno's with the file in one of its fields."""
+
+    def write(task: Task) -> Path:
+        names = [part or task.path.stem for part in parts or (NONE, scene)]
+        value = dict(task.seen.fabric) or task.path.name
+        return write_after(scene, task.new(*names), [_as(field, value)])[-1]
+
+    return write
+
+
+WEAR = Offer("wear", "Put a sewing pattern on it", lambda task: _wear(task, body=task.path.name),
+             (_patterns, _fabrics, _motions))  # fmt: skip
+DRESS = Offer("dress", "Cut a garment to it", _dress, (_garments,))
+COVER = Offer("cover", "Let a cloth fall over it", _cover, (_fabrics,))
+STOCKING = Offer("stocking", "Draw a stocking over it, a leg", _stocking)
+FALL = Offer("fall", "Let it fall, as cloth", _fall, (_below, _fabrics))
+BY_KIND = {
+    "pattern": [Offer("wear", "Put it on a body", lambda task: _wear(task, pattern=task.path.name),
+                      (_bodies, _fabrics, _motions))],
+    "motion": [
+        Offer("wear", "A body goes by it, in a garment", lambda task: _wear(task, motion=task.path.name),
+              (_bodies, _patterns, _fabrics)),
+        Offer("dance", "A skirt swings on its skeleton", _dance),
+    ],
+    "draft": [Offer("weave", "Weave it, and dye it",
+                    lambda task: _weave(task, task.path.name, task.chosen["stencil"], "woven"), (_stencils,))],
+    "picture": [
+        Offer("resist", "Keep dye out with it, as a stencil",
+              lambda task: _weave(task, task.chosen["draft"], task.path.name, "resist"), (_drafts,)),
+        Offer("print", "Print it on a skirt", _change("skirt-walk", "objects.skirt.model.texture", ("skirt", NONE))),
+    ],
+    "net": [Offer("net", "Let it swing", _change("net", "objects.chain.model.file"))],
+    "sheet": [Offer("drape", "Drape this fabric over a ball",
+                    _change("drape-over-sphere", "objects.cloth.model.fabric", (NONE, "drape")))],
+}  # fmt: skip
+"""What is offered for each kind of file but meshes."""
