@@ -62,7 +62,7 @@ def test_from_a_body_and_a_pattern_to_a_running_drape_in_few_clicks(
     told = rows(page, "shirt.json")
     assert told["seams"].startswith("18, of") and told["panels"].startswith("8: ")
     # The body that was dropped is chosen already.
-    assert page.value("document.querySelector('[data-file=\"shirt.json\"] [name=\"body\"]').value") == "body-mean.obj"
+    assert page.value('document.querySelector(\'[data-file="shirt.json"] [name="body"]\').value') == "body-mean.obj"
     page.tap("[data-file='shirt.json'] [data-offer='wear'] button")
     page.wait("nuno.scene?.name === 'shirt-worn.yaml' && document.getElementById('verdict')?.textContent", PATIENCE)
     assert page.value("document.getElementById('verdict').textContent") == "No mistakes"

@@ -10,6 +10,7 @@ from pathlib import Path
 from nuno.begin.worn import name_garments
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.commented import comment
+from nuno.scene.explain import UNNUMBERED
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.provenance import assets
@@ -52,7 +53,7 @@ def _load(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
     # Of two files of one name that beside the new scene is meant, which may have been put there for it.
     own = scene_file.files_of(path)
     files = SceneFiles(file.parent, (own.folder, *own.roots))
-    return replace(scene_file.load(data, dict.fromkeys(lines, scene_file.UNNUMBERED), file.name, files), path=path)
+    return replace(scene_file.load(data, dict.fromkeys(lines, UNNUMBERED), file.name, files), path=path)
 
 
 def _same(path: Path, place: Path) -> bool:

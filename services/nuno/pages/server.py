@@ -10,8 +10,9 @@ from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from io import BufferedIOBase
 from socket import socket
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from nuno.pages.guard import FILE, HEADERS, Guard, Refused
@@ -33,7 +34,7 @@ Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
 class Take(NamedTuple):
     """How files are taken: by a name, from a stream of so many bytes, of which it reads all; and at most how many."""
 
-    keep: Callable[[str, IO[bytes], int], dict[str, Any]]
+    keep: Callable[[str, BufferedIOBase, int], dict[str, Any]]
     most: int
 
 

@@ -8,8 +8,10 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import fields
+from io import BufferedIOBase
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import TypeVar
 
 from nuno.studio.seen import KINDS
 from nuno_schemas.errors import BadInput
@@ -48,7 +50,9 @@ class Arrivals:
         stem = re.sub(r"[^\w. ()+-]", "-", stem)[:STEM].strip(" .-") or "file"
         return stem + ending.lower()
 
-    def receive(self, name: str, stream: IO[bytes], length: int, look: Callable[[Path], Made]) -> tuple[Path, Made]:
+    def receive(
+        self, name: str, stream: BufferedIOBase, length: int, look: Callable[[Path], Made]
+    ) -> tuple[Path, Made]:
         """Take a file from a stream; where it is now, and what was seen of it: what `look` refuses is not kept.
 
         One that is here already, byte by byte and under its name, is taken for that. Raises BadInput.
@@ -61,18 +65,29 @@ class Arrivals:
             with tempfile.TemporaryDirectory(dir=folder, prefix=".nuno-") as aside:
                 path = Path(aside) / name
                 _copy(stream, path, length)
-                found = look(path)
-                there = folder / name
-                if there.is_file() and filecmp.cmp(there, path, shallow=False):
-                    return there, found
-                there = reserve(folder, name)
-                path.replace(there)
+                found = _looked(look, path)
+                there = reserve(folder, name, path)
+                if not there.stat().st_size:
+                    path.replace(there)
                 return there, found
         except OSError as error:
             raise BadInput(f"cannot be written: {error.strerror}", name) from None
 
 
-def _copy(stream: IO[bytes], path: Path, length: int) -> None:
+def _looked(look: Callable[[Path], Made], path: Path) -> Made:
+    """What is seen of a file; errors call it by its name alone, since nobody knows where it lies meanwhile."""
+    try:
+        return look(path)
+    except BadInput as error:
+        said = {one.name: getattr(error, one.name) for one in fields(error)}
+        for place in (str(path.resolve()), str(path)):
+            said = {
+                key: text.replace(place, path.name) if isinstance(text, str) else text for key, text in said.items()
+            }
+        raise BadInput(**said) from None
+
+
+def _copy(stream: BufferedIOBase, path: Path, length: int) -> None:
     """Raises BadInput where fewer bytes come than were announced."""
     with path.open("xb") as file:
         while length:
@@ -83,9 +98,9 @@ def _copy(stream: IO[bytes], path: Path, length: int) -> None:
             length -= len(piece)
 
 
-def reserve(folder: Path, name: str) -> Path:
-    """A new, empty file of a name that nothing had: with a number behind its stem where something has. Raises
-    OSError.
+def reserve(folder: Path, name: str, like: Path | None = None) -> Path:
+    """A new, empty file of a name that nothing had, with a number behind its stem where something has; or on the way
+    there one that is `like` another, byte by byte. Raises OSError.
     """
     stem, ending = os.path.splitext(name)
     number = 1
@@ -95,4 +110,6 @@ def reserve(folder: Path, name: str) -> Path:
             path.open("xb").close()
             return path
         except FileExistsError:
+            if like is not None and path.is_file() and filecmp.cmp(path, like, shallow=False):
+                return path
             number += 1

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from io import BufferedIOBase
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND
@@ -30,10 +31,11 @@ class Files:
         self._seen: dict[Path, tuple[tuple[int, int], Seen]] = {}
         self._looking = threading.Lock()
 
-    def take(self, name: str, stream: IO[bytes], length: int) -> dict[str, Any]:
+    def take(self, name: str, stream: BufferedIOBase, length: int) -> dict[str, Any]:
         """A file that is dropped on the page; what it is and what can be done with it. Raises BadInput."""
         path, seen = self._arrivals.receive(name, stream, length, look)
-        self._seen[path] = (stamp_of(path), seen)
+        if seen.kind != "scene":  # whose other files lie beside its place
+            self._seen[path] = (stamp_of(path), seen)
         return self._told(path)
 
     def files(self, request: Mapping[str, Any]) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[
 
 def _bodies(folder: Path) -> Choice:
     own = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "on", [*own, (NONE, "the mannequin that comes with nuno")])
+    return Choice("body", "body", [*own, (NONE, "the mannequin that comes with nuno")])
 
 
 def _patterns(folder: Path) -> Choice:
@@ -123,14 +123,16 @@ def _patterns(folder: Path) -> Choice:
 
 def _motions(folder: Path) -> Choice:
     own = [(path.name, f"moved by {path.name}") for path in files_of(folder, (".bvh",))]
-    return Choice("motion", "who", [(NONE, "stands"), *own, (f"{OWN}walk.bvh", "walks, with nuno")])
+    return Choice("motion", "it", [(NONE, "stands"), *own, (f"{OWN}walk.bvh", "walks, with nuno")])
 
 
 def _fabrics(_: Path) -> Choice:
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
     said = model.Config.model_json_schema()["properties"]["fabric"]
     names = next(one["enum"] for one in said["oneOf"] if "enum" in one)
-    return Choice("fabric", "of", [(name, name) for name in sorted(names, key=lambda name: name != said["default"])])
+    return Choice(
+        "fabric", "fabric", [(name, name) for name in sorted(names, key=lambda name: name != said["default"])]
+    )
 
 
 def _garments(_: Path) -> Choice:
@@ -144,7 +146,7 @@ def _stencils(folder: Path) -> Choice:
 
 def _drafts(folder: Path) -> Choice:
     own = [(path.name, path.name) for path in files_of(folder, (".wif",))]
-    return Choice("draft", "on", [*own, (NONE, "a twill that comes with nuno")])
+    return Choice("draft", "draft", [*own, (NONE, "a twill that comes with nuno")])
 
 
 def _below(folder: Path) -> Choice:
@@ -186,7 +188,15 @@ def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE)
 def _dress(task: Task) -> Path:
     garment = task.chosen["garment"]
     scene = task.new(garment.replace("-on-mannequin", ""), task.path.stem)
-    return write_after(garment, scene, [_as("bodies.mannequin.collider", task.collider(task.path.name))])[-1]
+    changes = [_as("bodies.mannequin.collider", task.collider(task.path.name))]
+    if task.seen.crosses:  # as scanned bodies do at the mouth: no vertex can slide on it, but cloth contact meets it
+        changes += [_as("contact", {"plugin": "penalty"}), _as("cloth_contact", _meets("mannequin"))]
+    return write_after(garment, scene, changes)[-1]
+
+
+def _meets(body: str) -> dict[str, Any]:
+    """Contact of cloth that a body is met by as cloth is."""
+    return {"plugin": "offset", "thickness": "2 mm", "bodies": [body]}
 
 
 def _cover(task: Task) -> Path:
@@ -199,7 +209,7 @@ def _cover(task: Task) -> Path:
         _as("objects.cloth.model.centre", [_middle(low, high, 0), round(high[1] + GAP, 4), _middle(low, high, 2)]),
         _as("objects.cloth.model.fabric", task.chosen["fabric"]),
         _as("bodies.floor.collider.point", [0.0, round(min(0.0, low[1]), 4), 0.0]),
-        _as("bodies.ball", body | {"contact": {"plugin": "sliding", "gap": "3 mm"}}),
+        _as("bodies.ball", body), _as("cloth_contact", _meets("body")),
     ])[-1]  # fmt: skip
 
 

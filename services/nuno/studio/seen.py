@@ -31,6 +31,8 @@ from nuno_schemas.plugin import BodyShape
 Rows = list[tuple[str, str]]
 GATHER = 1.1
 """As `nuno sew --check`: seams of edges that differ by more are told of."""
+NO_MESH = ("cannot be read", "the mesh has no triangles")
+"""How it begins what is said of a file that holds no mesh at all."""
 MOST_PIXELS = 100_000_000
 LIKE = "interlock"
 """What a laboratory's sheet does not tell is as of this fabric."""
@@ -45,6 +47,7 @@ class Seen:
     rows      figures, by name
     mistakes  as the page shows them
     is_body, is_cloth  of a mesh: whether a body, or cloth, can be made of it
+    crosses   of a mesh: whether it passes through itself
     scale     of a mesh: how long its unit is, where that is hardly the metre
     low, high  (3,) of a mesh: corners of the box about it, in metres
     joint     of a motion: what a skirt can be held by
@@ -58,6 +61,7 @@ class Seen:
     mistakes: list[dict[str, Any]] = field(default_factory=list)
     is_body: bool = False
     is_cloth: bool = False
+    crosses: bool = False
     scale: str = ""
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
@@ -82,26 +86,23 @@ def _mesh(path: Path) -> Seen:
     files, name = SceneFiles(path.parent), path.name
     body = registry.load("nuno.colliders", "mesh")
     cloth = registry.load("nuno.models", "mesh")
-    mistakes: list[BadInput] = []
-    rows: Rows = []
+    mistakes, rows, crosses = list[BadInput](), Rows(), False
     try:
         shape: BodyShape = body.build(body.Config(file=name), None, files)
         x, faces = shape.vertices, shape.faces
-        rows += [("passes through itself", note) for note in shape.notes]
+        rows, crosses = [("remark", note) for note in shape.notes], bool(shape.notes)
         title, closed, is_cloth = "a closed mesh", True, path.suffix.lower() != ".glb"
     except BadInput as not_closed:
-        closed = False
+        if not_closed.problem.startswith(NO_MESH):
+            raise
+        closed, is_cloth, title = False, False, "a mesh with mistakes"
+        x, faces, mistakes = np.zeros((0, 3)), np.zeros((0, 3), np.int32), [not_closed]
         try:
             fabric: Fabric = cloth.build(cloth.Config(file=name, merge=path.suffix.lower() == ".obj"), files, 0)
+            x, faces, is_cloth, title = fabric.position, fabric.faces, True, "a mesh that is not closed"
+            rows, mistakes = [("as a body", f"{not_closed.problem}: {not_closed.field}")], []
         except BadInput as no_cloth:
-            # Where a body cannot be read and cloth cannot either, the file is none; else both stand there.
-            if no_cloth.problem == not_closed.problem or no_cloth.problem.startswith("cannot be read"):
-                raise not_closed from None
-            mistakes, title, is_cloth = [not_closed, no_cloth], "a mesh with mistakes", False
-            x, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-        else:
-            x, faces, title, is_cloth = fabric.position, fabric.faces, "a mesh that is not closed", True
-            rows.append(("as a body", f"{not_closed.problem}{_where(not_closed)}"))
+            mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
     if not len(x):
         return Seen("mesh", title, rows, [_told(one, name) for one in mistakes])
     unit = unit_of(x)
@@ -115,7 +116,7 @@ def _mesh(path: Path) -> Seen:
         rows.append(("unit", f"taken as {unit}: in metres it would be {float(np.ptp(x, axis=0).max()):.3g} m long"))
     scale = unit.replace("1", "1 ") if unit else ""
     corners = tuple(map(float, low)), tuple(map(float, high))
-    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, scale, *corners)
+    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses, scale, *corners)
 
 
 def unit_of(x: Float) -> str:
@@ -124,10 +125,6 @@ def unit_of(x: Float) -> str:
     if SMALLEST <= size <= LARGEST or not size > 0.0:
         return ""
     return min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
-
-
-def _where(error: BadInput) -> str:
-    return f": {error.field}" if error.field else ""
 
 
 def _pattern(path: Path) -> Seen:
