@@ -44,6 +44,7 @@ class Desk:
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
+            "scene": self._scene_picture,
             "shown": self.files.picture,
         }
         return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
@@ -80,6 +81,12 @@ class Desk:
         try:
             path = self.recordings.picture_of(self.recordings.find(query.get("recording", [""])[0]))
             return "image/png", path.read_bytes()
+        except (BadInput, OSError):
+            raise Refused(NOT_FOUND, "there is no such picture") from None
+
+    def _scene_picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        try:
+            return "image/webp", self.scenes.picture_of(query.get("name", [""])[0]).read_bytes()
         except (BadInput, OSError):
             raise Refused(NOT_FOUND, "there is no such picture") from None
 

@@ -8,39 +8,35 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno import registry
 from nuno.begin.after import write_after
 from nuno.begin.worn import Garment, describe_worn, name_garments
 from nuno.scene import shipped
 from nuno.scene.override import as_override as _as
 from nuno.studio.arrivals import reserve
-from nuno.studio.seen import Seen, files_of
+from nuno.studio.choices import (
+    GARMENTS,
+    NONE,
+    OWN,
+    Choice,
+    below,
+    bodies,
+    drafts,
+    fabrics,
+    garments,
+    motions,
+    patterns,
+    sewn,
+    stencils,
+)
+from nuno.studio.seen import Seen
 from nuno_schemas.errors import BadInput, nearest
 
-NONE, OWN = "", "nuno:"
-"""A choice of nothing, and what stands before the names of what comes with nuno."""
-GARMENTS = {
-    "shirt-on-mannequin": "a T-shirt cut to it", "circle-skirt": "a circle skirt",
-    "skirt-on-mannequin": "a fitted skirt", "poncho": "a poncho",
-}  # fmt: skip
-"""Scenes of garments that are made after a body, which they call `mannequin`."""
 EDGE = "2 cm"
 """Of a pattern's triangles, as `nuno sew`."""
 GAP = 0.05
 """How far above a body a cloth begins [m]."""
 BALL = 0.7
 """Height of the top of the ball of `drape-over-sphere` [m]."""
-MESHES, PATTERNS, PICTURES = (".obj", ".ply", ".stl", ".glb"), (".json",), (".png", ".jpg", ".jpeg")
-Option = tuple[str, str]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What is chosen of an offer: its name, its heading, and options of value and words, the first unless told."""
-
-    name: str
-    label: str
-    options: Sequence[Option]
 
 
 @dataclass(frozen=True)
@@ -62,6 +58,10 @@ class Task:
         path = reserve(self.folder, f"{name}.yaml")
         path.unlink()
         return path
+
+    def write(self, after: str, scene: Path, description: str, *changes: str) -> Path:
+        """A scene after one of nuno's, with changes (`key=value`)."""
+        return write_after(after, scene, [_as("description", description), *changes])[-1]
 
     def collider(self, body: str) -> dict[str, str]:
         """A mesh of the folder as a body."""
@@ -110,54 +110,6 @@ def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[
     return offer.make(Task(path, seen, picked, see))
 
 
-def _bodies(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "body", [*own, (NONE, "the mannequin that comes with nuno")])
-
-
-def _patterns(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, PATTERNS)]
-    with_nuno = [(f"{OWN}{path.name}", f"{path.stem}, with nuno") for path in sorted(_sewn().glob("*.yaml"))]
-    return Choice("pattern", "pattern", [*own, *with_nuno])
-
-
-def _motions(folder: Path) -> Choice:
-    own = [(path.name, f"moved by {path.name}") for path in files_of(folder, (".bvh",))]
-    return Choice("motion", "it", [(NONE, "stands"), *own, (f"{OWN}walk.bvh", "walks, with nuno")])
-
-
-def _fabrics(_: Path) -> Choice:
-    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
-    said = model.Config.model_json_schema()["properties"]["fabric"]
-    names = next(one["enum"] for one in said["oneOf"] if "enum" in one)
-    return Choice(
-        "fabric", "fabric", [(name, name) for name in sorted(names, key=lambda name: name != said["default"])]
-    )
-
-
-def _garments(_: Path) -> Choice:
-    return Choice("garment", "garment", list(GARMENTS.items()))
-
-
-def _stencils(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, PICTURES)]
-    return Choice("stencil", "with", [(NONE, "no stencil"), *own])
-
-
-def _drafts(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, (".wif",))]
-    return Choice("draft", "draft", [*own, (NONE, "a twill that comes with nuno")])
-
-
-def _below(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "on", [(NONE, "a ball"), *own])
-
-
-def _sewn() -> Path:
-    return shipped.folder() / "sewn" / "patterns"
-
-
 def _beside(folder: Path, chosen: str, place: Path) -> str:
     """The name of what was chosen, in a folder: what comes with nuno is copied there."""
     if not chosen.startswith(OWN):
@@ -175,12 +127,12 @@ def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE)
     chosen = {"body": body, "pattern": pattern, "motion": motion}
     body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
     scale = task.see(task.folder / body).scale if body else ""
-    pattern = _beside(task.folder, pattern, _sewn())
+    pattern = _beside(task.folder, pattern, sewn())
     motion = _beside(task.folder, motion, shipped.folder())
     scene = task.new(pattern, "worn")
     (name,) = name_garments([Path(pattern).stem])
-    garments = [Garment(name, pattern, task.chosen["fabric"])]
-    text = describe_worn(scene.stem, garments, EDGE, body or None, motion or None, scale)
+    worn = [Garment(name, pattern, task.chosen["fabric"])]
+    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, scale)
     scene.write_text(text, encoding="utf-8")
     return scene
 
@@ -191,7 +143,7 @@ def _dress(task: Task) -> Path:
     changes = [_as("bodies.mannequin.collider", task.collider(task.path.name))]
     if task.seen.crosses:  # as scanned bodies do at the mouth: no vertex can slide on it, but cloth contact meets it
         changes += [_as("contact", {"plugin": "penalty"}), _as("cloth_contact", _meets("mannequin"))]
-    return write_after(garment, scene, changes)[-1]
+    return task.write(garment, scene, f"{GARMENTS[garment].capitalize()}: {task.path.name}.", *changes)
 
 
 def _meets(body: str) -> dict[str, Any]:
@@ -204,13 +156,13 @@ def _cover(task: Task) -> Path:
     low, high = task.seen.low, task.seen.high
     side = round(1.5 * max(high[0] - low[0], high[2] - low[2]) + 0.2, 2)
     body = {"name": "body", "collider": task.collider(task.path.name), "friction": 0.4}
-    return write_after("drape-over-sphere", task.new("cover", task.path.stem), [
+    return task.write("drape-over-sphere", task.new("cover", task.path.stem), f"A cloth falls over {task.path.name}.",
         _as("objects.cloth.model.size", [side, side]),
         _as("objects.cloth.model.centre", [_middle(low, high, 0), round(high[1] + GAP, 4), _middle(low, high, 2)]),
         _as("objects.cloth.model.fabric", task.chosen["fabric"]),
         _as("bodies.floor.collider.point", [0.0, round(min(0.0, low[1]), 4), 0.0]),
         _as("bodies.ball", body), _as("cloth_contact", _meets("body")),
-    ])[-1]  # fmt: skip
+    )  # fmt: skip
 
 
 def _middle(low: Sequence[float], high: Sequence[float], axis: int) -> float:
@@ -219,7 +171,8 @@ def _middle(low: Sequence[float], high: Sequence[float], axis: int) -> float:
 
 def _stocking(task: Task) -> Path:
     body = _as("bodies.leg.collider", task.collider(task.path.name))
-    return write_after("knit/stocking-leg", task.new("stocking", task.path.stem), [body])[-1]
+    scene = task.new("stocking", task.path.stem)
+    return task.write("knit/stocking-leg", scene, f"A stocking is drawn over {task.path.name}.", body)
 
 
 def _fall(task: Task) -> Path:
@@ -229,61 +182,72 @@ def _fall(task: Task) -> Path:
     model |= {"scale": task.seen.scale} if task.seen.scale else {}
     model |= {"merge": True} if task.path.suffix == ".obj" else {}
     if task.chosen["body"]:
-        return write_after("sewn/shirt", task.new(task.path.stem, "worn"), [
+        told = f"{task.path.name}, as cloth, on {task.chosen['body']}."
+        return task.write("sewn/shirt", task.new(task.path.stem, "worn"), told,
             _as("objects.shirt", {"name": "cloth", "colour": "#5b84b8", "model": model}),
             _as("bodies.mannequin.collider", task.collider(task.chosen["body"])),
-        ])[-1]  # fmt: skip
+        )  # fmt: skip
     model["centre"] = [-_middle(low, high, 0), round(BALL + GAP - low[1], 4), -_middle(low, high, 2)]
     scene = task.new(task.path.stem, "falls")
-    return write_after("drape-over-sphere", scene, [_as("objects.cloth.model", model)])[-1]
+    told = f"{task.path.name} falls, as cloth, on a ball."
+    return task.write("drape-over-sphere", scene, told, _as("objects.cloth.model", model))
 
 
 def _dance(task: Task) -> Path:
-    return write_after("skirt-walk", task.new("skirt", task.path.stem), [
+    told = f"A skirt on a skeleton that goes by {task.path.name}."
+    return task.write("skirt-walk", task.new("skirt", task.path.stem), told,
         _as("bodies.walker.motion.file", task.path.name), _as("objects.skirt.model.attach.frame", task.seen.joint),
-    ])[-1]  # fmt: skip
+        _as("objects.skirt.model.centre", list(task.seen.waist)),
+    )  # fmt: skip
 
 
 def _weave(task: Task, draft: str, stencil: str, what: str) -> Path:
     changes = [_as("dye.cloth.weave.file", draft)] if draft else []
     changes += [_as("dye.cloth.resist.0.file", stencil) if stencil else _as("dye.cloth.resist", [])]
-    return write_after("dye/draft", task.new(task.path.stem, what), changes)[-1]
+    told = f"Cloth woven after {draft or 'a twill'}, dyed with indigo, which {stencil or 'nothing'} keeps out."
+    return task.write("dye/draft", task.new(task.path.stem, what), told, *changes)
 
 
-def _change(scene: str, field: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
+def _change(scene: str, field: str, told: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
     """A scene of nuno's with the file in one of its fields."""
 
     def write(task: Task) -> Path:
         names = [part or task.path.stem for part in parts or (NONE, scene)]
         value = dict(task.seen.fabric) or task.path.name
-        return write_after(scene, task.new(*names), [_as(field, value)])[-1]
+        return task.write(scene, task.new(*names), told.format(task.path.name), _as(field, value))
 
     return write
 
 
+NET, PRINTED, DRAPED = (
+    "The masses and springs of {}.",
+    "A skirt printed with {}.",
+    "The fabric of {} falls over a ball.",
+)
 WEAR = Offer("wear", "Put a sewing pattern on it", lambda task: _wear(task, body=task.path.name),
-             (_patterns, _fabrics, _motions))  # fmt: skip
-DRESS = Offer("dress", "Cut a garment to it", _dress, (_garments,))
-COVER = Offer("cover", "Let a cloth fall over it", _cover, (_fabrics,))
+             (patterns, fabrics, motions))  # fmt: skip
+DRESS = Offer("dress", "Cut a garment to it", _dress, (garments,))
+COVER = Offer("cover", "Let a cloth fall over it", _cover, (fabrics,))
 STOCKING = Offer("stocking", "Draw a stocking over it, a leg", _stocking)
-FALL = Offer("fall", "Let it fall, as cloth", _fall, (_below, _fabrics))
+FALL = Offer("fall", "Let it fall, as cloth", _fall, (below, fabrics))
 BY_KIND = {
     "pattern": [Offer("wear", "Put it on a body", lambda task: _wear(task, pattern=task.path.name),
-                      (_bodies, _fabrics, _motions))],
+                      (bodies, fabrics, motions))],
     "motion": [
         Offer("wear", "A body goes by it, in a garment", lambda task: _wear(task, motion=task.path.name),
-              (_bodies, _patterns, _fabrics)),
+              (bodies, patterns, fabrics)),
         Offer("dance", "A skirt swings on its skeleton", _dance),
     ],
     "draft": [Offer("weave", "Weave it, and dye it",
-                    lambda task: _weave(task, task.path.name, task.chosen["stencil"], "woven"), (_stencils,))],
+                    lambda task: _weave(task, task.path.name, task.chosen["stencil"], "woven"), (stencils,))],
     "picture": [
         Offer("resist", "Keep dye out with it, as a stencil",
-              lambda task: _weave(task, task.chosen["draft"], task.path.name, "resist"), (_drafts,)),
-        Offer("print", "Print it on a skirt", _change("skirt-walk", "objects.skirt.model.texture", ("skirt", NONE))),
+              lambda task: _weave(task, task.chosen["draft"], task.path.name, "resist"), (drafts,)),
+        Offer("print", "Print it on a skirt",
+              _change("skirt-walk", "objects.skirt.model.texture", PRINTED, ("skirt", NONE))),
     ],
-    "net": [Offer("net", "Let it swing", _change("net", "objects.chain.model.file"))],
+    "net": [Offer("net", "Let it swing", _change("net", "objects.chain.model.file", NET))],
     "sheet": [Offer("drape", "Drape this fabric over a ball",
-                    _change("drape-over-sphere", "objects.cloth.model.fabric", (NONE, "drape")))],
+                    _change("drape-over-sphere", "objects.cloth.model.fabric", DRAPED, (NONE, "drape")))],
 }  # fmt: skip
 """What is offered for each kind of file but meshes."""

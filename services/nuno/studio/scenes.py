@@ -46,6 +46,13 @@ class Scenes:
             raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
         return paths[str(name)]
 
+    def picture_of(self, name: object) -> Path:
+        """What ships with nuno of one of its scenes. Raises BadInput where there is none."""
+        path = shipped.folder() / "pictures" / f"{name}.webp"
+        if name not in shipped.scenes() or not path.is_file():
+            raise BadInput("no such picture", value=name)
+        return path
+
     def list(self) -> list[dict[str, Any]]:
         """What is told of each: name of the entry and of the scene, description, whether it is one of the folder."""
         found = []
@@ -55,7 +62,8 @@ class Scenes:
                 said = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
             except BadInput as error:
                 said = {"scene": "", "description": str(error)}
-            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name} | said)
+            drawn = (shipped.folder() / "pictures" / f"{name}.webp").is_file()
+            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name, "drawn": drawn} | said)
         return found
 
 

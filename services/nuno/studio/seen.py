@@ -33,6 +33,8 @@ GATHER = 1.1
 """As `nuno sew --check`: seams of edges that differ by more are told of."""
 NO_MESH = ("cannot be read", "the mesh has no triangles")
 """How it begins what is said of a file that holds no mesh at all."""
+HEIGHT, WAIST = 1.65, 0.1
+"""Of the body of `skirt-walk`, and of its waist above its hips [m]."""
 MOST_PIXELS = 100_000_000
 LIKE = "interlock"
 """What a laboratory's sheet does not tell is as of this fabric."""
@@ -50,7 +52,7 @@ class Seen:
     crosses   of a mesh: whether it passes through itself
     scale     of a mesh: how long its unit is, where that is hardly the metre
     low, high  (3,) of a mesh: corners of the box about it, in metres
-    joint     of a motion: what a skirt can be held by
+    joint, waist  of a motion: what a skirt can be held by, and (3,) [m] where its waist begins on a body of HEIGHT
     fabric    of a laboratory's sheet: as scenes take it
     picture   PNG, where there is one to be shown
     """
@@ -66,6 +68,7 @@ class Seen:
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
     joint: str = ""
+    waist: tuple[float, ...] = ()
     fabric: Mapping[str, str] = field(default_factory=dict)
     picture: bytes = b""
 
@@ -149,9 +152,11 @@ def _pattern(path: Path) -> Seen:
 def _motion(path: Path) -> Seen:
     motion = registry.offering("nuno.motions", "describe_motion", "reads captured motion")
     facts = dict(motion.describe_motion(path))
-    mover = motion.prepare(motion.Config(file=path.name), SceneFiles(path.parent))
+    mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, travel=False), SceneFiles(path.parent))
     joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
-    return Seen("motion", "a captured motion", list(facts.items()), joint=joint)
+    hips = mover.pose(0.0)[1][mover.joints.index(joint)]
+    waist = tuple(round(float(at), 3) for at in hips + np.array([0.0, WAIST, 0.0]))
+    return Seen("motion", "a captured motion", list(facts.items()), joint=joint, waist=waist)
 
 
 def _draft(path: Path) -> Seen:
