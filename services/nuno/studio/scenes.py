@@ -18,6 +18,7 @@ from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import item_at
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
+from nuno.studio.named import check_named
 from nuno_schemas.errors import BadInput, nearest
 
 MOST = 20
@@ -88,7 +89,9 @@ def check(text: str, path: Path) -> dict[str, Any]:
     left = deepcopy(data)
     while len(mistakes) < MOST:
         try:
-            scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path))
+            loaded = scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path))
+            if not mistakes:
+                check_named(loaded)
             break
         except BadInput as error:
             if any(error.field == known["field"] for known in mistakes):

@@ -62,9 +62,12 @@ export class Form {
   again() { this.show(this.box.classList.contains("stale") ? null : this.data, this.mistakes); }
 
   field(name, node, value, path, required, label = name) {
-    const field = this.schema.field(node), written = value !== undefined;
-    if (field.kind === "list") return this.list(label, field, value ?? [], path);
+    const found = this.schema.field(node), written = value !== undefined;
     const mapping = value !== null && typeof value === "object" && !Array.isArray(value);
+    // What is written where a list or a mapping belongs stands there as it is, to be mended.
+    const amiss = (found.kind === "list" && written && !Array.isArray(value)) || (found.kind === "group" && written && !mapping);
+    const field = amiss ? { ...found, kind: "yaml" } : found;
+    if (field.kind === "list") return this.list(label, field, value ?? [], path);
     const entry = new Entry(this, field, value, path, required, label);
     if (!SECTIONS.includes(field.kind) || (!mapping && field.kind !== "group")) return entry.row;
     if (!mapping && !written) return entry.row;
