@@ -30,7 +30,7 @@ bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper'
 	$(BIN)/nuno bench integrators skirt-paper
 
 soak: .venv/dev.stamp  ## reliability at length, into its page: hours
-	PYTHONPATH=tests:tests/services $(BIN)/python -m soak --docs docs/reliability.md $(ARGS)
+	PYTHONPATH=tests:tests/services $(BIN)/python -m soak --docs docs/measured/reliability.md $(ARGS)
 
 peers: .venv/dev.stamp  ## the engines that benchmarks and some tests compare with
 	$(call INSTALL,".[peers]")
