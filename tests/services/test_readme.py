@@ -20,7 +20,7 @@ import nuno_bench.cli
 from nuno.cli import main, parser_of
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -37,13 +37,13 @@ def commands(page: Path) -> list[list[str]]:
     ]
 
 
-SHOWN = [(page.name, words) for page in PAGES for words in commands(page)]
+SHOWN = [(str(page.relative_to(ROOT)), words) for page in PAGES for words in commands(page)]
 
 
 def test_the_pages_show_commands() -> None:
     tour = {words[1] for page, words in SHOWN if page == "README.md"}
     assert tour >= {"scenes", "plan", "run", "control", "info", "replay", "export", "bench"}
-    assert {page for page, _ in SHOWN} >= {"README.md", "services.md", "viewing.md", "benchmarks.md"}
+    assert {page for page, _ in SHOWN} >= {"README.md", "docs/explanation/services.md", "docs/how-to/viewing.md"}
 
 
 @pytest.mark.parametrize(
