@@ -16,6 +16,7 @@ from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server, Take
 from nuno.scene import scene_file, yaml_lines
 from nuno.studio import arrivals, edit, scenes
+from nuno.studio.exports import Exports
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
@@ -37,15 +38,16 @@ class Desk:
         self._drawn: list[tuple[Server, DrawDesk]] = []
         self._heavy, self._starting = threading.Lock(), threading.Lock()
         self._schema = functools.cache(scenes.schema)
-        self.files = Files(Path(), runs.RECORDINGS)
+        self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
 
     def server(self) -> Server:
         """What serves the page, until it is closed."""
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
-            "scene": self._scene_picture,
+            "drawn": self._scene_picture,
             "shown": self.files.picture,
+            "exported": self.exports.file,
         }
         return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
 
@@ -58,12 +60,13 @@ class Desk:
             found = {"recordings": self.recordings.list()}
         elif name in FILE_ACTS:
             found = getattr(self.files, name)(request)
+        elif name == "export":
+            found = self.exports.export(request)
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            raise BadInput(
-                "no such request", value=name, limit=", ".join((*ACTS, *FILE_ACTS, "recordings", *OF_RECORDINGS))
-            )
+            known = (*ACTS, *FILE_ACTS, *OF_RECORDINGS, "recordings", "export")
+            raise BadInput("no such request", value=name, limit=", ".join(known))
         return found
 
     def close(self) -> None:
@@ -76,6 +79,7 @@ class Desk:
             if self._own is not None:
                 self._own.close()
             self.recordings.close()
+            self.exports.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         try:

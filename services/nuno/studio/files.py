@@ -16,7 +16,7 @@ from nuno.studio.arrivals import MOST, Arrivals
 from nuno.studio.seen import KINDS, Seen, files_of, look
 from nuno_schemas.errors import BadInput
 
-FILE_ACTS = ("files", "expect", "see", "make")
+FILE_ACTS = ("files", "expect", "about", "make")
 """What the page may ask about files, each a method."""
 LISTED = tuple(kind for kind in KINDS if kind not in (".yaml", ".yml", ".mcap"))
 """Endings of what is shown beside scenes and recordings, which have lists of their own."""
@@ -47,7 +47,7 @@ class Files:
         """Before a file is sent: whether it may be. Raises BadInput."""
         return {"name": self._arrivals.expect(request.get("name"), request.get("bytes"))}
 
-    def see(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    def about(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """What a file of the folder is, and what can be done with it. Raises BadInput."""
         return self._told(self._find(request.get("file")))
 

@@ -32,7 +32,7 @@ function card(name, told) {
   box.addEventListener("toggle", async () => {
     if (!box.open || inside.childElementCount) return;
     inside.replaceChildren(make("p", { className: "soft", textContent: "Looking at it …" }));
-    const answer = await ask("see", { file: name });
+    const answer = await ask("about", { file: name });
     title.textContent = answer.ok ? answer.title : "cannot be read";
     if (answer.ok) fill(inside, answer);
     else inside.replaceChildren(answer.words ? wordsOf(answer) : sentence(answer.problem));

@@ -8,7 +8,7 @@ export const pictureOf = (recording) => `picture?recording=${encodeURIComponent(
 
 const card = ({ name, description, picture, drawn }) => {
   const link = make("a", { href: `#scene=${encodeURIComponent(name)}` });
-  const [src, title] = picture ? [pictureOf(picture), `The last frame of ${picture}`] : [drawn ? `scene?name=${encodeURIComponent(name)}` : "icon.svg", ""];
+  const [src, title] = picture ? [pictureOf(picture), `The last frame of ${picture}`] : [drawn ? `drawn?name=${encodeURIComponent(name)}` : "icon.svg", ""];
   link.append(make("img", { src, title, alt: "", loading: "lazy", className: picture || drawn ? "" : "blank" }));
   link.append(make("div", {}, make("b", { textContent: name }), make("p", { textContent: description })));
   const item = make("li", {}, link);

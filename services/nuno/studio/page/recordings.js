@@ -1,6 +1,7 @@
 import { ask } from "./ask.js";
 import { make } from "./dom.js";
 import { showPicture } from "./dock.js";
+import { exporter } from "./exports.js";
 import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { bytes, moment, seconds } from "./words.js";
@@ -35,6 +36,7 @@ export async function recording(view, name) {
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, verify, remover(name))),
     make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
+    exporter(name),
     verdict, make("div", { className: "panel shown" }, picture, make("div", {}, ...(answer.lacks ? [make("p", { className: "bad", textContent: answer.lacks })] : []), rowsOf(answer.rows))));
   compare(name, verify, verdict, "verdict");
   await showPicture(picture, name);
