@@ -41,6 +41,8 @@ def test_wheel_holds_every_module_and_scene(wheel: zipfile.ZipFile) -> None:
             assert f"{folder}/{path.name}" in names
     for path in (ROOT / "scenes").glob("*.yaml"):
         assert f"nuno/scenes/{path.name}" in names
+    for path in (ROOT / "scenes" / "pictures").rglob("*.webp"):
+        assert f"nuno/scenes/{path.relative_to(ROOT / 'scenes').as_posix()}" in names
 
 
 @pytest.mark.full
