@@ -38,12 +38,12 @@ def find_browser() -> str | None:
 class Page:
     """One page of a browser of its own."""
 
-    def __init__(self, folder: Path, width: int = 960, height: int = 600) -> None:
+    def __init__(self, folder: Path, width: int = 960, height: int = 600, flags: str = "") -> None:
         browser = find_browser()
         assert browser is not None
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
-        command = f"{shlex.quote(browser)} {FLAGS} --user-data-dir={shlex.quote(str(folder))}"
+        command = f"{shlex.quote(browser)} {FLAGS} {flags} --user-data-dir={shlex.quote(str(folder))}"
         self._process = subprocess.Popen(
             ["bash", "-c", f"exec {command} 3<&{theirs_in} 4>&{theirs_out}"],
             pass_fds=(theirs_in, theirs_out),

@@ -11,7 +11,9 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from io import BufferedIOBase
+from pathlib import Path
 from socket import socket
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
@@ -183,10 +185,24 @@ def serving(server: Server, name: str, opened: bool) -> Iterator[None]:
     print(f"{name} at  {server.guard.address}", flush=True)
     print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    if opened and has_screen():
-        webbrowser.open(server.guard.address)
     try:
-        yield
+        with door(server.guard.address) as uri:
+            if opened and has_screen():
+                webbrowser.open(uri)
+            yield
     finally:
         server.shutdown()
         server.server_close()
+
+
+@contextmanager
+def door(address: str) -> Iterator[str]:
+    """What a browser is started with in the place of an address: a file, for this user alone, that leads there.
+
+    All users of a machine can read the list of processes, which has a browser's arguments, and the address is a secret.
+    """
+    with TemporaryDirectory(prefix="nuno-") as folder:
+        path = Path(folder) / "open.html"
+        path.touch(mode=0o600)
+        path.write_text(f'<!doctype html><title>nuno</title><meta http-equiv="refresh" content="0; url={address}">')
+        yield path.as_uri()

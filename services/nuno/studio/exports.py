@@ -31,6 +31,11 @@ class Exports:
         self._folder = tempfile.TemporaryDirectory(prefix="nuno-")
         self._made: dict[tuple[str, str], tuple[tuple[int, int], Child]] = {}
 
+    @property
+    def folder(self) -> Path:
+        """Where they lie, for this user alone."""
+        return Path(self._folder.name)
+
     def export(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Have a file made, where it is not yet: how far that is from 0 to 1, its name and bytes, or what is wrong with
         it in words. Raises BadInput.
@@ -62,7 +67,7 @@ class Exports:
         return KINDS[kind][1], self._file(name, kind).read_bytes()
 
     def _file(self, recording: str, kind: str) -> Path:
-        return Path(self._folder.name) / f"{recording.partition('.mcap')[0]}{KINDS[kind][0]}"
+        return self.folder / f"{recording.partition('.mcap')[0]}{KINDS[kind][0]}"
 
     def close(self) -> None:
         """End what was begun here, and remove what was made."""
