@@ -13,7 +13,7 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -199,7 +199,12 @@ def test_a_page_of_another_origin_that_even_knows_the_address_gets_nothing_done(
     _, server = served
     done: list[str] = []
     act = server.act
-    monkeypatch.setattr(server, "act", lambda request: done.append(str(request.get("do"))) or act(request))
+
+    def note(request: Mapping[str, Any]) -> dict[str, Any]:
+        done.append(str(request.get("do")))
+        return act(request)
+
+    monkeypatch.setattr(server, "act", note)
     browser.open(f"http://{host}:{elsewhere}/")
     browser.wait("document.title === 'elsewhere'")
     assert attack(browser, server.guard.address) == set()
