@@ -20,6 +20,7 @@ from nuno.studio.exports import Exports
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
+from nuno.studio.swatches import swatches
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
@@ -37,7 +38,7 @@ class Desk:
         self._own: Run | None = None
         self._drawn: list[tuple[Server, DrawDesk]] = []
         self._heavy, self._starting = threading.Lock(), threading.Lock()
-        self._schema = functools.cache(scenes.schema)
+        self._schema, self._swatches = functools.cache(scenes.schema), functools.cache(swatches)
         self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
 
     def server(self) -> Server:
@@ -62,10 +63,13 @@ class Desk:
             found = getattr(self.files, name)(request)
         elif name == "export":
             found = self.exports.export(request)
+        elif name == "swatches":
+            with self._heavy:  # it tests fabrics, once
+                found = self._swatches()
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            known = (*ACTS, *FILE_ACTS, *OF_RECORDINGS, "recordings", "export")
+            known = (*ACTS, *FILE_ACTS, *OF_RECORDINGS, "recordings", "export", "swatches")
             raise BadInput("no such request", value=name, limit=", ".join(known))
         return found
 

@@ -38,7 +38,7 @@ export class Form {
     at.focus({ preventScroll: true });
     if (held.typed && at instanceof HTMLInputElement) {
       Object.assign(at, { value: held.typed.value, sent: held.typed.sent });
-      at.setSelectionRange(held.typed.start, held.typed.end);
+      if (held.typed.start !== null) at.setSelectionRange(held.typed.start, held.typed.end);
       if (at.value !== at.sent) at.dispatchEvent(new Event("input"));
     }
     this.box.parentElement.scrollTop += at.getBoundingClientRect().top - held.top;
@@ -137,10 +137,13 @@ export class Form {
       while (path && !rows.has(path)) path = path.replace(/(^|\.)[^.[\]]*$|\[\d+\]$/, "");
       const row = path && rows.get(path);
       if (!row) continue;
-      row.append(wordsOf(mistake));
+      const words = wordsOf(mistake), control = row.querySelector("input, select");
+      words.id = `mistake:${this.placed.size}`;
+      control?.setAttribute("aria-describedby", [words.id, control.getAttribute("aria-describedby")].filter(Boolean).join(" "));
+      row.append(words);
       this.placed.add(mistake);
       row.classList.add("wrong");
-      row.querySelector("input, select")?.setAttribute("aria-invalid", "true");
+      control?.setAttribute("aria-invalid", "true");
       for (let box = row.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
     }
   }
