@@ -11,10 +11,10 @@ from typing import Any
 from nuno.draw.append import MARK, read_text
 from nuno.draw.desk import Desk as DrawDesk
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server
 from nuno.scene import scene_file, yaml_lines
+from nuno.seen.sight import Board
 from nuno.studio import edit, scenes
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run

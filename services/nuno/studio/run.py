@@ -12,9 +12,9 @@ from typing import Any
 
 import zenoh
 
-from nuno.draw.follow import EVENTS, SAYS, order
 from nuno.pages.child import Child
 from nuno.scene.scene_file import Loaded
+from nuno.seen.follow import EVENTS, SAYS, order
 from nuno.supervision import runs
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import spoke

@@ -120,6 +120,9 @@ export class Painter {
 
   move(name, x, normals) { this.fill(this.meshes[name].buffers[0], x); this.fill(this.meshes[name].buffers[1], normals); }
 
+  /** Three numbers of each vertex, until there are other triangles. */
+  colour(name, colours) { this.fill(this.meshes[name].buffers[2], colours); }
+
   fill(buffer, values) {
     this.gl.bindBuffer(this.gl.ARRAY_BUFFER, buffer);
     this.gl.bufferData(this.gl.ARRAY_BUFFER, values, this.gl.DYNAMIC_DRAW);

@@ -13,8 +13,8 @@ import zenoh
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces
-from nuno.draw.shown import draw_bodies, see_now, size_of
-from nuno.draw.sight import NO_POINTS, Board, Sight
+from nuno.seen.shown import draw_bodies, see_now, size_of
+from nuno.seen.sight import NO_POINTS, Board, Sight
 from nuno.simulation.service import NOW
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
@@ -68,9 +68,9 @@ class Follower:
         self._body = NO_POINTS
         self._stack = contextlib.ExitStack()
         session: zenoh.Session = self._stack.enter_context(spoke(endpoint, config, 1.0))
-        self._bus = Bus(session, run, "draw")
+        self._bus = Bus(session, run, "page")
         self._inbox = Inbox(self._bus, [STATE, BODIES, FABRIC, EVENTS], newest_only=True)
-        self._thread = threading.Thread(target=self._follow, name="draw", daemon=True)
+        self._thread = threading.Thread(target=self._follow, name="page", daemon=True)
 
     def start(self) -> None:
         """Show the run's cloth as it is, and go on showing it. Raises RunFailed where the run does not answer."""

@@ -1,0 +1,46 @@
+/** Pointer and wheel: a drag turns the view, with Shift or the middle button it moves it, the wheel comes nearer. */
+export class Orbit {
+  constructor(stage) {
+    Object.assign(this, { stage, mode: "", last: null });
+    const { canvas } = stage;
+    canvas.addEventListener("pointerdown", (e) => this.down(e));
+    canvas.addEventListener("pointermove", (e) => this.move(e));
+    canvas.addEventListener("pointerup", (e) => this.up(e));
+    canvas.addEventListener("pointercancel", () => this.cancel());
+    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
+    canvas.addEventListener("wheel", (e) => {
+      e.preventDefault();
+      stage.camera.zoom(Math.exp(Math.max(-240, Math.min(240, e.deltaY * (e.deltaMode ? 30 : 1))) * 0.0015));
+      stage.camera.changed();
+    }, { passive: false });
+  }
+
+  down(e) {
+    this.stage.canvas.focus();
+    if (this.mode) return;
+    this.stage.canvas.setPointerCapture(e.pointerId);
+    this.last = { x: e.offsetX, y: e.offsetY };
+    this.mode = this.begin(e);
+    this.stage.canvas.classList.toggle("turning", ["turn", "shift"].includes(this.mode));
+  }
+
+  /** What a drag does that begins so. */
+  begin(e) { return e.button === 1 || e.shiftKey ? "shift" : "turn"; }
+
+  move(e) { if (this.mode) this.step(e.offsetX, e.offsetY); }
+
+  step(x, y) {
+    const dx = x - this.last.x, dy = y - this.last.y, { camera } = this.stage;
+    if (this.mode === "turn") camera.turn(dx, dy);
+    else { this.stage.size(); camera.move(dx, dy); }
+    this.last = { x, y };
+    camera.changed();
+  }
+
+  up() { this.cancel(); }
+
+  cancel() {
+    this.mode = "";
+    this.stage.canvas.classList.remove("turning");
+  }
+}
