@@ -133,6 +133,8 @@ class Follower:
                 if not self._take_in():
                     self._look_after()
                     continue
+                if self.board.wanted(PAUSE):  # bodies are placed for what is shown alone
+                    self._take_in(0.0)
                 self._show_newest()
                 self._stop.wait(max(0.0, INTERVAL - (time.monotonic() - begin)))
         except (RunFailed, BadMessage, zenoh.ZError) as error:
@@ -143,9 +145,9 @@ class Follower:
         if self._ended:
             self.board.show(state=self._ended)
 
-    def _take_in(self) -> bool:
-        """Take in all that has come; whether anything has."""
-        item = self._inbox.get(PAUSE)
+    def _take_in(self, patience: float = PAUSE) -> bool:
+        """Take in all that has come, or comes first within `patience` [s]; whether anything has."""
+        item = self._inbox.get(patience)
         came = item is not None
         while item is not None:
             if isinstance(item, Message) and item.topic.startswith(EVENT.name):

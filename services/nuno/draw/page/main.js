@@ -217,7 +217,7 @@ function begin() {
     document.title = `${about.name} · nuno draw`;
     changed();
   });
-  follow(show, (gone) => { if (gone) toast("nuno does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
+  follow("frame?", show, (gone) => { if (gone) toast("nuno does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
 }
 
 begin();

@@ -13,21 +13,33 @@ export function decode(buffer) {
   return { ...head, ...arrays };
 }
 
-/** Ask for the newest frame, show it, and ask again: never more of them than the browser draws. */
-export async function follow(show, lost) {
+/** One frame. Throws where the server does not answer, or not with one. */
+export async function frameOf(address, signal) {
+  const answer = await fetch(address, { signal });
+  if (!answer.ok) throw new Error(await answer.text());
+  return decode(await answer.arrayBuffer());
+}
+
+const seen = () => new Promise((drawn) => requestAnimationFrame(drawn));
+const shown = () => new Promise((then) => document.addEventListener("visibilitychange", then, { once: true }));
+
+/** Ask for the newest frame, show it, and ask again, until `signal` says to stop: never more of them than the browser
+  draws, and none while the page is hidden. lost(true) is called where the server does not answer, lost(false) once it
+  does again. */
+export async function follow(address, show, lost, signal) {
   let number = -1, shape = -1, place = -1, failed = 0;
-  for (;;) {
+  while (!signal?.aborted) {
+    if (document.hidden) { await shown(); continue; }
     try {
-      const answer = await fetch(`frame?after=${number}&shape=${shape}&place=${place}`);
-      if (!answer.ok) throw new Error(await answer.text());
-      const frame = decode(await answer.arrayBuffer());
+      const frame = await frameOf(`${address}after=${number}&shape=${shape}&place=${place}`, signal);
       if (failed) { failed = 0; lost(false); }
       if (frame.number !== number) {
         ({ number, shape, place } = frame);
         show(frame);
-        await new Promise((drawn) => (document.hidden ? setTimeout(drawn, 500) : requestAnimationFrame(drawn)));
+        await seen();
       }
     } catch (error) {
+      if (signal?.aborted) return;
       if (!(error instanceof TypeError) && !failed) console.error(error);
       if (++failed === 2) lost(true);
       await new Promise((later) => setTimeout(later, 1000));
