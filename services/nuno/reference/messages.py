@@ -18,7 +18,7 @@ INTRODUCTION = f"""\
 
 What a run publishes under `nuno/RUN/TOPIC`, and what a recording holds under the same topics. Those of the encoding
 JSON are objects of `nuno_schemas.messages`; binary ones are protobuf, either [Foxglove's]({FOXGLOVE})
-or `nuno.Arrays`, and each recording holds their schemas. [bus.md](../how-to/bus.md) shows how to listen.
+or `nuno.Arrays`, and each recording holds their schemas. [Listen to a run](../how-to/bus.md) shows how.
 """
 ARRAYS = """\
 ## nuno.Arrays
