@@ -49,7 +49,7 @@ def test_the_pages_show_commands() -> None:
     shown = {name: {words[1] for page, words in SHOWN if page == name} for name in ("README.md", TOUR)}
     assert shown["README.md"] >= {"scenes", "plan", "run", "info", "replay", "verify", "export", "bench"}
     assert shown[TOUR] >= set(COMMANDS) - {"serve", "certs", "plugins", "schema", "fabric", "yarns"}
-    assert {page for page, _ in SHOWN} >= {"README.md", "docs/explanation/services.md", "docs/how-to/viewing.md"}
+    assert {page for page, _ in SHOWN} >= {"README.md", "docs/how-to/hosts.md", "docs/how-to/viewing.md"}
 
 
 @pytest.mark.parametrize(
