@@ -36,7 +36,7 @@ def test_wheel_holds_every_module_and_scene(wheel: zipfile.ZipFile) -> None:
     for kind in ("schemas", "services", "plugins"):
         for path in (ROOT / kind).rglob("*.py"):
             assert str(path.relative_to(ROOT / kind)) in names
-    for folder in ("nuno/pages/shared", "nuno/draw/page", "nuno/studio/page"):
+    for folder in ("nuno/pages/shared", "nuno/studio/page"):
         for path in (ROOT / "services" / folder).iterdir():
             assert f"{folder}/{path.name}" in names
     for path in (ROOT / "scenes").glob("*.yaml"):
