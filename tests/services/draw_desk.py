@@ -9,9 +9,9 @@ from pathlib import Path
 
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.pages.server import Server
 from nuno.scene import scene_file
+from nuno.seen.sight import Board
 
 SHEET = """\
 nuno: 1

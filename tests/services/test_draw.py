@@ -18,11 +18,11 @@ from nuno.cloth.build import Piece
 from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.lines import by_object, positions, read_strokes
-from nuno.draw.sight import Sight
 from nuno.pages.guard import MOST_BYTES
 from nuno.pages.server import Server
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, yaml_lines
+from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}

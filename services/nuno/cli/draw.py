@@ -7,11 +7,11 @@ import threading
 
 from nuno.cli.common import add_config, add_scene
 from nuno.draw.desk import Desk
-from nuno.draw.follow import Follower
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
 from nuno.pages.server import serving
 from nuno.scene import scene_file, shipped
+from nuno.seen.follow import Follower
+from nuno.seen.sight import NO_FACES, NO_POINTS, Board, Sight
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 

@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from nuno.draw import keep
-from nuno.draw.follow import Follower
 from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
 from nuno.draw.refusals import beside
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board, Sight
 from nuno.pages.child import Child
 from nuno.pages.server import Server, describe
 from nuno.scene.scene_file import Loaded
+from nuno.seen.follow import Follower
+from nuno.seen.sight import Board, Sight
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed

@@ -14,9 +14,9 @@ from nuno import registry
 from nuno.cloth import build
 from nuno.draw.append import MARK, append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Sight
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.scene_file import Loaded
+from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 

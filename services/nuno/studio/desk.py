@@ -11,18 +11,21 @@ from typing import Any
 from nuno.draw.append import MARK, read_text
 from nuno.draw.desk import Desk as DrawDesk
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server
 from nuno.scene import scene_file, yaml_lines
+from nuno.seen.sight import Board
 from nuno.studio import edit, scenes
+from nuno.studio.cloth import Starts
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
-ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "draw")
+ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw")
 """What the page may ask for, each a method of a desk."""
+CONTROLS = ("pause", "resume", "step", "stop", "set")
+"""What a page may ask of a run, as `nuno control`."""
 OF_RECORDINGS = {"recording": "open", "picture": "draw", "verify": "verify", "verdict": "verdict", "delete": "delete"}
 """What it may ask of one recording, and which method of the recordings does it."""
 
@@ -33,6 +36,7 @@ class Desk:
     def __init__(self) -> None:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
         self._own: Run | None = None
+        self._starts = Starts()
         self._drawn: list[tuple[Server, DrawDesk]] = []
         self._heavy, self._starting = threading.Lock(), threading.Lock()
         self._schema = functools.cache(scenes.schema)
@@ -42,6 +46,8 @@ class Desk:
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
+            "start": self._starts.tell,
+            "live": self._live,
         }
         return Server("nuno.studio", self.act, told)
 
@@ -131,20 +137,32 @@ class Desk:
             if self._own is not None:
                 self._own.close()
             changed = text if text != read_text(path).removeprefix(MARK) else None
-            self._own = Run(loaded, changed, bool(request.get("paused")))
+            self._own = Run(loaded, str(request.get("scene")), changed, bool(request.get("paused")))
             return self._own.tell()
 
     def _control(self, request: Mapping[str, Any]) -> dict[str, Any]:
         action = request.get("action")
-        if action not in ("pause", "resume", "step", "stop"):
-            raise BadInput("no such action", value=action, limit="pause, resume, step, stop")
+        if action not in CONTROLS:
+            raise BadInput("no such action", value=action, limit=", ".join(CONTROLS))
         if self._own is None:
             raise BadInput("no run goes on", remedy="start one with Run")
-        self._own.control(action)
-        return self._own.tell()
+        item = {"item": str(request.get("item", ""))} if action == "set" else {}
+        answer = self._own.control(action, **item)
+        return self._own.tell() | {"changed": {name: answer.get(name) for name in ("field", "old", "new", "frame")}}
 
     def _now(self, request: Mapping[str, Any]) -> dict[str, Any]:
         return self._own.tell() if self._own is not None else {"state": "none"}
+
+    def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
+        return self._starts.see(scenes.load(*self._text(request)))
+
+    def _live(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """The newest frame of the run that was started here, where it is the one that is asked for."""
+        own = self._own
+        if own is None or own.live is None or query.get("run", [""])[0] != own.name:
+            raise Refused(NOT_FOUND, "there is no such run")
+        return own.live.tell(query)
 
     def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Serve the page for drawing lines on a scene's cloth. Raises BadInput for cloth that takes none."""

@@ -12,9 +12,10 @@ from typing import Any
 
 import zenoh
 
-from nuno.draw.follow import EVENTS, SAYS, order
 from nuno.pages.child import Child
 from nuno.scene.scene_file import Loaded
+from nuno.seen.follow import EVENTS, SAYS, order
+from nuno.studio.cloth import Live
 from nuno.supervision import runs
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import spoke
@@ -37,14 +38,14 @@ ENDS = {0: "over", 1: "failed", 2: "refused"}
 class Run:
     """One run of a scene's text.
 
-    The page sees what the run's services say of each frame, in small messages of which only the newest is taken: it
-    asks for no positions, and never slows a run.
+    What the run's services say of each frame is heard in small messages, of which only the newest is taken; positions
+    are asked for while a page looks at the cloth (`live`). Neither slows the run.
     """
 
-    def __init__(self, loaded: Loaded, text: str | None, paused: bool) -> None:
-        """text: what is run in the place of the scene's file, where it is another."""
+    def __init__(self, loaded: Loaded, entry: str, text: str | None, paused: bool) -> None:
+        """entry: what the page calls the scene; text: what is run in the place of its file, where it is another."""
         scene, path = loaded.scene, loaded.path
-        self.name = runs.new_id(scene.name)
+        self.name, self.entry = runs.new_id(scene.name), entry
         self.frames, self.end = scene.frames, scene.frames / scene.frame_rate
         self.record = runs.record_path(runs.RECORDINGS, self.name)
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -60,6 +61,7 @@ class Run:
         self.state, self.frame, self.t = "preparing", -1, 0.0
         self._heard: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
+        self.live: Live | None = None
         self._thread = threading.Thread(target=self._follow, name="studio", daemon=True)
         self._thread.start()
 
@@ -74,6 +76,8 @@ class Run:
         now = self.state if self.state in GOING else "ending"
         return {
             "run": self.name,
+            "scene": self.entry,
+            "live": self.live is not None,
             "recording": self.record.name,
             "state": now if code is None else ENDS.get(code, "stopped"),
             "frame": self.frame,
@@ -92,18 +96,20 @@ class Run:
             return None
         return (heard[-1][1] - first[1]) / (heard[-1][0] - first[0])
 
-    def control(self, action: str) -> None:
-        """Pause, resume, step or stop it. Raises BadInput."""
+    def control(self, action: str, **more: object) -> dict[str, Any]:
+        """Pause, resume, step or stop it, or set a field; what it answers. Raises BadInput."""
         if not self.going:
             raise BadInput("no run goes on", remedy="start one with Run")
         if self._bus is None:
             if action != "stop":
                 raise BadInput("the run is getting ready", remedy="wait until it has begun, or stop it")
             self._child.end()
-            return
-        answer = order(self._bus, {"action": action})
-        self.state = str(answer["state"])
-        self._heard.clear()
+            return {}
+        answer = order(self._bus, {"action": action} | more)
+        self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
+        if action != "set":
+            self._heard.clear()
+        return answer
 
     def close(self) -> None:
         """End it, where it goes on."""
@@ -111,6 +117,8 @@ class Run:
             with contextlib.suppress(BadInput):
                 self.control("stop")
             self._child.end(terminate=self._bus is None)
+        if self.live is not None:
+            self.live.close()
         self._thread.join(ASK)
         if self._folder is not None:
             self._folder.cleanup()
@@ -126,7 +134,7 @@ class Run:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
             self._ask(bus)
-            self._bus = bus
+            self._bus, self.live = bus, Live(self.name, endpoint)
             while self.going:
                 item = inbox.get(PAUSE)
                 if isinstance(item, Message):

@@ -14,12 +14,12 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
+from nuno.seen.sight import Board
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver

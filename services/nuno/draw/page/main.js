@@ -1,10 +1,10 @@
 import { ask } from "./ask.js";
 import { sentence } from "./dom.js";
+import { Drawing } from "./drawing.js";
 import { Hand } from "./hand.js";
 import { Lines } from "./lines.js";
 import { follow } from "./link.js";
 import { Panel, mm } from "./panel.js";
-import { Stage } from "./stage.js";
 
 const $ = (id) => document.getElementById(id);
 const SAID = {
@@ -182,7 +182,7 @@ function keys(e) {
 
 let hand;
 function begin() {
-  try { stage = new Stage($("view"), lines); } catch (error) {
+  try { stage = new Drawing($("view"), lines); } catch (error) {
     toast("This browser cannot show the cloth", `${error.message}. Open the address in a browser with WebGL 2: a present Firefox, Chrome, Edge or Safari.`, true);
     return;
   }
@@ -217,7 +217,7 @@ function begin() {
     document.title = `${about.name} · nuno draw`;
     changed();
   });
-  follow(show, (gone) => { if (gone) toast("nuno does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
+  follow("frame?", show, (gone) => { if (gone) toast("nuno does not answer", "Is it still running in its terminal? Your lines stay here.", true); else $("toast").hidden = true; });
 }
 
 begin();

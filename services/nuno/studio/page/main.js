@@ -18,6 +18,7 @@ async function route() {
   }
   shown = hash;
   const [what, text = ""] = hash.slice(1).split("="), name = decodeURIComponent(text);
+  scene?.close();
   scene = null;
   for (const [id, own] of [["to-scenes", ["scenes", "scene"]], ["to-runs", ["runs", "run"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");

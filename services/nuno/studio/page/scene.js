@@ -1,4 +1,5 @@
 import { ask } from "./ask.js";
+import { Cloth } from "./cloth.js";
 import { make } from "./dom.js";
 import { dock } from "./dock.js";
 import { Form, wordsOf } from "./form.js";
@@ -19,12 +20,13 @@ async function known() {
 
 /** A scene that is open: its text and its form, in step. */
 export class SceneView {
-  constructor(view, name) { Object.assign(this, { view, name, version: 0, queue: Promise.resolve() }); }
+  constructor(view, name) { Object.assign(this, { view, name, version: 0, queue: Promise.resolve(), mistakes: [] }); }
 
   async open() {
     const [answer, read] = await Promise.all([ask("open", { scene: this.name }), known()]);
     if (!taken(answer)) return;
     Object.assign(this, { saved: answer.text, own: answer.own, file: answer.file });
+    this.cloth = new Cloth(this);
     this.build();
     this.text = new Text(this.view.querySelector(".editor"), () => this.typed());
     this.form = new Form(this.view.querySelector(".fields"), read, (what) => this.change(what), (path) => this.look(path));
@@ -38,7 +40,7 @@ export class SceneView {
     const side = (which, textContent) => button(`side-${which}`, textContent, () => this.side(which));
     this.box = make("div", { className: "scene" },
       make("div", { className: "head" }, make("h1", { textContent: this.name }), make("span", { id: "unsaved", className: "unsaved", role: "status" }),
-        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form")),
+        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form"), side("cloth", "Cloth")),
         make("span", { className: "group" },
           button("undo", "Undo", () => this.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.text.redo(), { title: "Ctrl Shift Z" }),
           button("save", this.own ? "Save" : "Save as …", () => this.save(), { title: "Ctrl S" }),
@@ -50,7 +52,8 @@ export class SceneView {
         make("section", { className: "side text", ariaLabel: "Text" },
           make("div", { className: "editor" }, make("div", { className: "gutter", ariaHidden: "true" }), make("textarea", { id: "text", spellcheck: false, wrap: "off", ariaLabel: "The scene as YAML" })),
           make("div", { className: "verdict", role: "status", id: "verdict" })),
-        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" }))),
+        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" })),
+        this.cloth.box),
       make("div", { className: "panel plan", id: "planned", hidden: true }));
     this.view.replaceChildren(this.box);
     this.side("text");
@@ -59,8 +62,17 @@ export class SceneView {
   /** In a narrow window, which side is shown. */
   side(which) {
     this.box.dataset.side = which;
-    for (const one of ["text", "form"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
+    for (const one of ["text", "form", "cloth"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
   }
+
+  /** Only the cloth, or text and form beside it. */
+  large(large = this.box.dataset.large !== "true") {
+    this.box.dataset.large = String(large);
+    const button = document.getElementById("cloth-large");
+    Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "Text and form beside it (key L)" : "Hide text and form (key L)" });
+  }
+
+  close() { this.cloth?.close(); }
 
   typed() {
     this.version++;
@@ -94,6 +106,7 @@ export class SceneView {
     verdict.replaceChildren(make("span", { className: mistakes.length ? "bad" : "good", textContent: mistakes.length ? count(mistakes.length, "mistake") : "No mistakes" }));
     if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => this.text.go(first.line) }));
     // What is wrong with the whole of the text has no field.
+    this.cloth.update();
     verdict.append(...mistakes.filter((one) => !this.form.placed.has(one)).map(wordsOf));
     this.state();
   }
