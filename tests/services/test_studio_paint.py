@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def away(line: list[list[float]]) -> NDArray[np.float64]:
     """(ny, nx) distance of each cell's middle from a line of points [m]."""
     x, y = middles()
     found = np.full(x.shape, np.inf)
-    for (ax, ay), (bx, by) in zip(line, line[1:], strict=False):
+    for (ax, ay), (bx, by) in pairwise(line):
         share = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2), 0.0, 1.0)
         found = np.minimum(found, np.hypot(x - ax - share * (bx - ax), y - ay - share * (by - ay)))
     return found
@@ -94,7 +95,7 @@ def test_paste_keeps_dye_out_of_the_cells_that_were_painted_and_of_no_others(des
     covered = start_of(text)[0].resist[0] > 0.5
     distance = away(LINE)
     assert covered[distance < WIDTH / 2 - CELL].all() and not covered[distance > WIDTH / 2 + CELL].any()
-    turned = WIDTH**2 / 4 * (1 - np.pi / 4)  # at the corner the two pieces overlap, but for what the round brush turns in
+    turned = WIDTH**2 / 4 * (1 - np.pi / 4)  # what the two pieces share at the corner, less what the brush turns in
     area = WIDTH * LONG + np.pi * WIDTH**2 / 4 - turned
     rim = 2 * LONG + np.pi * WIDTH
     assert abs(covered.sum() * CELL**2 - area) < rim * CELL / 2
@@ -164,8 +165,8 @@ def test_what_cannot_be_painted_is_said(desk: Desk) -> None:
         with pytest.raises(BadInput) as refused:
             desk.act({"do": "paint", "scene": "cloth.yaml", "text": SCENE, **said})
         assert refused.value.field == field
+    text = shipped.find("dye/drops").read_text()
     with pytest.raises(BadInput, match="save the scene"):
-        text = shipped.find("dye/drops").read_text()
         desk.act({"do": "paint", "scene": "dye/drops", "text": text, "tool": "stencil"})
 
 
@@ -176,7 +177,7 @@ def test_a_line_is_told_by_fewer_points_none_far_from_it() -> None:
         assert len(found) <= len(points) and (found[[0, -1]] == points[[0, -1]]).all()
         x, y = points.T
         nearest = np.full(len(points), np.inf)
-        for (ax, ay), (bx, by) in zip(found[:-1], found[1:], strict=True):
+        for (ax, ay), (bx, by) in pairwise(found):
             long = (bx - ax) ** 2 + (by - ay) ** 2
             share = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / (long or 1.0), 0.0, 1.0)
             nearest = np.minimum(nearest, np.hypot(x - ax - share * (bx - ax), y - ay - share * (by - ay)))

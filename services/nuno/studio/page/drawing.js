@@ -3,40 +3,44 @@ import { Stage } from "./stage.js";
 import { Surface } from "./surface.js";
 
 const COLOURS = { ridge: [0.85, 0.28, 0.11], valley: [0.12, 0.44, 0.77] };
+const same = (a, b) => a.length === b.length && a.every((value, i) => value === b[i]);
 // How strong the colour of a line is that is in the cloth already.
 const APPLIED = 0.5;
-// Pixels that the panels take.
-const ASIDE = 560;
-
 /** A stage with lines on its cloth. */
 export class Drawing extends Stage {
   constructor(canvas, lines) {
-    super(canvas, { aside: ASIDE });
+    super(canvas);
     Object.assign(this, { lines, base: null, drawn: null, veiled: false });
   }
 
   show(frame) {
     const before = this.cloth, shown = super.show(frame);
-    if (shown.first) this.base = { faces: frame.faces, count: frame.x.length, pieces: frame.pieces };
-    else if (frame.faces) this.carryLines(before, frame);
+    if (frame.state === "start") this.begin();
+    else if (frame.faces && !shown.first && this.cloth.count) this.lines.carry((place) => this.cloth.nearest(before.at(place)));
     return shown;
   }
 
-  /** Triangles have changed: lines lie where they lay, on those that are there now. */
-  carryLines(before, frame) {
-    if (frame.state === "start") { this.lines.restart(); this.base.faces = frame.faces; }
-    else this.lines.carry((place) => this.cloth.nearest(before.at(place)));
+  /** A start is shown: lines lie on it as they lay on the one before. */
+  begin() {
+    const { base } = this;
+    if (base && this.cloth.count && !same(base.cloth.faces, this.cloth.faces)) this.lines.rebase((place) => this.cloth.nearest(base.cloth.at(place)));
+    this.lines.restart();
+    this.base = { cloth: this.cloth, pieces: this.pieces };
   }
 
-  /** The same places on the cloth that the page began with, whose vertices are the first of each piece's still. */
+  /** The same places on the cloth of the start, whose vertices are the first of each piece's still; none where the run
+    is of another cloth, or there is no start. */
   basePlaces(points) {
-    if (this.base.faces === this.cloth.faces) return points;
-    const x = new Float32Array(this.base.count);
-    this.base.pieces.forEach(({ start, stop }, i) => {
+    const { base } = this;
+    if (!base) return null;
+    if (base.cloth.faces === this.cloth.faces) return points;
+    const x = new Float32Array(base.cloth.x.length), fits = base.pieces.length === this.pieces.length && base.pieces.every((piece, i) => piece.stop - piece.start <= this.pieces[i].stop - this.pieces[i].start);
+    if (!fits) return null;
+    base.pieces.forEach(({ start, stop }, i) => {
       const now = this.pieces[i].start;
       x.set(this.cloth.x.subarray(3 * now, 3 * (now + stop - start)), 3 * start);
     });
-    const before = new Surface(x, this.base.faces);
+    const before = new Surface(x, base.cloth.faces);
     return points.map((place) => before.nearest(this.cloth.at(place)));
   }
 

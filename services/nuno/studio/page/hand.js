@@ -9,7 +9,7 @@ const RING = 18;
 const LEAP = 30;
 // A line that goes on this many times further off than the pixels between two samples are wide is on another layer.
 
-/** A drag on the cloth draws, beside it it turns the view. */
+/** Where there is a pen, a drag on the cloth draws, beside it it turns the view. */
 export class Hand extends Orbit {
   constructor(stage, pen, done) {
     super(stage);
@@ -17,7 +17,7 @@ export class Hand extends Orbit {
   }
 
   begin(e) {
-    const hit = e.button === 0 && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY);
+    const hit = this.pen() && e.button === 0 && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY);
     if (!hit) return super.begin(e);
     this.samples = [{ ...this.sample(hit), x: e.offsetX, y: e.offsetY }];
     this.preview();
@@ -25,7 +25,7 @@ export class Hand extends Orbit {
   }
 
   move(e) {
-    if (!this.mode) this.stage.canvas.classList.toggle("on-cloth", !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY) !== null);
+    if (!this.mode) this.stage.canvas.classList.toggle("on-cloth", Boolean(this.pen()) && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY) !== null);
     else if (this.mode === "draw" && e.getCoalescedEvents?.().length) for (const one of e.getCoalescedEvents()) this.step(one.offsetX, one.offsetY);
     else this.step(e.offsetX, e.offsetY);
   }
