@@ -13,17 +13,18 @@ from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.studio import edit, scenes
+from nuno.studio import edit, paint, scenes
 from nuno.studio.cloth import Starts
+from nuno.studio.dyed import Dyed, cloth_of
 from nuno.studio.lines import Drawing
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
-ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw")
+ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw", "dyed", "paint")
 """What the page may ask for, each a method of a desk."""
-CONTROLS = ("pause", "resume", "step", "stop", "set")
+CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """What a page may ask of a run, as `nuno control`."""
 OF_RECORDINGS = {"recording": "open", "picture": "draw", "verify": "verify", "verdict": "verdict", "delete": "delete"}
 """What it may ask of one recording, and which method of the recordings does it."""
@@ -35,7 +36,7 @@ class Desk:
     def __init__(self) -> None:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
         self._own: Run | None = None
-        self._starts = Starts()
+        self._starts, self._dyed_cloth = Starts(), Dyed()
         self._drawing = Drawing(self._starts)
         self._heavy, self._starting = threading.Lock(), threading.Lock()
         self._schema = functools.cache(scenes.schema)
@@ -51,6 +52,7 @@ class Desk:
             "picture": self._picture,
             "start": self._starts.tell,
             "live": self._live,
+            "flat": self._dyed_cloth.tell,
         }
         return Server("nuno.studio", self.act, told)
 
@@ -91,10 +93,13 @@ class Desk:
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))
         text = read_text(path)
-        own = path.parent == self.scenes.folder or path in self.scenes.more.values()
         changed = self.scenes.changed.get(str(request.get("scene")))
-        facts = {"text": text, "changed": changed, "own": own, "file": path.name}
+        facts = {"text": text, "changed": changed, "own": self._own_file(path), "file": path.name}
         return facts | self._checked(text.removeprefix(MARK) if changed is None else changed, path)
+
+    def _own_file(self, path: Path) -> bool:
+        """Whether a scene's file is the person's own, and not one that comes with nuno."""
+        return path.parent == self.scenes.folder or path in self.scenes.more.values()
 
     def _checked(self, text: str, path: Path) -> dict[str, Any]:
         return scenes.check(text, path, self.scenes.roots)
@@ -154,7 +159,7 @@ class Desk:
             raise BadInput("no such action", value=action, limit=", ".join(CONTROLS))
         if self._own is None:
             raise BadInput("no run goes on", remedy="start one with Run")
-        item = {"item": str(request.get("item", ""))} if action == "set" else {}
+        item = {"item": str(request.get("item", ""))} if action in ("set", "add") else {}
         answer = self._own.control(action, **item)
         return self._own.tell() | {"changed": {name: answer.get(name) for name in ("field", "old", "new", "frame")}}
 
@@ -164,6 +169,22 @@ class Desk:
     def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
         return self._starts.see(self._loaded(request))
+
+    def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
+        return self._dyed_cloth.see(self._loaded(request))
+
+    def _paint(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Put a stroke or a stencil into the text; or a stroke into the run that goes on. Raises BadInput."""
+        text, path = self._text(request)
+        cells, _, _ = cloth_of(self._loaded(request))
+        item = paint.item_of(request, cells, path, self._own_file(path))
+        if request.get("live"):
+            return self._control({"action": "add", "item": item})
+        after = paint.put(text, item, path.name)
+        # What lies beside the cloth is refused before it is in the text.
+        cloth_of(scenes.load(after, path, self.scenes.roots))
+        return {"text": after} | self._checked(after, path)
 
     def _live(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """The newest frame of the run that was started here, where it is the one that is asked for."""

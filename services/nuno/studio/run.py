@@ -122,7 +122,7 @@ class Run:
         return (heard[-1][1] - first[1]) / (heard[-1][0] - first[0])
 
     def control(self, action: str, **more: object) -> dict[str, Any]:
-        """Pause, resume, step or stop it, or set a field; what it answers. Raises BadInput."""
+        """Pause, resume, step or stop it, set a field or add an item; what it answers. Raises BadInput."""
         if not self.going:
             raise BadInput("no run goes on", remedy="start one with Run")
         if self._bus is None:
@@ -133,7 +133,7 @@ class Run:
             return {}
         answer = order(self._bus, {"action": action} | more)
         self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
-        if action != "set":
+        if action not in ("set", "add"):
             self._heard.clear()
         return answer
 
