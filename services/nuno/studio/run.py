@@ -160,8 +160,10 @@ class Run:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
             self._ask(bus)
-            self._bus, self.live = bus, Live(self.name, endpoint, self._config)
+            self._bus = bus
             while self.going and not self._closed.is_set():
+                if self.live is None and self.state != "preparing":  # its services answer
+                    self.live = Live(self.name, endpoint, self._config)
                 item = inbox.get(PAUSE)
                 if isinstance(item, Message):
                     self._hear(item)
