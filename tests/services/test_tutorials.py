@@ -57,7 +57,7 @@ def commands(page: Path) -> list[list[str]]:
 
 
 def script(page: Path) -> str:
-    """The page for bash: files are written, commands run, and each block of commands ends in a line that tells which."""
+    """The page for bash: files are written, commands run; a line after each block of commands tells which it was."""
     lines = ["set -e -o pipefail", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
     for number, fence in enumerate(fences(page)):
         if fence.file:
@@ -84,7 +84,7 @@ def is_printed(shown: str, said: str) -> bool:
 
 
 def differing(shown: Path, drawn: Path) -> float:
-    """Mean difference of two pictures of one shape, as a share of white; the one in the page is smaller, of few colours."""
+    """Mean difference of two pictures, as a share of white; the one in the page is smaller, and of fewer colours."""
     with Image.open(shown) as one, Image.open(drawn) as other:
         assert abs(one.width / one.height - other.width / other.height) < 0.01
         a, b = (np.asarray(image.convert("RGB").resize((160, 120)), np.float64) for image in (one, other))
@@ -98,7 +98,7 @@ def test_the_index_has_each() -> None:
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_all_code_is_told_apart_and_read(page: Path) -> None:
-    """A block is shell, output of the shell before it, or a named file; shell is of commands known, files can be read."""
+    """A block is shell, output of the shell above it, or a named file; commands are known, and files can be read."""
     before = ""
     for fence in fences(page):
         assert (fence.language in ("sh", "text")) != bool(fence.file), "no block is of no one's business"
@@ -145,14 +145,17 @@ def drawn_as(name: str, page: Path) -> str:
 @pytest.mark.full
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
-    folder, tools = tmp_path / "empty", tmp_path / "bin"
+    folder, tools, packages = tmp_path / "empty", tmp_path / "bin", tmp_path / "packages"
     folder.mkdir()
     tools.mkdir()
-    for name, what in (("nuno", " -m nuno"), ("python", "")):
+    for name, what in (("nuno", " -m nuno"), ("python", ""), ("pip", " -m pip")):
         (tools / name).write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)}{what} "$@"\n')
         (tools / name).chmod(0o755)
-    here = os.pathsep.join([*(str(ROOT / part) for part in ("schemas", "services", "plugins")), *sys.path])
-    env = os.environ | {"PATH": os.pathsep.join([str(tools), os.environ["PATH"]]), "PYTHONPATH": here}
+    here = os.pathsep.join([str(packages), *(str(ROOT / part) for part in ("schemas", "services", "plugins")), *sys.path])
+    # A package of the tutorial's own is built by what is installed, and goes with the test.
+    pip = {"TARGET": str(packages), "NO_BUILD_ISOLATION": "0", "NO_DEPS": "1", "NO_INDEX": "1"}
+    env = os.environ | {f"PIP_{name}": value for name, value in pip.items()}
+    env |= {"PATH": os.pathsep.join([str(tools), os.environ["PATH"]]), "PYTHONPATH": here}
     with (tmp_path / "said").open("w+", encoding="utf-8") as said:
         done = subprocess.run(
             ["bash", "-c", script(page)], cwd=folder, env=env, stdin=subprocess.DEVNULL, stdout=said,
