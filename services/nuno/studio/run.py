@@ -7,6 +7,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,12 @@ class Run:
     are asked for while a page looks at the cloth (`live`). Neither slows the run.
     """
 
-    def __init__(self, loaded: Loaded, entry: str, text: str | None, paused: bool) -> None:
-        """entry: what the page calls the scene; text: what is run in the place of its file, where it is another."""
+    def __init__(
+        self, loaded: Loaded, entry: str, text: str | None, paused: bool, resume: Sequence[str] | None = None
+    ) -> None:
+        """entry: what the page calls the scene; text: what is run in the place of its file, where it is another;
+        resume: a recording to go on with, and what is changed of its scene, as arguments of --resume.
+        """
         scene, path = loaded.scene, loaded.path
         self.name, self.entry = runs.new_id(scene.name), entry
         self.frames, self.end = scene.frames, scene.frames / scene.frame_rate
@@ -57,7 +62,8 @@ class Run:
             path = Path(self._folder.name) / path.name
             path.write_text(text, encoding="utf-8")
         more = ["--paused"] if paused else []
-        self._child = Child(["run", str(path), "--no-view", "--run", self.name, *roots, *more])
+        what = [str(path)] if resume is None else ["--resume", *resume]
+        self._child = Child(["run", *what, "--no-view", "--run", self.name, *roots, *more])
         self.state, self.frame, self.t = "preparing", -1, 0.0
         self._heard: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
