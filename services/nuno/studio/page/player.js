@@ -43,7 +43,7 @@ export class Player {
   tell(index) {
     this.index = index;
     this.line.value = index;
-    this.said.textContent = `${this.times[index].toFixed(3)} s of ${this.times.at(-1).toFixed(3)} s`;
+    this.said.textContent = `${this.times[index].toFixed(3)} of ${this.times.at(-1).toFixed(3)} s`;
     this.line.setAttribute("aria-valuetext", this.said.textContent);
     this.back.disabled = index === 0;
     this.on.disabled = index === this.times.length - 1;
@@ -74,7 +74,7 @@ export class Player {
   tick(now) {
     if (!this.playing) return;
     // A pause of the browser's, as in a hidden tab, is no time of the replay.
-    const t = this.t + Math.min(0.25, (now - this.then) / 1000) * Number(this.speed.value), index = this.before(t);
+    const t = this.t + Math.min(1, (now - this.then) / 1000) * Number(this.speed.value), index = this.before(t);
     this.then = now;
     for (const reel of this.reels) reel.ahead(index);
     if (this.reels.every((reel) => reel.at(index))) {

@@ -37,7 +37,8 @@ export async function recordings(view) {
 export async function recording(view, name, replay) {
   const answer = await ask("recording", { recording: name });
   if (!answer.ok) {
-    view.replaceChildren(make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, remover(name))), make("pre", { className: "panel", textContent: answer.words ?? answer.problem }));
+    view.replaceChildren(make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, remover(name))), make("pre", { className: "panel", textContent: answer.words ?? answer.problem }), replay.box);
+    await replay.open();
     return;
   }
   const picture = make("div"), verdict = make("pre", { id: "verdict", role: "status" });
