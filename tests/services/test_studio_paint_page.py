@@ -163,7 +163,10 @@ def test_a_stencil_is_put_by_a_click(page: Page, painting: Server) -> None:
 def test_a_stroke_goes_into_the_run_that_goes_on_and_not_into_the_text(page: Page, painting: Server) -> None:
     before = page.value("nuno.scene.text.value")
     page.click("run-step")
-    page.wait("nuno.dock.now.state === 'paused' && /goes on/.test(document.getElementById('paint-said').textContent)", PATIENCE)
+    page.wait(
+        "nuno.dock.now.state === 'paused' && /goes on/.test(document.getElementById('paint-said').textContent)",
+        PATIENCE,
+    )
     page.click("paint-dye")
     set_width(page, 1.0)
     page.drag(pixels(page, (2.0, 9.0), (8.0, 9.0), (14.0, 9.0)))
