@@ -20,7 +20,6 @@ from typing import Any
 
 import psutil
 import pytest
-from chromium import Page, find_browser
 from live_run import PATIENCE, wait_until
 from studio_desk import FILE, studio, write_sheet
 
@@ -30,6 +29,7 @@ from nuno.pages.server import Server, door
 from nuno.scene import shipped
 from nuno.studio import arrivals
 from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
 
 NET = (shipped.folder() / "pendulum.npz").read_bytes()
 READ = ("", "main.js", "schema", "drawn?name=net", "shown?file=a.png", "picture?recording=a.mcap",

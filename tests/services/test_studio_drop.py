@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import Page, find_browser
 from studio_desk import studio
 
 from nuno.pages.server import Server
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 PATIENCE = 300.0

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 import yaml
-from chromium import Page, find_browser
 from live_run import PATIENCE, wait_until
 from PIL import Image
 from studio_desk import studio, write_sheet
@@ -18,6 +17,7 @@ import nuno
 from nuno.pages.guard import Refused
 from nuno.studio.desk import Desk
 from nuno.studio.exports import KINDS
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.errors import BadInput
 
 

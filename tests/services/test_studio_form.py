@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chromium import Page, find_browser
 from studio_desk import FILE, SHEET, studio, write_sheet
 
 from nuno import registry
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
 from nuno.studio.swatches import swatches
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.dye_presets import PRESETS
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]

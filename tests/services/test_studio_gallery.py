@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import Page, find_browser
 from studio_desk import FILE, studio, write_sheet
 
 from nuno.pages.server import Server, page_files
 from nuno.scene import shipped
 from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
 
 BROWSER = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
 MOST = 2_000_000

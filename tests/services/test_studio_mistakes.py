@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import Page, find_browser
 from seeded_mistakes import NUMBER, Mistake, draw, write
 from studio_desk import studio
 
@@ -14,6 +13,7 @@ import nuno
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.studio import scenes
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.errors import BadInput
 
 BUILT = ("file", "body")

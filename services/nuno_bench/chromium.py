@@ -1,0 +1,184 @@
+"""A headless browser, driven through a pipe by the DevTools protocol: no port, no further package."""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import json
+import os
+import select
+import shlex
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = (
+    "--headless --no-sandbox --no-first-run --disable-extensions --disable-background-networking --mute-audio "
+    "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --remote-debugging-pipe"
+)
+
+KEYS = {"Tab": 9, "Enter": 13, "Escape": 27, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39}
+KEYS |= {"ArrowDown": 40, ",": 188, "-": 189, ".": 190}
+
+
+def find_browser() -> str | None:
+    """A browser that is installed here."""
+    return next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+class Page:
+    """One page of a browser of its own."""
+
+    def __init__(self, folder: Path, width: int = 960, height: int = 600, flags: str = "") -> None:
+        browser = find_browser()
+        assert browser is not None
+        theirs_in, ours_out = os.pipe()
+        ours_in, theirs_out = os.pipe()
+        command = f"{shlex.quote(browser)} {FLAGS} {flags} --user-data-dir={shlex.quote(str(folder))}"
+        self._process = subprocess.Popen(
+            ["bash", "-c", f"exec {command} 3<&{theirs_in} 4>&{theirs_out}"],
+            pass_fds=(theirs_in, theirs_out),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(theirs_in)
+        os.close(theirs_out)
+        self._in, self._out, self._buffer = ours_in, ours_out, bytearray()
+        self._numbers, self._session = itertools.count(1), ""
+        self.clicks = 0
+        self.said: list[str] = []
+        """Errors of the page's scripts, and what was refused to it."""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        os.close(self._out)
+        os.close(self._in)
+        self._process.kill()
+        self._process.wait()
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Ask the browser for something; its answer."""
+        number = next(self._numbers)
+        session = {"sessionId": self._session} if self._session else {}
+        os.write(self._out, json.dumps({"id": number, "method": method, "params": params} | session).encode() + b"\0")
+        while True:
+            message = self._read(30.0)
+            if message.get("id") == number:
+                assert "error" not in message, message
+                return dict(message["result"])
+            self._note(message)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.said.append(json.dumps(message["params"]["exceptionDetails"])[:600])
+        if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
+            self.said.append(str(message["params"]["entry"]["text"]))
+
+    def _read(self, patience: float) -> dict[str, Any]:
+        end = time.monotonic() + patience
+        while b"\0" not in self._buffer:
+            ready, _, _ = select.select([self._in], [], [], max(0.0, end - time.monotonic()))
+            piece = os.read(self._in, 1 << 16) if ready else b""
+            assert piece, "the browser does not answer"
+            self._buffer += piece
+        text, _, rest = bytes(self._buffer).partition(b"\0")
+        self._buffer = bytearray(rest)
+        return dict(json.loads(text))
+
+    def open(self, address: str) -> None:
+        self.call("Page.navigate", url=address)
+
+    def value(self, expression: str) -> Any:
+        """What an expression of JavaScript gives in the page."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def wait(self, expression: str, patience: float = 30.0) -> Any:
+        """What an expression gives once that counts as true."""
+        end = time.monotonic() + patience
+        while not (found := self.value(expression)):
+            assert time.monotonic() < end, f"not within {patience} s: {expression}; {self.said}"
+            time.sleep(0.02)
+        return found
+
+    def click(self, name: str) -> None:
+        """Press the button with an id."""
+        self.value(f"document.getElementById({json.dumps(name)}).click()")
+
+    def tap(self, selector: str) -> None:
+        """Press the mouse on an element and let it go, as a person does: it is scrolled to, and must be what is seen
+        there; `clicks` counts.
+        """
+        found = f"document.querySelector({json.dumps(selector)})"
+        place = self.wait(
+            f"(() => {{ const one = {found}; if (!one) return null; one.scrollIntoView({{ block: 'nearest' }}); "
+            "const box = one.getBoundingClientRect(), x = box.x + box.width / 2, y = box.y + box.height / 2; "
+            "return one.contains(document.elementFromPoint(x, y)) ? [x, y] : null; })()"
+        )
+        self.drag([place])
+        self.clicks += 1
+
+    def drop(self, *paths: Path) -> None:
+        """Drop files onto the middle of the page."""
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=400, y=300, data=data)
+
+    def choose_files(self, selector: str, *paths: Path) -> None:
+        """What a person chooses in the browser's own window of files, which a headless one does not open."""
+        root = self.call("DOM.getDocument")["root"]["nodeId"]
+        node = self.call("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        self.call("DOM.setFileInputFiles", files=[str(path) for path in paths], nodeId=node)
+
+    def type(self, text: str) -> None:
+        """What a keyboard puts where the cursor is."""
+        self.call("Input.insertText", text=text)
+
+    def press(self, key: str, control: bool = False) -> None:
+        """One key, such as Tab, Enter, Escape or z; with Control held."""
+        held = {
+            "key": key,
+            "code": key if len(key) > 1 else f"Key{key.upper()}",
+            "windowsVirtualKeyCode": KEYS.get(key) or ord(key.upper()),
+            "modifiers": 2 if control else 0,
+        }
+        text = {"text": "\r"} if key == "Enter" and not control else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **held, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **held)
+
+    def drag(self, points: Sequence[tuple[float, float]], button: str = "left") -> None:
+        """Press the mouse at the first point [pixels], move it along, and let it go at the last."""
+        held = {"button": button, "buttons": 1 if button == "left" else 2, "clickCount": 1}
+        x, y = points[0]
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **held)
+        for x, y in points[1:]:
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, **held)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **held | {"buttons": 0})
+
+    def picture(self, path: Path | None = None) -> NDArray[np.uint8]:
+        """The page as it is seen, (height, width, 3)."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        if path is not None:
+            path.write_bytes(data)
+        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
