@@ -40,9 +40,12 @@ def test_each_page_is_there_and_fetches_nothing_from_other_hosts(site: Path) -> 
 @pytest.mark.full
 def test_the_reference_holds_docstrings(site: Path) -> None:
     import nuno
+    from nuno_testing.checks import OWN
 
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
     assert all(f'id="nuno.{name}"' in text for name in nuno.__all__)
+    text = (site / "reference" / "protocols.html").read_text(encoding="utf-8")
+    assert all(f">{check.__name__.replace('_', ' ')}<" in text for checks in OWN.values() for check in checks)
 
 
 @pytest.mark.full

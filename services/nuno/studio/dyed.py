@@ -45,7 +45,7 @@ class Dyed:
         for old in sorted(self._kept)[:-MOST]:
             self._kept.pop(old, None)
         _, ny, nx = cells.fibre.shape
-        dyes = [{"name": one.name, "colour": one.colour.mid} for one in loaded.dyed.said.dyes]
+        dyes = [{"name": one.name, "colour": one.colour.dark} for one in loaded.dyed.said.dyes]
         return {
             "number": number,
             "cell": cells.size,

@@ -7,6 +7,7 @@ import { wordsOf } from "./form.js";
 import { Hand } from "./hand.js";
 import { Lines } from "./lines.js";
 import { follow, frameOf } from "./link.js";
+import { Paint } from "./paint.js";
 import { colours, gradient, stretched } from "./scale.js";
 import { factor } from "./words.js";
 
@@ -23,6 +24,7 @@ export class Cloth {
     Object.assign(this, { scene, visible: false, built: null, wanted: null, live: "", frame: null, number: 0, times: [], stretch: false });
     this.lines = new Lines();
     this.draw = new Draw(this);
+    this.paint = new Paint(this);
     this.box = this.build();
     try {
       this.stage = new Drawing(this.canvas, this.lines);
@@ -50,9 +52,10 @@ export class Cloth {
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas,
       make("div", { className: "tools" }, button("fit", "Fit", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
-        button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()), this.back,
+        button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
+        this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "", this.back,
         this.scene.large ? button("large", "Larger", "Hide text and form (key L)", () => this.scene.large()) : ""),
-      this.draw.box, this.draw.labels,
+      this.draw.box, this.draw.labels, this.paint.box,
       make("div", { className: "below" }, this.said, this.scale, this.figures));
   }
 
@@ -78,6 +81,7 @@ export class Cloth {
     }
     this.count();
     this.draw.changed();
+    this.paint.update();
   }
 
   rest() { this.following?.abort(); this.following = null; }
@@ -110,7 +114,8 @@ export class Cloth {
     if (answer.ok) {
       const frame = await frameOf(`start?number=${answer.number}`).catch(() => null);
       if (frame && !this.live && !this.over.signal.aborted) { this.number = answer.number; this.take(frame, answer.words); }
-    } else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
+    } else if (this.scene.data?.dye && !this.scene.data.objects?.length) this.say("This cloth lies flat and does not move. Paint shows it, and puts dye, paste and stencils on it.");
+    else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
     Object.assign(this, { built: value, wanted: null });
     this.update();
   }
@@ -159,7 +164,7 @@ export class Cloth {
   keys(e) {
     if (e.ctrlKey || e.metaKey || e.altKey) return;
     if (e.key === " ") { e.preventDefault(); document.getElementById(dock.going ? "pause" : "run")?.click(); }
-    const id = { f: "fit", m: "mesh", s: "stretch", d: "draw", l: "large" }[e.key.toLowerCase()];
+    const id = { f: "fit", m: "mesh", s: "stretch", d: "draw", p: "paint", l: "large" }[e.key.toLowerCase()];
     if (id) { e.preventDefault(); document.getElementById(`cloth-${id}`)?.click(); }
   }
 

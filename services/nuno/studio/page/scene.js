@@ -88,10 +88,10 @@ export class SceneView {
     if (version === this.version && taken(answer)) this.take(answer);
   }
 
-  /** A change by the form: one after the other, each of the text that the one before has made. */
-  change(what) {
+  /** A change by form or brush: one after the other, each of the text that the one before has made. */
+  change(what, does = "change") {
     this.queue = this.queue.then(async () => {
-      const version = this.version, answer = await ask("change", { scene: this.name, text: this.text.value, ...what });
+      const version = this.version, answer = await ask(does, { scene: this.name, text: this.text.value, ...what });
       if (version === this.version && taken(answer)) this.put(answer);
     });
     return this.queue;
@@ -99,7 +99,7 @@ export class SceneView {
 
   /** What the server says of the text. */
   take({ data, lines, mistakes }, keep = false) {
-    Object.assign(this, { lines, mistakes, checked: this.text.value });
+    Object.assign(this, { data, lines, mistakes, checked: this.text.value });
     this.text.mark(mistakes.map(({ line }) => line).filter(Boolean));
     this.form.show(data, mistakes, keep);
     const verdict = document.getElementById("verdict"), first = mistakes.find(({ line }) => line);
@@ -167,7 +167,7 @@ export class SceneView {
 
   keys(e) {
     const key = e.key.toLowerCase();
-    if (this.cloth?.draw.keys(e)) return;
+    if (this.cloth?.draw.keys(e) || this.cloth?.paint.keys(e)) return;
     if (!(e.ctrlKey || e.metaKey) || !this.text) return;
     const does = { z: () => (e.shiftKey ? this.text.redo() : this.text.undo()), y: () => this.text.redo(), s: () => this.save(), enter: () => this.run(false) }[key];
     if (!does) return;
