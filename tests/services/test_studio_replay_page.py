@@ -205,6 +205,7 @@ def test_another_rate_is_interpolated_and_another_mesh_is_not_compared_by_vertic
     page.value(f"{RUN}.player.go(4)")  # 0.1 s, of which both have a frame
     at(page, 4)
     page.wait("!document.getElementById('far-said').textContent.includes('interpolated')")
+    assert page.value(f"{RUN}.apart.lines[0].t") == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     look(page, server, "#compare=a.mcap,fine.mcap", f"{RUN}?.done")
     assert "cannot be compared vertex by vertex" in page.value("document.getElementById('far-said').textContent")
     titles = page.value("[...document.querySelectorAll('.plot:not([hidden]) b')].map((b) => b.textContent)")

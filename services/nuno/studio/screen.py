@@ -66,7 +66,7 @@ class Screen:
         return {
             "times": [time / 1e9 for time in pair.times],
             "spans": [[film.times[0] / 1e9, film.times[-1] / 1e9] for film in pair.films],
-            "interpolated": pair.interpolated,
+            "exact": pair.exact,
         } | pair.tell()
 
     def frames(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
