@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dye_scene
 import numpy as np
 import pytest
 from live_run import PATIENCE, wait_until
 from numpy.typing import NDArray
+from PIL import Image
 from recorded_sheet import Sheet, items, metadata, write
 from studio_desk import FILE, write_sheet
 
@@ -240,3 +243,19 @@ def test_a_run_goes_on_from_its_last_checkpoint_to_the_bits_of_a_longer_one(desk
     with nuno.open(FOLDER / now["recording"]) as recording:
         digests = [frame.digest for frame in recording.frames()]
     assert digests[-1] == nuno.run(FILE, duration="0.6 s").digest and len(digests) == 31
+
+
+def test_dyed_cloth_is_shown_as_its_pictures_are_exported(desk: Desk) -> None:
+    nuno.run(dye_scene.write_scene(Path()), record=FOLDER / "dye.mcap")
+    found = ask(desk, "replay", recording="dye.mcap")
+    assert found["dyed"] and not found["moves"]
+    kind, png = desk.screen.dyed({"film": [found["film"]], "frame": [str(len(found["times"]) - 1)]})
+    nuno.export(FOLDER / "dye.mcap", png="last.png")
+    with Image.open(io.BytesIO(png)) as here, Image.open("last.png") as exported:
+        assert kind == "image/png" and np.array_equal(np.asarray(here), np.asarray(exported))
+    with pytest.raises(Refused):
+        desk.screen.dyed({"film": [found["film"]], "frame": [str(len(found["times"]))]})
+    waving(FOLDER / "a.mcap")
+    other = ask(desk, "replay", recording="a.mcap")["film"]
+    with pytest.raises(BadInput, match="no positions in it to compare"):
+        ask(desk, "compare", first=found["film"], second=other)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dye_scene
 import numpy as np
 import pytest
 import yaml
@@ -231,3 +232,13 @@ def test_a_run_is_gone_on_with_or_it_is_said_why_not(page: Page, server: Server)
     now = page.value("nuno.dock.now.recording")
     assert np.array_equal(frames(now)[:21], frames("a.mcap"))
     assert Path(FILE).is_file()
+
+
+def test_dyed_cloth_is_shown_by_its_pictures(page: Page, server: Server) -> None:
+    nuno.run(dye_scene.write_scene(Path()), record=FOLDER / "dye.mcap")
+    look(page, server, "#run=dye.mcap", "document.getElementById('dyed')?.naturalWidth > 0")
+    before = page.value("document.getElementById('dyed').src")
+    focus(page, "time-line")
+    page.press("End")
+    page.wait("document.getElementById('dyed').complete && document.getElementById('dyed').src.endsWith('frame=10')")
+    assert page.value("document.getElementById('dyed').naturalWidth") > 0 and before.endswith("frame=0")

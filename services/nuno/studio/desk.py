@@ -56,6 +56,7 @@ class Desk:
             "live": self._live,
             "frames": self.screen.frames,
             "shape": self.screen.shape,
+            "dyed": self.screen.dyed,
         }
         return Server("nuno.studio", self.act, told)
 

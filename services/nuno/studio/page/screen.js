@@ -42,6 +42,26 @@ export class Screen {
   close() { this.stage.close(); }
 }
 
+/** Pictures of cloth that is dyed and does not move, one after the other: the newest that is wanted, once one has come. */
+export class Picture {
+  constructor(film) {
+    Object.assign(this, { film, index: -1, wanted: -1, busy: false });
+    this.image = make("img", { id: "dyed", alt: "The dyed cloth" });
+    this.image.onload = this.image.onerror = () => { this.busy = false; this.load(); };
+    this.box = make("div", { className: "screen dyed" }, this.image);
+  }
+
+  show(index) { this.wanted = index; if (!this.busy) this.load(); }
+
+  load() {
+    if (this.index === this.wanted) return;
+    Object.assign(this, { busy: true, index: this.wanted });
+    this.image.src = `dyed?film=${encodeURIComponent(this.film)}&frame=${this.index}`;
+  }
+
+  close() { this.wanted = this.index; }
+}
+
 /** A bar with the scale's colours between what its ends stand for. */
 export class Bar {
   constructor(id, low, high) {
