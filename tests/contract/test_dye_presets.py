@@ -21,7 +21,7 @@ from nuno_schemas.look import DyeColour
 from nuno_schemas.scene import Scene
 from nuno_schemas.units import to_si
 
-DOCS = Path(__file__).parents[2] / "docs" / "dye-cloth.md"
+DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "dye-cloth.md"
 SCENE = shipped.scenes()["dye/fig9a"]
 MASSES = {
     "indigo": {"C": 16, "H": 10, "N": 2, "O": 2},

@@ -15,7 +15,7 @@ from nuno_cloth.fabrics.presets import MEASURES, PRESETS, Material
 from nuno_schemas.preset import Preset
 from nuno_schemas.units import to_si
 
-DOCS = Path(__file__).parents[2] / "docs" / "scenes.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "scenes.md"
 SI = {"density": "kg/m^2", "bend_warp": "N*m", "bend_weft": "N*m"}
 
 

@@ -11,7 +11,7 @@ from nuno.cli.presets import find_presets, show
 from nuno_knit.yarns import PRESETS
 from nuno_schemas.units import to_si
 
-DOCS = Path(__file__).parents[2] / "docs" / "knit.md"
+DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "knit.md"
 FIELDS = {
     "EA": ("ea", "N"),
     "lock": ("lock", ""),

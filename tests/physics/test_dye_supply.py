@@ -129,7 +129,7 @@ def test_what_is_given_is_told_with_its_time_and_its_cells() -> None:
 
 
 def test_the_documented_supplies_are_some() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "dye-cloth.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "dye-cloth.md").read_text()
     blocks = [yaml.safe_load(block.split("```")[0]) for block in page.split("```yaml\nsupply:")[1:]]
     items = [TypeAdapter(Supplies).validate_python(block) for block in blocks]
     kinds = [[one.kind for one in block] for block in items]

@@ -82,7 +82,7 @@ def test_every_weave_is_chosen_by_name(tmp_path: Path) -> None:
 
 
 def test_the_documented_cloth_is_one(tmp_path: Path) -> None:
-    page = Path(__file__).parents[2] / "docs" / "dye-cloth.md"
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "dye-cloth.md"
     cloth = yaml.safe_load(page.read_text().split("```yaml\n")[1].split("```")[0])["cloth"]
     assert cloth.pop("plugin") == WovenCloth.name
     write_image(tmp_path / "stencil.png", np.eye(200))

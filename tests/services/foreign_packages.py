@@ -14,11 +14,11 @@ import numpy as np
 from nuno_schemas.plugin import Config, Mover
 from nuno_schemas.system import Term
 """
-PAGE = (Path(__file__).resolve().parents[2] / "CONTRIBUTING.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "plugins.md").read_text()
 
 
 def blocks(language: str) -> list[str]:
-    """The blocks of code in a language that the contributors' page shows."""
+    """The blocks of code in a language that the page on plugins shows."""
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.M | re.S)
 
 

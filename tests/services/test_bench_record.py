@@ -17,7 +17,7 @@ from nuno_bench.speed import record
 from nuno_bench.speed.record import Record
 
 BEFORE = (1.0, 1.1, 1.2)
-PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
+PAGE = Path(__file__).parents[2] / "docs" / "measured" / "benchmarks.md"
 
 
 def timed(samples: tuple[float, ...] = BEFORE, unit: str = "s", what: str = "a step") -> Result:
@@ -107,6 +107,7 @@ def test_runs_are_saved_and_held_against_the_last(
 ) -> None:
     (tmp_path / ".git").mkdir()
     monkeypatch.setattr(record, "ROOT", tmp_path)
+    kept = tmp_path / "docs" / "measured" / "speed.jsonl"
     bench = ["bench", "speed", "sheet-32", "--save"]
     assert main(bench) == 0 and main([*bench, "--against"]) == 0
     assert "1 within the spread" in capsys.readouterr().out
@@ -114,10 +115,10 @@ def test_runs_are_saved_and_held_against_the_last(
     assert main([*bench, "--against"]) == 1
     said = capsys.readouterr().out
     assert re.search(r"1\.1 \(1 - 1\.2\) +2\.1 \(2 - 2\.2\) +1\.91  slower", said)
-    assert f"then: {record.read(tmp_path / 'docs' / 'speed.jsonl')[1].date}, no commit, numpy" in said
+    assert f"then: {record.read(kept)[1].date}, no commit, numpy" in said
     # The slow one was saved, too, and is the last now.
     assert main(["bench", "speed", "sheet-32", "--against"]) == 0
-    assert len(record.read(tmp_path / "docs" / "speed.jsonl")) == 3
+    assert len(record.read(kept)) == 3
 
 
 def test_other_machines_are_left_alone(

@@ -247,7 +247,7 @@ def test_by_the_clock_the_newest_poses_are_taken(tmp_path: Path) -> None:
 
 def test_the_documentations_program_moves_its_hand(tmp_path: Path) -> None:
     """Where the ball was lies on the curve that the program sends."""
-    program = blocks(ROOT / "docs" / "robots.md", "py")[0]
+    program = blocks(ROOT / "docs" / "how-to" / "robots.md", "py")[0]
     loaded = scene_file.read(shipped.find("hand"), ["duration=1.5 s"])
     run = LiveRun(loaded, Options(record=tmp_path / "run.mcap"), Deployment(paused=True))
     run.wait_until_paused()

@@ -1,4 +1,4 @@
-"""What docs/python.md and the notebooks show runs, cell by cell, and what a notebook would show of it is there."""
+"""What the page on Python and the notebooks show runs, cell by cell, and what a notebook would show of it is there."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cells(notebook: Path, kind: str) -> list[str]:
 
 
 def test_there_are_three() -> None:
-    text = (ROOT / "docs" / "python.md").read_text()
+    text = (ROOT / "docs" / "how-to" / "python.md").read_text()
     assert len(NOTEBOOKS) == 3 and all(f"notebooks/{path.name}" in text for path in NOTEBOOKS)
 
 
@@ -61,7 +61,7 @@ def test_a_notebook_runs(notebook: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_the_page_on_python_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     found: dict[str, Any] = {}
-    for block in blocks(ROOT / "docs" / "python.md", "python"):
+    for block in blocks(ROOT / "docs" / "how-to" / "python.md", "python"):
         # Where the viewer in a notebook is not installed, that says so; the rest of the page is run.
         run_cell(block.replace("result.show()", "result.show"), found)
     assert found["longer"].t == pytest.approx(0.7) and (tmp_path / "run.glb").is_file()

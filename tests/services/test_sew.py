@@ -121,7 +121,7 @@ def test_a_person_reads_a_table_of_each_file(tmp_path: Path, capsys: pytest.Capt
 def test_the_page_shows_what_is_said_of_its_skirt(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "sewing.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "sewing.md").read_text()
     skirt, said = (page.partition(f"```{kind}\n")[2].partition("```")[0] for kind in ("yaml", "text"))
     monkeypatch.chdir(tmp_path)
     Path("skirt.yaml").write_text(skirt)

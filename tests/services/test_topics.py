@@ -88,7 +88,7 @@ def test_rates_are_those_of_a_run_that_goes_on(
 
 def test_the_subscriber_of_the_page_gets_every_frame_of_a_run(tmp_path: Path) -> None:
     """As it is written there: each frame's middle is that of the recording, and it ends with the run."""
-    (script,) = blocks(ROOT / "docs" / "bus.md", "python")
+    (script,) = blocks(ROOT / "docs" / "how-to" / "bus.md", "python")
     assert len([line for line in script.splitlines() if line.strip()]) <= 26
     (tmp_path / "listen.py").write_text(script)
     run = Run(write_scene(tmp_path), tmp_path / "run.mcap", paused=True)
@@ -142,7 +142,8 @@ def test_the_reference_is_that_of_the_schemas(capsys: pytest.CaptureFixture[str]
     """Each field has a meaning, and each topic says when it comes."""
     assert main(["schema", "--messages"]) == 0
     said = capsys.readouterr().out
-    assert (ROOT / "docs" / "messages.md").read_text() == said, "nuno schema --messages > docs/messages.md"
+    page = ROOT / "docs" / "reference" / "messages.md"
+    assert page.read_text() == said, "nuno schema --messages > docs/reference/messages.md"
     rows = [line.split(" | ") for line in said.splitlines() if line.startswith("| `")]
     assert len(rows) > 50 and all(cell.strip("| ") for row in rows for cell in row)
     assert {topic.name for topic in TOPICS_KNOWN.values()} <= {row[0].strip("| `") for row in rows}

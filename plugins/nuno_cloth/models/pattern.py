@@ -67,7 +67,7 @@ class Elastic(Config):
 
 
 class PatternConfig(Config):
-    """A sewing pattern, and the body that its panels are placed round: see docs/sewing.md."""
+    """A sewing pattern, and the body that its panels are placed round: see docs/how-to/sewing.md."""
 
     file: str = Field(description="the pattern beside the scene: JSON as GarmentCode writes it, or YAML of that")
     over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nuno.scene.scene_file import Loaded
-from nuno.seen import shown
-from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 
@@ -14,18 +12,11 @@ STRUCTURAL = 0
 """Kind of springs that are the cloth's threads (nuno_schemas.fabric.Springs)."""
 
 
-def see_scene(loaded: Loaded) -> Sight:
-    """The cloth of a scene as it is at the start. Raises BadInput for one that lines cannot be drawn on."""
-    sight, fabric = shown.see_scene(loaded)
+def require_lines(loaded: Loaded, fabric: Fabric) -> None:
+    """Raises BadInput for cloth that no lines can be raised on: they need springs along edges of its triangles."""
     if not len(fabric.faces):
         remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
         raise loaded.at("objects[0].model", BadInput("cloth without triangles cannot be drawn on", remedy=remedy))
-    require_springs(loaded, fabric)
-    return sight
-
-
-def require_springs(loaded: Loaded, fabric: Fabric) -> None:
-    """Raises BadInput for cloth of no edge of whose triangles lines could be raised: those need springs there."""
     springs = fabric.springs
     count = fabric.number
     structural = np.zeros((0, 2), np.int64)

@@ -50,7 +50,7 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
         if not garments:
             problem, remedy = (
                 "no garment is sewn from a pattern",
-                "give an object the model pattern: see docs/sewing.md",
+                "give an object the model pattern: see docs/how-to/sewing.md",
             )
             raise BadInput(problem, str(recording.path), field="--pattern", value=str(path), remedy=remedy)
         if suffix == ".pdf" and colour == "cloth" and any(piece.image is not None for piece, _, _ in garments):

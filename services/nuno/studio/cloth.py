@@ -7,11 +7,14 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import zenoh
 
 from nuno.cloth import build
+from nuno.draw.keep import Trial
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
 from nuno.scene.scene_file import Loaded
@@ -20,12 +23,29 @@ from nuno.seen.shown import see_scene
 from nuno.seen.sight import NO_FACES, NO_POINTS, Board, Sight
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Fabric
 
 MOST = 4
 """Starts that are kept for pages: each page shows the newest that it has asked for."""
 LEAVE = 2.0
 """How long nobody looks at a run [s] until it is followed no more: a page asks again at once."""
+AGAIN = 0.5
+"""How long a page that could not be shown a run waits until it asks again [s]."""
 NO_COLOURS = "dye and textures are not shown here: the picture of a recording has them"
+
+
+@dataclass(frozen=True)
+class Start:
+    """A scene's cloth as it begins, as it is shown and as it is tried."""
+
+    loaded: Loaded
+    sight: Sight
+    fabric: Fabric
+
+    @cached_property
+    def trial(self) -> Trial:
+        """Of its objects, on which lines are tried."""
+        return Trial(self.loaded)
 
 
 class Starts:
@@ -33,7 +53,7 @@ class Starts:
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
-        self._kept: dict[int, Sight] = {}
+        self.kept: dict[int, Start] = {}
         self._building = threading.Lock()
         self._asked = 0
 
@@ -47,18 +67,18 @@ class Starts:
             if number != self._asked:
                 raise BadInput("another start has been asked for meanwhile")
             build.check_memory(loaded)
-            sight, _ = see_scene(loaded)
-        self._kept[number] = Board(sight).now
-        for old in sorted(self._kept)[:-MOST]:
-            self._kept.pop(old, None)
+            sight, fabric = see_scene(loaded)
+        self.kept[number] = Start(loaded, Board(sight).now, fabric)
+        for old in sorted(self.kept)[:-MOST]:
+            self.kept.pop(old, None)
         return {"number": number, "words": NO_COLOURS if _painted(loaded, sight) else ""}
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """One of them, for the page that asked for it. Raises Refused."""
-        sight = self._kept.get(whole(query, "number"))
-        if sight is None:
+        start = self.kept.get(whole(query, "number"))
+        if start is None:
             raise Refused(NOT_FOUND, "this start is no longer kept")
-        return "application/octet-stream", sight.encode(-1, -1)
+        return "application/octet-stream", start.sight.encode(-1, -1)
 
 
 def _painted(loaded: Loaded, sight: Sight) -> bool:
@@ -68,8 +88,8 @@ def _painted(loaded: Loaded, sight: Sight) -> bool:
 class Live:
     """A run's cloth as it moves. It is followed only while a page looks at it: nothing of it is sent here else."""
 
-    def __init__(self, run: str, endpoint: str) -> None:
-        self.run, self.endpoint = run, endpoint
+    def __init__(self, run: str, endpoint: str, config: str | None = None) -> None:
+        self.run, self.endpoint, self.config = run, endpoint, config
         self.board = Board(Sight(NO_POINTS, NO_FACES, ()))
         self.follower: Follower | None = None
         self._looking, self._last = 0, 0.0
@@ -97,12 +117,13 @@ class Live:
     def _begin(self) -> None:
         follower = None
         try:
-            follower = Follower(self.run, self.endpoint, self.board)
+            follower = Follower(self.run, self.endpoint, self.board, self.config)
             follower.start()
         except (RunFailed, BadInput, BadMessage, zenoh.ZError) as error:
             if follower is not None:
                 follower.close()
             self.board.show(state="lost", message=str(error))
+            self._closed.wait(AGAIN)
         else:
             self.follower = follower
             threading.Thread(target=self._leave, args=(follower,), name="leave", daemon=True).start()

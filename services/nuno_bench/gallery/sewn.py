@@ -36,7 +36,7 @@ TOLD = (
     "ipctk: 1 where an edge of cloth or body goes through the other, or through cloth. Bust, waist: ease. Warp, weft: "
     "95 % of the cloth is strained by less. Pressure: where cloth presses. Of several garments ease and pressure are "
     "of the innermost, strain is the largest. At rest: -, where the scene ended before. In all: of the run with all "
-    "its services. docs/sewing.md says how fit is measured."
+    "its services. docs/how-to/sewing.md says how fit is measured."
 )
 
 

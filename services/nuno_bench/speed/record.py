@@ -76,7 +76,7 @@ def own_file(field: str) -> Path:
     """The repository's record. Raises BadInput where nuno runs from none."""
     if not (ROOT / ".git").exists():
         raise BadInput("this nuno is in no repository that has a record", field=field, remedy="name a file")
-    return ROOT / "docs" / "speed.jsonl"
+    return ROOT / "docs" / "measured" / "speed.jsonl"
 
 
 def commit() -> str:

@@ -1,11 +1,14 @@
 import { ask } from "./ask.js";
 import { dock } from "./dock.js";
 import { make } from "./dom.js";
+import { Draw } from "./draw.js";
+import { Drawing } from "./drawing.js";
 import { wordsOf } from "./form.js";
+import { Hand } from "./hand.js";
+import { Lines } from "./lines.js";
 import { follow, frameOf } from "./link.js";
-import { Orbit } from "./orbit.js";
+import { Paint } from "./paint.js";
 import { colours, gradient, stretched } from "./scale.js";
-import { Stage } from "./stage.js";
 import { factor } from "./words.js";
 
 /** How long a text stays as it is [ms] until its cloth is built. */
@@ -18,15 +21,18 @@ const SPAN = 2000;
   Nothing is asked for while it is not on the screen: neither a start, nor frames of a run. */
 export class Cloth {
   constructor(scene) {
-    Object.assign(this, { scene, visible: false, built: null, wanted: null, live: "", frame: null, times: [], stretch: false });
+    Object.assign(this, { scene, visible: false, built: null, wanted: null, live: "", frame: null, number: 0, times: [], stretch: false });
+    this.lines = new Lines();
+    this.draw = new Draw(this);
+    this.paint = new Paint(this);
     this.box = this.build();
     try {
-      this.stage = new Stage(this.canvas);
+      this.stage = new Drawing(this.canvas, this.lines);
     } catch (error) {
       this.say(`This browser cannot show the cloth: ${error.message}. A present Firefox, Chrome, Edge or Safari can.`);
       return;
     }
-    new Orbit(this.stage);
+    this.hand = new Hand(this.stage, () => (this.draw.on ? { kind: this.draw.kind, height: this.draw.height } : null), (pieces) => this.draw.drawn(pieces));
     this.canvas.addEventListener("keydown", (e) => this.keys(e));
     this.seen = new IntersectionObserver(([{ isIntersecting }]) => { this.visible = isIntersecting; this.update(); });
     this.seen.observe(this.canvas);
@@ -45,14 +51,20 @@ export class Cloth {
     this.scale.querySelector("i").style.background = gradient;
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas,
       make("div", { className: "tools" }, button("fit", "Fit", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
-        button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()), this.back,
-        button("large", "Larger", "Hide text and form (key L)", () => this.scene.large())),
+        button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
+        button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
+        this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "", this.back,
+        this.scene.large ? button("large", "Larger", "Hide text and form (key L)", () => this.scene.large()) : ""),
+      this.draw.box, this.draw.labels, this.paint.box,
       make("div", { className: "below" }, this.said, this.scale, this.figures));
   }
 
   say(text) { this.said.replaceChildren(text); }
 
   get running() { return dock.going && dock.now.scene === this.scene.name; }
+
+  /** Whether the start is to be built before a run is followed, for lines that go into the text. */
+  get startFirst() { return this.draw.wanted && !this.number && this.scene.good && this.built === null; }
 
   /** Show what is to be seen now, or nothing more. */
   update() {
@@ -62,12 +74,14 @@ export class Cloth {
     if (this.running) this.ran = text;
     else if (this.ran !== text) this.live = "";
     if (!this.visible || document.hidden) this.rest();
-    else if (this.running) this.run();
+    else if (this.running && !this.startFirst) this.run();
     else {
       this.rest();
       if (!this.live) this.start();
     }
     this.count();
+    this.draw.changed();
+    this.paint.update();
   }
 
   rest() { this.following?.abort(); this.following = null; }
@@ -85,22 +99,23 @@ export class Cloth {
   /** Build the cloth of the text, where it is another than what is shown, once it has stood for a while. */
   start() {
     const { text } = this.scene;
-    if (!text || this.scene.mistakes.length || text.value === this.built || text.value === this.wanted) return;
+    if (!text || !this.scene.good || text.value === this.built || text.value === this.wanted) return;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.see(), this.built === null ? 0 : STAYS);
   }
 
   async see() {
     const { value } = this.scene.text;
-    if (this.over.signal.aborted || this.running || this.scene.mistakes.length) return;
+    if (this.over.signal.aborted || (this.running && !this.startFirst) || !this.scene.good) return;
     this.wanted = value;
     if (this.built === null) this.say("Building the cloth …");
     const answer = await ask("see", { scene: this.scene.name, text: value });
     if (this.over.signal.aborted || this.wanted !== value) return;
     if (answer.ok) {
       const frame = await frameOf(`start?number=${answer.number}`).catch(() => null);
-      if (frame && !this.live && !this.over.signal.aborted) this.take(frame, answer.words);
-    } else this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
+      if (frame && !this.live && !this.over.signal.aborted) { this.number = answer.number; this.take(frame, answer.words); }
+    } else if (this.scene.data?.dye && !this.scene.data.objects?.length) this.say("This cloth lies flat and does not move. Paint shows it, and puts dye, paste and stencils on it.");
+    else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
     Object.assign(this, { built: value, wanted: null });
     this.update();
   }
@@ -112,7 +127,8 @@ export class Cloth {
     this.words = words ?? "";
     if (this.stretch) frame.colours = colours(stretched(this.frame));
     this.stage.show(frame);
-    if (frame.faces) this.say(this.lacks());
+    if (frame.faces) { this.say(this.lacks()); this.draw.changed(); }
+    if (this.draw.wanted) { this.draw.wanted = false; this.draw.toggle(true); }
     const now = performance.now();
     this.times = [...this.times.filter((time) => now - time < SPAN), now];
   }
@@ -147,8 +163,9 @@ export class Cloth {
 
   keys(e) {
     if (e.ctrlKey || e.metaKey || e.altKey) return;
-    const id = { f: "fit", m: "mesh", s: "stretch", l: "large" }[e.key.toLowerCase()];
-    if (id) { e.preventDefault(); document.getElementById(`cloth-${id}`).click(); }
+    if (e.key === " ") { e.preventDefault(); document.getElementById(dock.going ? "pause" : "run")?.click(); }
+    const id = { f: "fit", m: "mesh", s: "stretch", d: "draw", p: "paint", l: "large" }[e.key.toLowerCase()];
+    if (id) { e.preventDefault(); document.getElementById(`cloth-${id}`)?.click(); }
   }
 
   close() {

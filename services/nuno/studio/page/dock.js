@@ -22,6 +22,7 @@ class Dock {
     $("step").addEventListener("click", () => this.order("step"));
     $("stop").addEventListener("click", () => this.order("stop"));
     $("set").addEventListener("submit", (e) => { e.preventDefault(); this.set($("set-item").value.trim()); });
+    $("set-item").addEventListener("input", () => $("set-said").replaceChildren());
     $("more").addEventListener("click", () => this.fold($("run-said").hidden));
     $("dismiss").addEventListener("click", () => { $("dock").hidden = true; });
   }
@@ -64,8 +65,8 @@ class Dock {
     $("dock").dataset.state = now.state;
     $("run-state").textContent = SAID[now.state] ?? now.state;
     $("run-name").textContent = now.run ?? "";
-    $("run-progress").value = now.end ? Math.min(1, now.t / now.end) : 0;
-    const far = now.frame >= 0 ? `${now.t.toFixed(2)} of ${Number(now.end.toPrecision(6))} s · frame ${now.frame} of ${now.frames}` : "";
+    $("run-progress").value = now.frames ? Math.max(0, now.frame) / now.frames : 0;
+    const far = now.frame >= 0 ? `${now.t.toFixed(2)} ${now.end ? `of ${Number(now.end.toPrecision(6))} ` : ""}s · frame ${now.frame} of ${now.frames}` : "";
     $("run-time").textContent = [far, factor(now.factor)].filter(Boolean).join(" · ");
     $("pause").textContent = now.state === "paused" ? "Resume" : "Pause";
     $("pause").disabled = !["running", "paused"].includes(now.state);

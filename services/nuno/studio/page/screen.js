@@ -47,8 +47,10 @@ export class Picture {
   constructor(film) {
     Object.assign(this, { film, index: -1, wanted: -1, busy: false });
     this.image = make("img", { id: "dyed", alt: "The dyed cloth" });
-    this.image.onload = this.image.onerror = () => { this.busy = false; this.load(); };
-    this.box = make("div", { className: "screen dyed" }, this.image);
+    const then = (words) => () => { this.said.textContent = words; this.busy = false; this.load(); };
+    Object.assign(this.image, { onload: then(""), onerror: then("This picture cannot be drawn.") });
+    this.said = make("span", { className: "soft", textContent: "Drawing the cloth …" });
+    this.box = make("div", { className: "screen dyed" }, this.said, this.image);
   }
 
   show(index) { this.wanted = index; if (!this.busy) this.load(); }

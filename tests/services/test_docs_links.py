@@ -1,0 +1,84 @@
+"""Every link leads somewhere, every picture is there and is shown, and every page is found from the first."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+SITE = sorted(DOCS.rglob("*.md"))
+PAGES = [*sorted(ROOT.glob("*.md")), ROOT / "deploy" / "README.md", *SITE]
+PICTURES = {path for suffix in ("png", "svg", "gif", "jpg") for path in DOCS.rglob(f"*.{suffix}")}
+LINK = re.compile(r"!?\[(?:[^\[\]]|!?\[[^\]]*\](?:\([^)]*\))?)*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
+INNER = re.compile(r"!\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def prose(page: Path) -> str:
+    """A page without its code."""
+    text = re.sub(r"^(```+|~~~+).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"`[^`\n]*`", "`code`", text)
+
+
+def links(page: Path) -> Iterator[tuple[Path, str]]:
+    """The file and the anchor of each relative link; the page itself for one within it."""
+    text = prose(page)
+    for target in [*LINK.findall(text), *INNER.findall(text)]:
+        if "://" not in target and not target.startswith("mailto:"):
+            name, _, anchor = unquote(target).partition("#")
+            yield (page.parent / name).resolve() if name else page, anchor
+
+
+def anchors(page: Path) -> set[str]:
+    """Of each heading, as code hosts make them: lower case, blanks to dashes, no signs, a number where it repeats."""
+    text = re.sub(r"^(```+|~~~+).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found: set[str] = set()
+    for heading in re.findall(r"^#{1,6} +(.+?) *#*$", text, re.MULTILINE):
+        plain = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "")
+        name = re.sub(r"[^\w\- ]", "", plain.lower()).replace(" ", "-")
+        found.add(next(one for one in (name, *(f"{name}-{i}" for i in range(1, 100))) if one not in found))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    broken = [
+        f"{file}#{anchor}"
+        for file, anchor in links(page)
+        if not file.exists() or (anchor and file.suffix == ".md" and anchor not in anchors(file))
+    ]
+    assert broken == []
+
+
+@pytest.mark.parametrize("page", SITE, ids=lambda page: str(page.relative_to(DOCS)))
+def test_a_page_of_the_site_stays_within_it(page: Path) -> None:
+    assert [str(file) for file, _ in links(page) if not file.is_relative_to(DOCS)] == []
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {file for page in PAGES for file, _ in links(page)}
+    assert sorted(str(path.relative_to(ROOT)) for path in PICTURES - shown) == []
+
+
+def test_every_page_is_found_from_the_first() -> None:
+    """By links that indexes list, which are the site's contents."""
+    found, ahead = set[Path](), [DOCS / "index.md"]
+    while ahead:
+        page = ahead.pop()
+        found.add(page)
+        listed = re.findall(r"^- \[[^\]]*\]\(([^)#:]+\.md)\)", page.read_text(), re.MULTILINE)
+        ahead += [file for name in listed if (file := (page.parent / name).resolve()) not in found]
+    assert sorted(str(page.relative_to(ROOT)) for page in set(SITE) - found) == []
+
+
+def test_broken_links_are_seen(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A `b` c, d\n\n[x](#a-b-c-d) [![y](no.png)](gone.md) `[z](code)`\n\n```\n[z](code)\n```\n")
+    assert anchors(page) == {"a-b-c-d"}
+    assert {(file.name, anchor) for file, anchor in links(page)} == {
+        ("page.md", "a-b-c-d"), ("no.png", ""), ("gone.md", "")
+    }  # fmt: skip
