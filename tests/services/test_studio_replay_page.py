@@ -10,7 +10,6 @@ import dye_scene
 import numpy as np
 import pytest
 import yaml
-from chromium import Page, find_browser
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
 from studio_desk import FILE, SHEET, studio, write_sheet
@@ -18,6 +17,7 @@ from studio_desk import FILE, SHEET, studio, write_sheet
 import nuno
 from nuno.pages.server import Server
 from nuno.recording.reader import open_recording
+from nuno_bench.chromium import Page, find_browser
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 PATIENCE = 300.0
