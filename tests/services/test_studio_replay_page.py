@@ -12,7 +12,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
-from studio_desk import FILE, SHEET, studio, write_sheet
+from studio_desk import SHEET, studio, write_sheet
 
 import nuno
 from nuno.pages.server import Server
@@ -231,7 +231,7 @@ def test_a_run_is_gone_on_with_or_it_is_said_why_not(page: Page, server: Server)
     assert page.value("nuno.dock.now.frame") == 30
     now = page.value("nuno.dock.now.recording")
     assert np.array_equal(frames(now)[:21], frames("a.mcap"))
-    assert Path(FILE).is_file()
+    page.wait("document.querySelector('#run-said img')?.complete", PATIENCE)
 
 
 def test_dyed_cloth_is_shown_by_its_pictures(page: Page, server: Server) -> None:
