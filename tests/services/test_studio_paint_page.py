@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Page, find_browser
 from PIL import Image
 from studio_desk import studio
 
@@ -19,6 +18,7 @@ from nuno.pages.server import Server
 from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.dyed import at_start
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 
