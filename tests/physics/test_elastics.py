@@ -93,6 +93,7 @@ def test_along_a_gathered_seam_the_shorter_edge_counts(tmp_path: Path) -> None:
     assert cloth.springs is not None and cloth.springs.rest.sum() == pytest.approx(0.6, rel=1e-9)
 
 
+@pytest.mark.full
 def test_edges_that_garmentcode_holds_are_held_unless_told_otherwise(tmp_path: Path) -> None:
     for label in HELD:
         held = put_on(tmp_path, labelled(label))

@@ -23,6 +23,7 @@ from nuno_schemas.fabric import Springs
 from nuno_schemas.system import Term
 
 
+@pytest.mark.quick(plugin=["tr_bdf2"])
 @PLUGINS
 def test_converges_to_the_solution_of_another_method(plugin):
     """A sheet that swings and folds, with damping: the error falls at the stated order."""
@@ -183,6 +184,7 @@ SQUEEZED = {
 }
 
 
+@pytest.mark.quick(residual=[1e-9])
 @PLUGINS
 @pytest.mark.parametrize("net", SQUEEZED)
 @pytest.mark.parametrize("residual", [1e-6, 1e-9])

@@ -73,6 +73,7 @@ def test_each_layer_starts_outside_of_those_before_it(tmp_path: Path, wide: floa
         assert girth(outer) > girth(inner) + 0.6 * CLEARANCE
 
 
+@pytest.mark.full
 def test_a_bare_body_is_put_on_as_before(tmp_path: Path) -> None:
     """To the last bit whether or not other bodies wear something; a dressed one is not."""
     bare, first = put_on(tmp_path, tube(), []), put_on(tmp_path, tube(), [])
@@ -164,6 +165,7 @@ def test_fabrics_of_no_panel_are_refused(tmp_path: Path, fabrics: object, field:
         assert "back" in (caught.value.remedy or "")
 
 
+@pytest.mark.full
 def test_a_scenes_objects_are_layers_in_their_order(tmp_path: Path) -> None:
     """Those of one body; what another body wears is nothing to it."""
     (tmp_path / "tube.json").write_text(json.dumps(tube()))

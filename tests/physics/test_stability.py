@@ -76,6 +76,7 @@ def test_frequency_of_stiff_and_heavy_mixes(seed: int) -> None:
     assert 1.0 <= bounded(make_system(make_fabric(position, mixed, mass=mass))) <= 1.05
 
 
+@pytest.mark.quick(away=[1e6])
 @pytest.mark.parametrize("away", [0.0, 1e6])
 @pytest.mark.parametrize("stretch", [1.0, 1.02])
 def test_frequency_of_a_grid(stretch: float, away: float) -> None:

@@ -80,6 +80,7 @@ def test_a_tube_goes_round_the_trunk_from_wherever_it_is_placed(tmp_path: Path, 
     require_round(cloth, body, [0, 1, 0], [0, 1, 0])
 
 
+@pytest.mark.quick(angle=[40.0])
 @pytest.mark.parametrize("angle", [0.0, 40.0, 90.0])
 def test_a_sleeve_goes_round_its_arm_and_a_leg_round_its_own(tmp_path: Path, angle: float) -> None:
     """The tube lies before one of two limbs, which point any way; the other is left alone."""

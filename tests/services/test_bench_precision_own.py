@@ -106,6 +106,7 @@ def test_a_solver_that_the_scene_leaves_open_is_the_one_that_is_chosen(tmp_path:
     assert error is not None and error < 3e-3
 
 
+@pytest.mark.full
 def test_dye_has_its_own_step_too(tmp_path: Path) -> None:
     """The explicit scheme's error is of first order."""
     found = swept(write_wave(tmp_path, solver={"plugin": "explicit", "dt": 0.5}), "--solvers", "explicit")
@@ -116,6 +117,7 @@ def test_dye_has_its_own_step_too(tmp_path: Path) -> None:
     assert f"error in amounts {coarser.errors[AMOUNTS].l2:.2e} ({number(ratio)} times)" in found.own_sentence
 
 
+@pytest.mark.full
 def test_disturbed_times_are_called_so_beside_what_is_fastest(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,6 +30,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     return swept(write_net(tmp_path_factory.mktemp("line")), "--solvers", SOLVERS)
 
 
+@pytest.mark.full
 def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
     horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
     floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}

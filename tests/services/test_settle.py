@@ -116,6 +116,7 @@ def test_a_recording_has_what_came_to_rest(
     assert "came to rest" in capsys.readouterr().out
 
 
+@pytest.mark.quick(coarse=["1 cm"])
 @pytest.mark.parametrize("coarse", ["1.6 cm", "1 cm"])
 def test_triangles_that_are_no_coarser_change_nothing(tmp_path: Path, coarse: str) -> None:
     scene = write(tmp_path, {"coarse": coarse})
@@ -124,6 +125,7 @@ def test_triangles_that_are_no_coarser_change_nothing(tmp_path: Path, coarse: st
     assert [one["operation"] for one in run.arranged] == ["untangle"]
 
 
+@pytest.mark.full
 def test_all_of_a_scene_settles_together(tmp_path: Path) -> None:
     """A layer over another, only one of them on finer triangles after, and a sheet that has none, on the column."""
     run = begin(write(tmp_path, {}, {"edge": COARSE}, SHEET))

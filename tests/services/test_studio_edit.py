@@ -125,6 +125,11 @@ def test_what_would_take_a_comment_along_is_refused() -> None:
     assert refused.value.field == "objects[0].name" and refused.value.remedy
 
 
+SOME = ("skirt-hula", "skirt-dyed", "towel", "contact/untangle", "dye/drops", "knit/stocking-leg", "sewn/outfit")
+"""Scenes that are written in different ways: quick ones."""
+
+
+@pytest.mark.quick(name=SOME)
 @pytest.mark.parametrize("name", sorted(shipped.scenes()))
 def test_in_every_shipped_scene_each_field_can_be_taken_out_and_put_back(name: str) -> None:
     """What is refused leaves the text alone."""
