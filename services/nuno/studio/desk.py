@@ -23,7 +23,8 @@ from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
 ACTS = (
-    "scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw", "dyed", "worn", "paint",
+    "scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw", "dyed", "worn",
+    "paint",
 )  # fmt: skip
 """What the page may ask for, each a method of a desk."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
