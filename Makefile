@@ -4,7 +4,7 @@ BIN := .venv/bin
 SCENE ?= skirt-hula
 ARGS ?=
 
-.PHONY: run test test-all lint docs dist bench soak peers lock audit clean
+.PHONY: run test test-all lint docs tour dist bench soak peers lock audit clean
 
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
@@ -26,8 +26,12 @@ lint: .venv/dev.stamp  ## ruff and mypy
 	$(BIN)/mypy
 
 docs: .venv/dev.stamp  ## the documentation as a site, to be opened as a file; a warning fails it
+	for page in messages fields commands; do $(BIN)/nuno schema --$$page > docs/reference/$$page.md || exit 1; done
 	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs $(ARGS)
 	@echo "open build/docs/index.html"
+
+tour: .venv/dev.stamp  ## how long each command of the README takes, into it
+	$(BIN)/python docs/durations.py
 
 dist: .venv/dev.stamp  ## a wheel and a source distribution, and their sizes
 	$(BIN)/python -m hatchling build

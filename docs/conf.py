@@ -21,7 +21,7 @@ author = "nuno contributors"
 copyright = "nuno contributors, Apache-2.0"
 version = release = version_of("nuno")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "checks"]
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # as code hosts have them, so that a link to a heading leads there on both
@@ -30,6 +30,7 @@ autodoc_member_order = "bysource"
 maximum_signature_line_length = 88
 autodoc_type_aliases = {name: name for name in ("Float", "Int", "Bool")}  # arrays of float64, integers, truth values
 add_module_names = False
+highlight_language = "none"  # of code that does not say what it is
 smartquotes = False  # which would make one dash of the two of an option
 
 html_theme = "furo"

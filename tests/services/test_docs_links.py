@@ -1,4 +1,4 @@
-"""Every link of every page leads somewhere, every picture is there and is shown, and every page is found from the first."""
+"""Every link leads somewhere, every picture is there and is shown, and every page is found from the first."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def links(page: Path) -> Iterator[tuple[Path, str]]:
 
 
 def anchors(page: Path) -> set[str]:
-    """Of each heading, as code hosts make them: lower case, blanks to dashes, signs left out, a number where it repeats."""
+    """Of each heading, as code hosts make them: lower case, blanks to dashes, no signs, a number where it repeats."""
     text = re.sub(r"^(```+|~~~+).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     found: set[str] = set()
     for heading in re.findall(r"^#{1,6} +(.+?) *#*$", text, re.MULTILINE):

@@ -40,6 +40,20 @@ def test_each_page_is_there_and_fetches_nothing_from_other_hosts(site: Path) -> 
 @pytest.mark.full
 def test_the_reference_holds_docstrings(site: Path) -> None:
     import nuno
+    from nuno_testing.checks import OWN
 
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
     assert all(f'id="nuno.{name}"' in text for name in nuno.__all__)
+    text = (site / "reference" / "protocols.html").read_text(encoding="utf-8")
+    assert all(f">{check.__name__.replace('_', ' ')}<" in text for checks in OWN.values() for check in checks)
+
+
+@pytest.mark.full
+def test_formulas_are_drawn_by_the_browser(site: Path) -> None:
+    """Each of a page's formulas is MathML, and none is left as it was written."""
+    source = (DOCS / "explanation" / "methods.md").read_text(encoding="utf-8")
+    text = (site / "explanation" / "methods.html").read_text(encoding="utf-8")
+    blocks = source.count("$$") // 2
+    assert blocks > 10 and text.count('display="block"') == blocks
+    assert text.count("<math") == blocks + len(re.findall(r"\$[^$]+\$", source.replace("$$", "")))
+    assert "$" not in re.sub(r"<(code|script|style)\b.*?</\1>", "", text, flags=re.DOTALL)

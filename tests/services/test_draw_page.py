@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chromium import Page, find_browser
 from draw_desk import FILE, SHEET, write_sheet
 from live_run import Run
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from nuno.scene import scene_file
 from nuno.seen.sight import Sight
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.fabric import Float
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]

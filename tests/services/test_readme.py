@@ -7,6 +7,7 @@ import importlib
 import re
 import shlex
 import shutil
+import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,17 @@ from scenes import write_scene
 
 import nuno
 import nuno_bench.cli
-from nuno.cli import main, parser_of
+from nuno.cli import COMMANDS, main, parser_of
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+sys.path.insert(0, str(ROOT / "docs"))
+import durations  # noqa: E402
+
+PAGES = [
+    ROOT / "README.md",
+    *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "tutorials"),  # test_tutorials.py
+]
+START, TOUR = "docs/start/index.md", "docs/start/tour.md"
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -41,9 +49,10 @@ SHOWN = [(str(page.relative_to(ROOT)), words) for page in PAGES for words in com
 
 
 def test_the_pages_show_commands() -> None:
-    tour = {words[1] for page, words in SHOWN if page == "README.md"}
-    assert tour >= {"scenes", "plan", "run", "control", "info", "replay", "export", "bench"}
-    assert {page for page, _ in SHOWN} >= {"README.md", "docs/explanation/services.md", "docs/how-to/viewing.md"}
+    shown = {name: {words[1] for page, words in SHOWN if page == name} for name in ("README.md", TOUR)}
+    assert shown["README.md"] >= {"scenes", "plan", "run", "info", "replay", "verify", "export", "bench"}
+    assert shown[TOUR] >= set(COMMANDS) - {"serve", "certs", "plugins", "schema", "fabric", "yarns"}
+    assert {page for page, _ in SHOWN} >= {"README.md", "docs/how-to/hosts.md", "docs/how-to/viewing.md"}
 
 
 @pytest.mark.parametrize(
@@ -58,6 +67,33 @@ def test_every_command_is_read_by_its_parser(page: str, words: list[str]) -> Non
         parser.parse_args(args.arguments)
 
 
+def test_the_readme_is_short_and_says_how_long_each_command_takes() -> None:
+    """All but those that go on until they are ended, and what needs other packages."""
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    first, measuring = (text.split(f"## {name}\n")[1].split("\n## ")[0] for name in ("First ten minutes", "Measuring"))
+    untimed = [
+        shlex.split(line, comments=True)[1:3]
+        for line in (first + measuring).splitlines()
+        if line.startswith("nuno ") and not durations.TIMED.match(line)
+    ]
+    assert untimed == [["replay", "last"], ["studio"], ["bench", "peers"]]
+
+
+def test_durations_are_written_where_they_stand() -> None:
+    text = "nuno a --b  # c (d) (7 s)\nnuno e  # f\nnuno g  # h (9 min)\n    nuno i  # j (2 s)\n"
+    asked: list[str] = []
+
+    def run(command: str) -> float:
+        asked.append(command)
+        return 0.2 if command == "nuno a --b" else 150.0
+
+    written = durations.write_durations(text, run)
+    assert written == text.replace("(7 s)", "(1 s)").replace("(9 min)", "(2 min)")
+    assert asked == ["nuno a --b", "nuno g"]
+    assert [durations.describe(seconds) for seconds in (0.1, 1.6, 119.4, 120.0)] == ["1 s", "2 s", "119 s", "2 min"]
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("readme")
@@ -68,13 +104,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 CHEAP = [
     words for page, words in SHOWN
-    if page == "README.md"
-    and (words[1] in ("scenes", "fabrics", "info", "export", "verify") or "--resume" in words)
+    if page in ("README.md", START, TOUR)
+    and (words[1] in ("scenes", "fabrics", "info", "export", "verify", "new") or "--resume" in words)
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("words", CHEAP, ids=" ".join)
-def test_cheap_commands_of_the_readme_run(
+def test_cheap_commands_of_the_first_pages_run(
     words: list[str], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

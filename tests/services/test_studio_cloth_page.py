@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chromium import Page, find_browser
 from live_run import wait_until
 from studio_desk import FILE, SHEET, studio, write_sheet
 
@@ -17,6 +16,7 @@ from nuno.scene import scene_file
 from nuno.seen.shown import see_scene
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 PATIENCE = 300.0

@@ -15,7 +15,7 @@ from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 COMMANDS = {
     "run": ("nuno.cli.run", "simulate a scene, record it, show it, report on it"),
-    "new": ("nuno.cli.new", "a commented scene to start from: skirt, poncho, trousers, dye, ..."),
+    "new": ("nuno.cli.new", "a commented scene to start from: skirt, poncho, trousers, dye and more"),
     "plan": ("nuno.cli.plan", "what a scene will run, what is left out, cost and stable step"),
     "replay": ("nuno.cli.replay", "publish a recording again, and show it"),
     "verify": ("nuno.cli.verify", "simulate a recording again and compare every frame to the last bit"),

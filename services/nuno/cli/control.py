@@ -26,7 +26,7 @@ NEEDS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser, needed=True)
-    parser.add_argument("action", choices=ACTIONS)
+    parser.add_argument("action", choices=ACTIONS, help="what the run is to do, or is asked")
     parser.add_argument(
         "item",
         nargs="?",

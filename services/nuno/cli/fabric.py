@@ -23,7 +23,7 @@ KINDS = (".csv", ".yaml", ".yml")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=["import"])
+    parser.add_argument("action", choices=["import"], help="read a laboratory's sheet")
     parser.add_argument(
         "sheet", type=Path, metavar="FILE",
         help="values of KES-F, FAST or a cantilever, .yaml or .csv: instrument, then each by the instrument's own "

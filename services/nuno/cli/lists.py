@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+from importlib import import_module
 
 from nuno import registry
 from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
+
+REFERENCES = {
+    "messages": ("nuno.reference.messages", "describe_messages", "what a run publishes"),
+    "fields": ("nuno.reference.fields", "describe_fields", "every field of a scene"),
+    "commands": ("nuno.cli.reference", "describe_commands", "every command and its arguments"),
+}
+"""Pages of the documentation that are made from what they describe: module, function, and what they are of."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     elif parser.get_default("command") == "scenes":
         parser.add_argument("--paths", action="store_true", help="print where they are")
     else:
-        text = "the reference of what a run publishes instead, as Markdown"
-        parser.add_argument("--messages", action="store_true", help=text)
+        for name, (_, _, what) in REFERENCES.items():
+            parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -25,10 +33,9 @@ def main(args: argparse.Namespace) -> int:
         _list_plugins(args.group)
     elif args.command == "scenes":
         _list_scenes(args.paths)
-    elif args.messages:
-        from nuno.wire.reference import describe_messages
-
-        print(describe_messages(), end="")
+    elif asked := [place for name, place in REFERENCES.items() if getattr(args, name)]:
+        for path, function, _ in asked:
+            print(getattr(import_module(path), function)(), end="")
     else:
         from nuno.scene.json_schema import scene_schema
 

@@ -31,7 +31,7 @@ LINGER = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("service", choices=["router", *MODULES])
+    parser.add_argument("service", choices=["router", *MODULES], help="which one")
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
     add_config(parser)
     add_set(parser, "change a field of the scene; may be repeated")
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--named": ("NAME", "what errors call a scene that is no file of the user's"),
     })  # fmt: skip
     parser.set_defaults(threads=0, listen=LISTEN)
-    parser.add_argument("--view", choices=["window", "web"])
+    parser.add_argument("--view", choices=["window", "web"], help="viewer: a window, or web on loopback")
     parser.add_argument("--real-time", action="store_true", help="simulation: no frame is sooner than the clock says")
     parser.add_argument("--lifeline", action="store_true", help="end when standard input does: so has the supervisor")
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")

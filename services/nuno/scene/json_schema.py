@@ -9,7 +9,7 @@ from nuno_schemas.look import YARNS
 from nuno_schemas.scene import Scene
 from nuno_schemas.solver import AUTO
 
-_PLACES = {
+PLACES = {
     ("Object", "model"): "nuno.models",
     ("Body", "collider"): "nuno.colliders",
     ("Body", "motion"): "nuno.motions",
@@ -43,7 +43,7 @@ def scene_schema() -> dict[str, Any]:
     """The whole schema; imports every installed plugin."""
     schema = Scene.model_json_schema()
     definitions = schema["$defs"]
-    for (part, field), group in _PLACES.items():
+    for (part, field), group in PLACES.items():
         owner = schema if part == "Scene" else definitions[part]
         place = owner["properties"][field]
         beside = definitions[_BESIDE[group]]["properties"] if group in _BESIDE else {}

@@ -53,16 +53,16 @@ class Sight:
     place: int = 0
 
     def encode(self, shape: int, place: int) -> bytes:
-        """A length, a JSON text and arrays, little-endian.
+        """As `pack` has it.
 
         Topology goes only to a page that has another `shape`, bodies to one that has another `place`.
 
         Positions are float32 about `origin`, so that cloth far from the world's origin keeps its digits.
         """
         origin = self.origin
-        arrays: dict[str, NDArray[Any]] = {"x": _about(self.x, origin)}
+        arrays: dict[str, NDArray[Any]] = {"x": about(self.x, origin)}
         if (shape, place) != (self.shape, self.place):
-            arrays["body"] = _about(self.body, origin)
+            arrays["body"] = about(self.body, origin)
         if shape != self.shape:
             arrays |= {"faces": self.faces.astype("<u4"), "bodyFaces": self.body_faces.astype("<u4")}
             arrays |= {"edges": self.edges.astype("<u4"), "rest": self.rest.astype("<f4")}
@@ -70,14 +70,20 @@ class Sight:
         head = {name: getattr(self, name) for name in names} | {
             "origin": origin.tolist(),
             "pieces": [{name: getattr(piece, name) for name in SAID} for piece in self.pieces],
-            "arrays": [[name, str(a.dtype), a.size] for name, a in arrays.items()],
         }
-        text = json.dumps(head).encode()
-        text += b" " * (-len(text) % 4)
-        return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
+        return pack(head, arrays)
 
 
-def _about(x: Float, origin: Float) -> NDArray[np.float32]:
+def pack(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """A length, a JSON text, and arrays of four bytes a number, little-endian, which the text names."""
+    named = [[name, str(a.dtype), a.size] for name, a in arrays.items()]
+    text = json.dumps({**head, "arrays": named}).encode()
+    text += b" " * (-len(text) % 4)
+    return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
+
+
+def about(x: Float, origin: Float) -> NDArray[np.float32]:
+    """Positions (n, 3) [m] as float32 about an origin."""
     return np.ascontiguousarray(x - origin, "<f4")
 
 

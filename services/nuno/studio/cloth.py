@@ -29,6 +29,8 @@ MOST = 4
 """Starts that are kept for pages: each page shows the newest that it has asked for."""
 LEAVE = 2.0
 """How long nobody looks at a run [s] until it is followed no more: a page asks again at once."""
+AGAIN = 0.5
+"""How long a page that could not be shown a run waits until it asks again [s]."""
 NO_COLOURS = "dye and textures are not shown here: the picture of a recording has them"
 
 
@@ -121,6 +123,7 @@ class Live:
             if follower is not None:
                 follower.close()
             self.board.show(state="lost", message=str(error))
+            self._closed.wait(AGAIN)
         else:
             self.follower = follower
             threading.Thread(target=self._leave, args=(follower,), name="leave", daemon=True).start()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from nuno.draw.append import MARK, read_text
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server
+from nuno.recording.restore import resumed_scene
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
 from nuno.studio import edit, paint, scenes
@@ -19,17 +20,21 @@ from nuno.studio.dyed import Dyed, cloth_of, worn
 from nuno.studio.lines import Drawing
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
+from nuno.studio.screen import Screen
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
 ACTS = (
-    "scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "see", "draw", "dyed", "worn",
-    "paint",
+    "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
+    "worn", "paint",
 )  # fmt: skip
 """What the page may ask for, each a method of a desk."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """What a page may ask of a run, as `nuno control`."""
-OF_RECORDINGS = {"recording": "open", "picture": "draw", "verify": "verify", "verdict": "verdict", "delete": "delete"}
+OF_FILMS = ("replay", "plots", "compare")
+"""What it may ask of recordings that are replayed, each a method of a screen."""
+OF_RECORDINGS = {"recording": "open", "picture": "draw", "delete": "delete"}
+OF_RECORDINGS |= {name: name for name in ("verify", "verdict", "resumable")}
 """What it may ask of one recording, and which method of the recordings does it."""
 
 
@@ -38,6 +43,7 @@ class Desk:
 
     def __init__(self) -> None:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
+        self.screen = Screen(self.recordings)
         self._own: Run | None = None
         self._starts, self._dyed_cloth = Starts(), Dyed()
         self._drawing = Drawing(self._starts)
@@ -56,20 +62,27 @@ class Desk:
             "start": self._starts.tell,
             "live": self._live,
             "flat": self._dyed_cloth.tell,
+            "frames": self.screen.frames,
+            "shape": self.screen.shape,
         }
         return Server("nuno.studio", self.act, told)
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
         name = str(request.get("do"))
+        if name == "delete":
+            self.screen.forget(str(request.get("recording")))
         if name in OF_RECORDINGS:
             found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
         elif name == "recordings":
             found = {"recordings": self.recordings.list()}
+        elif name in OF_FILMS:
+            found = getattr(self.screen, name)(request)
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            raise BadInput("no such request", value=name, limit=", ".join((*ACTS, "recordings", *OF_RECORDINGS)))
+            known = *ACTS, "recordings", *OF_FILMS, *OF_RECORDINGS
+            raise BadInput("no such request", value=name, limit=", ".join(known))
         return found
 
     def close(self) -> None:
@@ -77,6 +90,7 @@ class Desk:
         with self._starting:
             if self._own is not None:
                 self._own.close()
+            self.screen.close()
             self.recordings.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
@@ -147,13 +161,24 @@ class Desk:
     def _run(self, request: Mapping[str, Any]) -> dict[str, Any]:
         text, path = self._text(request)
         loaded = scenes.load(text, path, self.scenes.roots)
+        changed = text if text != read_text(path).removeprefix(MARK) else None
+        entry, paused = str(request.get("scene")), bool(request.get("paused"))
+        return self._begin(lambda: Run.start(loaded, entry, changed, paused))
+
+    def _resume(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Go on with a recording, until the whole run has a duration. Raises BadInput."""
+        path, change = self.recordings.find(request.get("recording")), f"duration={request.get('duration')}"
+        with resumed_scene(path, [change]) as (loaded, _):
+            return self._begin(lambda: Run.resume(loaded, [str(path), "--set", change]))
+
+    def _begin(self, make: Callable[[], Run]) -> dict[str, Any]:
+        """Start a run, of which one goes on at a time. Raises BadInput."""
         with self._starting:
             if self._own is not None and self._own.going:
                 raise BadInput("a run goes on already", value=self._own.name, remedy="stop it before")
             if self._own is not None:
                 self._own.close()
-            changed = text if text != read_text(path).removeprefix(MARK) else None
-            self._own = Run.start(loaded, str(request.get("scene")), changed, bool(request.get("paused")))
+            self._own = make()
             return self._own.tell()
 
     def _control(self, request: Mapping[str, Any]) -> dict[str, Any]:

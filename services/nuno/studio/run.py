@@ -7,6 +7,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, Event, FrameStatus
+from nuno_schemas.scene import Scene
 
 SPAN = 3.0
 """Wall time that the real-time factor is told of [s]."""
@@ -59,9 +61,7 @@ class Run:
     @classmethod
     def start(cls, loaded: Loaded, entry: str, text: str | None, paused: bool) -> Run:
         """Start one; text: what is run in the place of the scene's file, where it is another."""
-        scene, path = loaded.scene, loaded.path
-        name = runs.new_id(scene.name)
-        record = runs.record_path(runs.RECORDINGS, name)
+        path = loaded.path
         folder: tempfile.TemporaryDirectory[str] | None = None
         roots = [str(root) for root in loaded.files.roots]
         if text is not None:
@@ -70,9 +70,21 @@ class Run:
             path = Path(folder.name) / path.name
             path.write_text(text, encoding="utf-8")
         more = [part for root in roots for part in ("--root", root)] + (["--paused"] if paused else [])
-        run = cls(name, entry, Child(["run", str(path), "--no-view", "--run", name, *more]))
+        run = cls._begin(loaded.scene, entry, [str(path), *more])
+        run._folder = folder
+        return run
+
+    @classmethod
+    def resume(cls, loaded: Loaded, arguments: Sequence[str]) -> Run:
+        """Go on with a recording; arguments: its file, and what is changed of its scene, as of `nuno run --resume`."""
+        return cls._begin(loaded.scene, "", ["--resume", *arguments])
+
+    @classmethod
+    def _begin(cls, scene: Scene, entry: str, arguments: Sequence[str]) -> Run:
+        name = runs.new_id(scene.name)
+        run = cls(name, entry, Child(["run", *arguments, "--no-view", "--run", name]))
         run.frames, run.end = scene.frames, scene.frames / scene.frame_rate
-        run.record, run._folder = record.name, folder
+        run.record = runs.record_path(runs.RECORDINGS, name).name
         run._thread.start()
         return run
 
@@ -160,8 +172,10 @@ class Run:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
             self._ask(bus)
-            self._bus, self.live = bus, Live(self.name, endpoint, self._config)
+            self._bus = bus
             while self.going and not self._closed.is_set():
+                if self.live is None and self.state != "preparing":  # its services answer
+                    self.live = Live(self.name, endpoint, self._config)
                 item = inbox.get(PAUSE)
                 if isinstance(item, Message):
                     self._hear(item)

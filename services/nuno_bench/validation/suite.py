@@ -142,8 +142,8 @@ def summary(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> str:
     if found["slip"]:
         text += f", {found['slip']} slips of {', '.join(sorted({o.solver for o in outcomes if o.verdict == 'slip'}))}"
     for part in parts:
-        posed = count_posed(part, outcomes).values()
-        text += f"; each case of {part.of} posed by {min(posed)} to {max(posed)} solvers"
+        least, most = min(posed := count_posed(part, outcomes).values()), max(posed)
+        text += f"; each case of {part.of} posed by {least if least == most else f'{least} to {most}'} solvers"
     return text
 
 

@@ -62,9 +62,17 @@ export const WIDTH = 2.6;
 // Of a vertex that no triangle has, in pixels.
 const DOT = 2.5;
 
+/** Whether there is no graphics card: then edges are not smoothed, which would take most of a picture's time. */
+function inSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), known = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = known ? gl.getParameter(known.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
 export class Painter {
   constructor(canvas) {
-    const gl = this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
+    const gl = this.gl = canvas.getContext("webgl2", { antialias: !inSoftware(), alpha: false });
     if (!gl) throw new Error("no WebGL 2");
     this.canvas = canvas;
     this.lit = this.program(LIT); this.flat = this.program(FLAT); this.ribbon = this.program(RIBBON); this.link = this.program(LINK);

@@ -22,6 +22,7 @@ class Dock {
     $("step").addEventListener("click", () => this.order("step"));
     $("stop").addEventListener("click", () => this.order("stop"));
     $("set").addEventListener("submit", (e) => { e.preventDefault(); this.set($("set-item").value.trim()); });
+    $("set-item").addEventListener("input", () => $("set-said").replaceChildren());
     $("more").addEventListener("click", () => this.fold($("run-said").hidden));
     $("dismiss").addEventListener("click", () => { $("dock").hidden = true; });
   }

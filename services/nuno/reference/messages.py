@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from nuno.reference.markdown import table
 from nuno_schemas.messages import MODELS, POSES, TOPICS, Header, Topic
 
 FOXGLOVE = "https://docs.foxglove.dev/docs/visualization/message-schemas/introduction"
@@ -18,7 +18,7 @@ INTRODUCTION = f"""\
 
 What a run publishes under `nuno/RUN/TOPIC`, and what a recording holds under the same topics. Those of the encoding
 JSON are objects of `nuno_schemas.messages`; binary ones are protobuf, either [Foxglove's]({FOXGLOVE})
-or `nuno.Arrays`, and each recording holds their schemas. [bus.md](../how-to/bus.md) shows how to listen.
+or `nuno.Arrays`, and each recording holds their schemas. [Listen to a run](../how-to/bus.md) shows how.
 """
 ARRAYS = """\
 ## nuno.Arrays
@@ -45,7 +45,7 @@ def describe_messages() -> str:
     """The page."""
     rows = [[f"`{one.name}`", f"`{one.schema}`", one.encoding, one.when, "yes" if one.recorded else "no", _holds(one)]
             for one in (*TOPICS.values(), POSES)]  # fmt: skip
-    parts = [INTRODUCTION, "## Topics\n", _table(["topic", "type", "encoding", "when", "recorded", "holds"], rows)]
+    parts = [INTRODUCTION, "## Topics\n", table(["topic", "type", "encoding", "when", "recorded", "holds"], rows)]
     parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_said(Header)}\n", _fields(Header)]
     for name, model in MODELS.items():
         parts += [f"\n## {name}\n\n{_said(model)}\n", _fields(model)]
@@ -71,7 +71,7 @@ def _said(model: type[BaseModel]) -> str:
 def _fields(model: type[BaseModel]) -> str:
     rows = [[f"`{name}`", _type(field.annotation), " ".join((field.description or "").split())]
             for name, field in model.model_fields.items()]  # fmt: skip
-    return _table(["field", "type", ""], rows)
+    return table(["field", "type", ""], rows)
 
 
 def _type(annotation: Any) -> str:
@@ -81,11 +81,3 @@ def _type(annotation: Any) -> str:
     if text.startswith("Literal["):
         return " or ".join(f"`{word}`" for word in re.findall(r"'([^']*)'", text))
     return f"`{text}`".replace("|", "or")
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def lines() -> Iterator[str]:
-        for row in (headings, ["---"] * len(headings), *rows):
-            yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
-
-    return "\n".join(lines())

@@ -1,0 +1,59 @@
+"""Every command with its arguments, made from what reads them: docs/reference/commands.md."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Iterator
+
+from nuno import cli
+from nuno.reference.markdown import plain, table
+
+INTRODUCTION = """\
+# Commands
+
+<!-- made by: nuno schema --commands -->
+
+`nuno COMMAND --help` says the same. Exit codes: 0 done, 1 the run failed or diverged, 2 bad input.
+"""
+
+
+def describe_commands() -> str:
+    """The page; imports every command."""
+    parts = [INTRODUCTION]
+    for name in cli.COMMANDS:
+        module, parser = cli.parser_of(name)
+        parts += _command(f"nuno {name}", parser, "##")
+        # Commands that have kinds, each with arguments of its own: `nuno bench`.
+        for kind, (path, summary) in getattr(module, "COMMANDS", {}).items():
+            own = argparse.ArgumentParser(description=f"{summary[0].upper()}{summary[1:]}.")
+            importlib.import_module(path).add_arguments(own)
+            parts += _command(f"nuno {name} {kind}", own, "###")
+    return "\n".join(parts) + "\n"
+
+
+def _command(name: str, parser: argparse.ArgumentParser, level: str) -> Iterator[str]:
+    yield f"\n{level} {name}\n\n{plain(parser.description)}\n"
+    rows = [row for action in parser._actions if (row := _row(action))]
+    yield table(["argument", "default", "meaning"], rows) if rows else "No arguments."
+
+
+def _row(action: argparse.Action) -> list[str] | None:
+    """An argument, its default and its meaning; None for --help and for what is not shown."""
+    if isinstance(action, argparse._HelpAction) or action.help == argparse.SUPPRESS:
+        return None
+    values = "" if action.nargs == 0 else _values(action)
+    written = ", ".join(action.option_strings)
+    said = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%")
+    told = action.default not in (None, False, [], (), argparse.SUPPRESS) and "default" not in said
+    return [f"`{' '.join(filter(None, [written, values]))}`", f"`{action.default}`" if told else "", plain(said)]
+
+
+def _values(action: argparse.Action) -> str:
+    if action.choices is not None and action.metavar is None:
+        one = "{" + ",".join(map(str, action.choices)) + "}"
+    else:
+        given = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
+        one = given if isinstance(given, str) else " ".join(given)
+    many = {"?": f"[{one}]", "*": f"[{one} ...]", "+": f"{one} ...", argparse.REMAINDER: "..."}
+    return many.get(str(action.nargs), one) if action.nargs else one
