@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Page, find_browser
 from PIL import Image
 from studio_desk import studio
 
@@ -20,6 +19,7 @@ from nuno.scene import scene_file, shipped
 from nuno.seen.shown import see_scene
 from nuno.studio import scenes
 from nuno.studio.dyed import at_start
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 
