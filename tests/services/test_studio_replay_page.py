@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from chromium import Page, find_browser
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
 from studio_desk import FILE, SHEET, studio, write_sheet
@@ -17,6 +16,7 @@ from studio_desk import FILE, SHEET, studio, write_sheet
 import nuno
 from nuno.pages.server import Server
 from nuno.recording.reader import open_recording
+from nuno_bench.chromium import Page, find_browser
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 PATIENCE = 300.0
