@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno.exports.camera import SIDES, Side
-from nuno.exports.target import RATE, together
+from nuno.exports.target import RATE, Progress, together
 from nuno.recording.reader import Recording
 from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
@@ -40,10 +40,11 @@ FILES = {
     "ros2": "the same for RViz and ros2 bag play: a new folder, a bag of ROS 2 (needs nuno[ros])",
     "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
+    "scene": "the scene as it was run, .yaml",
 }
 """What can be written, by its flag."""
-WHOLE = ("gif", "mp4", "foxglove", "ros2")
-"""Of these, what has all frames of a run."""
+WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
+"""Of these, what is of a whole run."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Of these, beside MESHES, what a cloth that is dyed alone has not: it has no shape."""
 YARNS = ("samples", "radius", "curl")
@@ -70,6 +71,7 @@ class Asked(BaseModel):
     ros2: Path | None = None
     pattern: Path | None = None
     yarns: Path | None = None
+    scene: Path | None = None
     form: Form | None = None
     samples: int | None = None
     radius: str | float | None = None
@@ -98,14 +100,20 @@ def ask(**fields: Any) -> Asked:
         raise replace(found, file=None, field=f"--{found.field}") from None
 
 
-def write(recording: Recording, asked: Asked) -> list[Path]:
-    """All that is asked for, or nothing. Raises BadInput."""
+def show_progress(done: int, total: int) -> None:
+    """On one line of a terminal; nothing where there is none."""
+    if sys.stderr.isatty():
+        print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def write(recording: Recording, asked: Asked, progress: Progress = show_progress) -> list[Path]:
+    """All that is asked for, or nothing; `progress` is told how far it is. Raises BadInput."""
     _check(recording, asked)
     with together():
-        return _export(recording, asked)
+        return _export(recording, asked, progress)
 
 
-def _export(recording: Recording, asked: Asked) -> list[Path]:
+def _export(recording: Recording, asked: Asked, progress: Progress) -> list[Path]:
     """Write what is asked for, what takes long last. Raises BadInput."""
     from nuno.exports import animations, meshes, pictures, tables
 
@@ -117,6 +125,8 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
         written.append(tables.export_forces(recording, asked.forces, asked.frame))
     if asked.csv:
         written.append(tables.export_csv(recording, asked.csv))
+    if asked.scene:
+        written.append(tables.export_scene(recording, asked.scene))
     if asked.yarns:
         written.append(_export_yarns(recording, asked, asked.yarns))
     if asked.pattern:
@@ -128,31 +138,29 @@ def _export(recording: Recording, asked: Asked) -> list[Path]:
         if path and path.suffix.lower() == suffix:
             written.append(meshes.export_mesh(recording, path, asked.frame))
         elif path:
-            written += meshes.export_meshes(recording, path, suffix, _progress)
+            written += meshes.export_meshes(recording, path, suffix, progress)
     if asked.usd:
         from nuno.exports.usd import export_usd
 
-        written.append(export_usd(recording, asked.usd, asked.frame, _progress))
+        written.append(export_usd(recording, asked.usd, asked.frame, progress))
     if asked.foxglove:
         from nuno.exports.foxglove import export_foxglove
 
-        written += export_foxglove(recording, asked.foxglove, _progress)
+        written += export_foxglove(recording, asked.foxglove, progress)
     if asked.png and asked.style:
         from nuno.exports.yarns import export_yarn_picture
 
         how = asked.style, asked.frame, size, tuple(asked.overrides)
-        written.append(export_yarn_picture(recording, asked.png, *how, _progress))
+        written.append(export_yarn_picture(recording, asked.png, *how, progress))
     elif asked.png:
         written.append(pictures.export_picture(recording, asked.png, asked.frame, size, colour, changes))
     for path in filter(None, (asked.gif, asked.mp4)):
         when, round_one = (asked.fps, asked.start, asked.end), (asked.turn, asked.frame)
-        written.append(
-            animations.export_animation(recording, path, size, *when, _progress, colour, changes, *round_one)
-        )
+        written.append(animations.export_animation(recording, path, size, *when, progress, colour, changes, *round_one))
     if asked.ros2:
         from nuno.exports.ros2 import export_ros2
 
-        written.append(export_ros2(recording, asked.ros2, _progress))
+        written.append(export_ros2(recording, asked.ros2, progress))
     if asked.rrd:
         from nuno.viewer.file import convert
 
@@ -283,8 +291,3 @@ def _size(text: str | None) -> tuple[int, int] | None:
             "a size is written WIDTHxHEIGHT", field="--size", value=text, remedy="for example --size 960x720"
         )
     return int(width), int(height)
-
-
-def _progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)

@@ -27,8 +27,8 @@ FLAGS = (
     "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --remote-debugging-pipe"
 )
 
-KEYS = {"Tab": 9, "Enter": 13, "Escape": 27, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowRight": 39}
-KEYS |= {",": 188, "-": 189, ".": 190}
+KEYS = {"Tab": 9, "Enter": 13, "Escape": 27, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39}
+KEYS |= {"ArrowDown": 40, ",": 188, "-": 189, ".": 190}
 
 
 def find_browser() -> str | None:
@@ -39,12 +39,12 @@ def find_browser() -> str | None:
 class Page:
     """One page of a browser of its own."""
 
-    def __init__(self, folder: Path, width: int = 960, height: int = 600) -> None:
+    def __init__(self, folder: Path, width: int = 960, height: int = 600, flags: str = "") -> None:
         browser = find_browser()
         assert browser is not None
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
-        command = f"{shlex.quote(browser)} {FLAGS} --user-data-dir={shlex.quote(str(folder))}"
+        command = f"{shlex.quote(browser)} {FLAGS} {flags} --user-data-dir={shlex.quote(str(folder))}"
         self._process = subprocess.Popen(
             ["bash", "-c", f"exec {command} 3<&{theirs_in} 4>&{theirs_out}"],
             pass_fds=(theirs_in, theirs_out),
@@ -56,6 +56,7 @@ class Page:
         os.close(theirs_out)
         self._in, self._out, self._buffer = ours_in, ours_out, bytearray()
         self._numbers, self._session = itertools.count(1), ""
+        self.clicks = 0
         self.said: list[str] = []
         """Errors of the page's scripts, and what was refused to it."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
@@ -124,6 +125,31 @@ class Page:
     def click(self, name: str) -> None:
         """Press the button with an id."""
         self.value(f"document.getElementById({json.dumps(name)}).click()")
+
+    def tap(self, selector: str) -> None:
+        """Press the mouse on an element and let it go, as a person does: it is scrolled to, and must be what is seen
+        there; `clicks` counts.
+        """
+        found = f"document.querySelector({json.dumps(selector)})"
+        place = self.wait(
+            f"(() => {{ const one = {found}; if (!one) return null; one.scrollIntoView({{ block: 'nearest' }}); "
+            "const box = one.getBoundingClientRect(), x = box.x + box.width / 2, y = box.y + box.height / 2; "
+            "return one.contains(document.elementFromPoint(x, y)) ? [x, y] : null; })()"
+        )
+        self.drag([place])
+        self.clicks += 1
+
+    def drop(self, *paths: Path) -> None:
+        """Drop files onto the middle of the page."""
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=400, y=300, data=data)
+
+    def choose_files(self, selector: str, *paths: Path) -> None:
+        """What a person chooses in the browser's own window of files, which a headless one does not open."""
+        root = self.call("DOM.getDocument")["root"]["nodeId"]
+        node = self.call("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        self.call("DOM.setFileInputFiles", files=[str(path) for path in paths], nodeId=node)
 
     def type(self, text: str) -> None:
         """What a keyboard puts where the cursor is."""

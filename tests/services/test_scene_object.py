@@ -151,5 +151,5 @@ def test_refusals_are_in_the_words_of_the_call(
 def test_export_takes_every_flag_of_the_command() -> None:
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    names = {action.dest for action in parser._actions} - {"help", "recording"}
+    names = {action.dest for action in parser._actions} - {"help", "recording", "progress"}
     assert names == set(Asked.model_fields)

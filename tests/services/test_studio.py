@@ -56,7 +56,8 @@ def test_scenes_of_the_folder_and_those_with_nuno_are_listed(desk: Desk) -> None
     Path("broken.yaml").write_text("nuno: 1\nname: [\n")
     found = {one["name"]: one for one in ask(desk, "scenes")["scenes"]}
     assert found[FILE] == {
-        "name": FILE, "own": True, "scene": "sheet", "description": "A small sheet falls.", "picture": None
+        "name": FILE, "own": True, "scene": "sheet", "description": "A small sheet falls.", "picture": None,
+        "drawn": False
     }  # fmt: skip
     assert "broken.yaml:3: not valid YAML" in found["broken.yaml"]["description"]
     assert found.keys() - {FILE, "broken.yaml"} == shipped.scenes().keys()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
@@ -178,6 +179,16 @@ class BVH:
 
     name: ClassVar[str] = "bvh"
     Config: ClassVar[type[BaseModel]] = BvhConfig
+
+    def describe_motion(self, path: Path) -> Mapping[str, str]:
+        """What a file says of itself, in words, by name. Raises BadInput for one that cannot be read."""
+        found = read_bvh(path)
+        names, dt = read_tree(found, path)[0], float(found.frame_time)
+        ends = sum(name.endswith("_end") for name in names)
+        facts = {"joints": f"{len(names) - ends}, and {ends} ends of bones", "frames": f"{found.frame_count}"}
+        if STEPS[0] <= dt <= STEPS[1]:
+            facts["lasts"] = f"{(found.frame_count - 1) * dt:.3g} s, at {1.0 / dt:.4g} Hz"
+        return facts | {"root": names[0]}
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
         """Raises BadInput for a file that cannot be read and a part of it that is empty."""

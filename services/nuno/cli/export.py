@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import get_args
 
 from nuno.cli.common import add_flags, add_set, warn
-from nuno.exporting import FILES, Asked, Painted, ask, write
+from nuno.exporting import FILES, Asked, Painted, ask, show_progress, write
 from nuno.exports.camera import Side
 from nuno.exports.target import RATE
 from nuno.recording.reader import open_recording
@@ -21,6 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flags(what, {f"--{name}": ("FILE", text, Path) for name, text in FILES.items()})
     _add_yarns(parser.add_argument_group("yarns as curves"))
     _add_parts(parser.add_argument_group("which part"))
+    told = "say how far it is, a line each time, also where there is no terminal"
+    parser.add_argument("--progress", action="store_true", help=told)
     _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
 
 
@@ -71,6 +74,11 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        for path in write(recording, ask(**{name: getattr(args, name) for name in Asked.model_fields})):
+        asked = ask(**{name: getattr(args, name) for name in Asked.model_fields})
+        for path in write(recording, asked, _tell if args.progress else show_progress):
             print(path)
     return 0
+
+
+def _tell(done: int, total: int) -> None:
+    print(f"{done} of {total}", file=sys.stderr, flush=True)

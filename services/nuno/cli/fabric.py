@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from nuno import registry
+from nuno.begin.sheet import import_sheet, in_units
 from nuno.cli.presets import origins
 from nuno.cli.top import align
 from nuno.exports.target import writing
-from nuno.scene import yaml_lines
-from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
-
-TITLE = ("name", "source")
-"""What a sheet says of itself, in words."""
-KINDS = (".csv", ".yaml", ".yml")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,18 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    given, lines = read_values(args.sheet)
-    # In one line, as a comment holds them.
-    title = {name: " ".join(str(given.pop(name)).split()) for name in TITLE if name in given}
-    try:
-        importer = registry.offering("nuno.models", "import_fabric", "reads a laboratory's sheet")
-        found: Imported = importer.import_fabric(given, args.like, args.sheet.parent)
-    except BadInput as error:
-        if error.field is None or error.field.startswith("--"):
-            raise
-        raise replace(error, file=str(args.sheet), line=lines.get(error.field)) from None
-    head = [f"{title.get('name', args.sheet.stem)}: {given['instrument']}, {args.sheet.name}"]
-    text = as_yaml(found, head + ([f"source: {title['source']}"] if "source" in title else []))
+    found, head = import_sheet(args.sheet, args.like)
+    text = as_yaml(found, head)
     print("\n".join([table(found), "", *origins(left_out(found))]))
     if found.unused:
         print(f"\nnot used, for no force here has it: {', '.join(found.unused)}")
@@ -55,50 +36,6 @@ def main(args: argparse.Namespace) -> int:
         with writing(args.out, args.out.suffix) as new:
             new.write_text(text, encoding="utf-8")
     return 0
-
-
-def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
-    """What a sheet gives by name, and the line of each. Raises BadInput."""
-    if path.suffix.lower() not in KINDS:
-        problem = "a sheet is YAML, or CSV of lines such as B, 0.12, 0.08"
-        raise BadInput(problem, str(path), limit=f"one of {', '.join(KINDS)}", remedy="save it as one of these")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise BadInput(
-            f"the sheet cannot be read: {reason}", str(path), remedy="is it text, and yours to read?"
-        ) from None
-    if path.suffix.lower() != ".csv":
-        values, lines = yaml_lines.parse(text, str(path))
-        return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}
-    given, where = dict[str, Any](), dict[str, int]()
-    for line, cells in enumerate(csv.reader(text.splitlines()), 1):
-        row = [cell.strip() for cell in cells if cell.strip()]
-        if not row or row[0].startswith("#"):
-            continue
-        name, *parts = row
-        if name in given or not parts:
-            problem = "the value is given twice" if name in given else "a name without a value"
-            raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        given[name], where[name] = (", ".join(parts) if name in ("instrument", *TITLE) else _numbers(parts)), line
-    return given, where
-
-
-def _numbers(parts: list[str]) -> list[object]:
-    """Cells as numbers; one at the end that is none is their unit."""
-    *values, last = parts
-    if values and not _is_number(last):
-        return [f"{value} {last}" for value in values]
-    return [float(part) if _is_number(part) else part for part in parts]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def table(found: Imported) -> str:
@@ -129,5 +66,4 @@ def left_out(found: Imported) -> dict[str, str]:
 
 def _entries(found: Imported, values: Mapping[str, float]) -> list[str]:
     """Values with their units, and how each was had."""
-    texts = {name: f"{value:.6g} {found.units[name]}".strip() for name, value in values.items()}
-    return [f"  {name}: {text}  # {found.how[name]}" for name, text in texts.items()]
+    return [f"  {name}: {text}  # {found.how[name]}" for name, text in in_units(found, values).items()]

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import shutil
 from pathlib import Path
 
-from nuno.cli.worn import name_garments
-from nuno.scene import scene_file, shipped
-from nuno.scene.commented import comment
-from nuno.scene.override import as_override
-from nuno.scene.provenance import assets
+from nuno.begin.after import write_after
+from nuno.scene import shipped
 from nuno_schemas.errors import BadInput, nearest
 
 KINDS = {
@@ -49,25 +45,8 @@ def main(args: argparse.Namespace) -> int:
     file: Path = args.file or Path(f"{args.kind.rsplit('/', 1)[-1]}.yaml")
     if file.suffix not in (".yaml", ".yml"):
         raise BadInput("a scene is YAML", field="FILE", value=str(file), remedy=f"{file.stem}.yaml")
-    (title,) = name_garments([file.stem])
-    loaded = scene_file.read(known[name], [as_override("name", title)])
-    files = {file.parent / beside: place for beside, place in assets(loaded).items()}
-    missing = {path: place for path, place in files.items() if not _same(path, place)}
-    for path in (file, *missing):
-        if path.exists():
-            raise BadInput("it is there already, and is not written over", value=str(path),
-                           remedy=f"name another: nuno new {args.kind} FILE.yaml")  # fmt: skip
-    try:
-        for path, place in missing.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(place, path)
-            print(f"written {path}")
-        file.write_text(comment(loaded), encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"cannot write there: {error.strerror}", value=str(file)) from None
+    *beside, _ = write_after(name, file)
+    for path in beside:
+        print(f"written {path}")
     print(f"written {file}  (change it, and: nuno run {shlex.quote(str(file))})")
     return 0
-
-
-def _same(path: Path, place: Path) -> bool:
-    return path.is_file() and path.read_bytes() == place.read_bytes()

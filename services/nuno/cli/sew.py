@@ -13,9 +13,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from nuno import registry
+from nuno.begin.worn import Garment, describe_worn, is_own, name_garments
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
-from nuno.cli.worn import Garment, describe_worn, is_own, name_garments
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput

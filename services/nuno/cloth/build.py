@@ -153,11 +153,16 @@ def drawn_over(model: Chosen) -> str | None:
     return over(model.config) if over else None
 
 
+def no_body(name: str, known: Sequence[str]) -> BadInput:
+    """That cloth is to be drawn over a body that a scene has not."""
+    remedy = nearest(name, known)
+    return BadInput("there is no such body to draw it over", field="over.body", value=name, remedy=remedy)
+
+
 def mesh_of(name: str, geometry: Geometry | None, poses: Poses | None) -> tuple[Float, Int]:
     """Vertices (v, 3) [m] in the world and faces (f, 3) of a body that is one mesh. Raises BadInput."""
     if geometry is None or poses is None or name not in geometry.bodies:
-        remedy = nearest(name, geometry.bodies if geometry else ())
-        raise BadInput("there is no such body to draw it over", field="over.body", value=name, remedy=remedy)
+        raise no_body(name, geometry.bodies if geometry else ())
     own = np.flatnonzero(geometry.body == geometry.bodies.index(name))
     if len(own) != 1 or geometry.kind[own[0]] not in OF_TRIANGLES:
         remedy = "give the body collider: {plugin: mesh, ...}"

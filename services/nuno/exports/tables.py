@@ -1,4 +1,4 @@
-"""Checkpoints, frames and what acts in them as NumPy arrays, and the report's series as a table."""
+"""Checkpoints, frames and forces as NumPy arrays, the report's series as a table, and the scene as a text."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from nuno.exports.target import opened, writing
 from nuno.moments import Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import per_dye
+from nuno.recording.restore import restored_scene
+from nuno.scene.commented import comment
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
@@ -31,6 +33,17 @@ UNITS = {
 }
 FAMILIES = {"energy_": "J", "wrinkles_": "m", "force_": "N", "pressure_": "Pa"}
 """Of columns whose names begin so."""
+
+
+def export_scene(source: Recording | Path | str, path: Path) -> Path:
+    """Write the scene as it was run, each field with what it does. Raises BadInput where the recording holds none, or
+    one that this version refuses.
+    """
+    with opened(source) as recording, restored_scene(recording) as loaded, writing(path, ".yaml") as new:
+        head = [f"# the scene of {recording.path.name}"]
+        head += [f"# with {name}, which is to lie beside it" for name in recording.attachments]
+        new.write_text("\n".join([*head, comment(loaded)]), encoding="utf-8")
+    return path
 
 
 def export_npz(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:

@@ -16,6 +16,8 @@ TOKEN_BYTES = 24
 FORBIDDEN, LENGTH_REQUIRED, TOO_LARGE, UNSUPPORTED = 403, 411, 413, 415
 MOST_BYTES = 4_000_000
 """Of a request's body: 100,000 points of lines fit."""
+JSON, FILE = "application/json", "application/octet-stream"
+"""What requests are: of words, and of a file's bytes."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -68,13 +70,14 @@ class Guard:
             raise Refused(FORBIDDEN, "another page may not ask here")
         return rest
 
-    def length(self, headers: Message) -> int:
-        """Bytes of a body of JSON. Raises Refused."""
+    def length(self, headers: Message, most: int = MOST_BYTES, kind: str = JSON) -> int:
+        """Bytes of a body, of JSON unless another kind is awaited. Raises Refused."""
         text = headers.get("Content-Length", "")
         if "Transfer-Encoding" in headers or not (text.isascii() and text.isdigit()):
             raise Refused(LENGTH_REQUIRED, "a request says how long it is")
-        if len(text) > 12 or int(text) > MOST_BYTES:
-            raise Refused(TOO_LARGE, f"a request has at most {MOST_BYTES} bytes")
-        if headers.get_content_type() != "application/json":
-            raise Refused(UNSUPPORTED, "a request is JSON")
+        if len(text) > 12 or int(text) > most:
+            raise Refused(TOO_LARGE, f"a request has at most {most} bytes")
+        # Neither kind can a form or an image of another page send without asking first.
+        if headers.get_content_type() != kind:
+            raise Refused(UNSUPPORTED, f"a request is {kind}")
         return int(text)

@@ -7,13 +7,17 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from io import BufferedIOBase
+from pathlib import Path
 from socket import socket
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
-from nuno.pages.guard import HEADERS, Guard, Refused
+from nuno.pages.guard import FILE, HEADERS, Guard, Refused
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
@@ -27,6 +31,13 @@ NOT_FOUND, BAD_REQUEST, BUSY = 404, 400, 503
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
 Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
 """From the query of an address to content type and bytes. Raises Refused."""
+
+
+class Take(NamedTuple):
+    """How files are taken: by a name, from a stream of so many bytes, of which it reads all; and at most how many."""
+
+    keep: Callable[[str, BufferedIOBase, int], dict[str, Any]]
+    most: int
 
 
 def page_files(package: str) -> dict[str, tuple[str, bytes]]:
@@ -59,15 +70,15 @@ class Server(ThreadingHTTPServer):
     are few.
 
     `act` carries out what the page asks for; what it raises as BadInput, the page shows. `told` answers what is read
-    at addresses beside the page's files.
+    at addresses beside the page's files. `take` is for files that are dropped on the page.
     """
 
     daemon_threads = True
 
-    def __init__(self, package: str, act: Act, told: Mapping[str, Tell]) -> None:
+    def __init__(self, package: str, act: Act, told: Mapping[str, Tell], take: Take | None = None) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
-        self.act, self.told, self.files = act, told, page_files(package)
+        self.act, self.told, self.take, self.files = act, told, take, page_files(package)
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -105,7 +116,8 @@ class Handler(BaseHTTPRequestHandler):
         try:
             parts = urlsplit(self.path)
             name = self.server.guard.check(method, parts.path, self.headers)
-            kind, body = self._post(name) if method == "POST" else self._get(name, parse_qs(parts.query))
+            query = parse_qs(parts.query)
+            kind, body = self._post(name, query) if method == "POST" else self._get(name, query)
             self._send(200, kind, body)
         except Refused as refused:
             self.close_connection = True  # what is left of the request is not read
@@ -119,7 +131,12 @@ class Handler(BaseHTTPRequestHandler):
         except KeyError:
             raise Refused(NOT_FOUND, "there is no such page") from None
 
-    def _post(self, name: str) -> tuple[str, bytes]:
+    def _post(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        take = self.server.take
+        if name == "file" and take is not None:
+            length = self.server.guard.length(self.headers, take.most, FILE)
+            keep = partial(take.keep, query.get("name", [""])[0], self.rfile, length)
+            return self._carry_out(keep)
         length = self.server.guard.length(self.headers)
         body = self.rfile.read(length)
         if name != "do":
@@ -130,8 +147,11 @@ class Handler(BaseHTTPRequestHandler):
             request = None
         if not isinstance(request, dict):
             raise Refused(BAD_REQUEST, "a request is a JSON object")
+        return self._carry_out(partial(self.server.act, request))
+
+    def _carry_out(self, act: Callable[[], dict[str, Any]]) -> tuple[str, bytes]:
         try:
-            answer = {"ok": True} | self.server.act(request)
+            answer = {"ok": True} | act()
         except BadInput as error:
             answer = {"ok": False} | describe(error)
         return "application/json", json.dumps(answer).encode()
@@ -166,10 +186,24 @@ def serving(server: Server, name: str, opened: bool, place: str = "") -> Iterato
     print(f"{name} at  {address}", flush=True)
     print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    if opened and has_screen():
-        webbrowser.open(address)
     try:
-        yield
+        with door(address) as uri:
+            if opened and has_screen():
+                webbrowser.open(uri)
+            yield
     finally:
         server.shutdown()
         server.server_close()
+
+
+@contextmanager
+def door(address: str) -> Iterator[str]:
+    """What a browser is started with in the place of an address: a file, for this user alone, that leads there.
+
+    All users of a machine can read the list of processes, which has a browser's arguments, and the address is a secret.
+    """
+    with TemporaryDirectory(prefix="nuno-") as folder:
+        path = Path(folder) / "open.html"
+        path.touch(mode=0o600)
+        path.write_text(f'<!doctype html><title>nuno</title><meta http-equiv="refresh" content="0; url={address}">')
+        yield path.as_uri()

@@ -10,23 +10,26 @@ from typing import Any
 
 from nuno.draw.append import MARK, read_text
 from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND, Server
+from nuno.pages.server import NOT_FOUND, Server, Take
 from nuno.recording.restore import resumed_scene
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.studio import edit, paint, scenes
+from nuno.studio import arrivals, edit, paint, scenes
 from nuno.studio.cloth import Starts
 from nuno.studio.dyed import Dyed, cloth_of, worn
+from nuno.studio.exports import Exports
+from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.lines import Drawing
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
 from nuno.studio.screen import Screen
+from nuno.studio.swatches import swatches
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "worn", "paint",
+    "worn", "paint", "swatches",
 )  # fmt: skip
 """What the page may ask for, each a method of a desk."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
@@ -48,7 +51,8 @@ class Desk:
         self._starts, self._dyed_cloth = Starts(), Dyed()
         self._drawing = Drawing(self._starts)
         self._heavy, self._starting = threading.Lock(), threading.Lock()
-        self._schema = functools.cache(scenes.schema)
+        self._schema, self._looks = functools.cache(scenes.schema), functools.cache(swatches)
+        self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
 
     def attach(self, run: str, entry: str, config: str | None = None) -> None:
         """Show a run that was started elsewhere, of the scene that the page calls so."""
@@ -59,6 +63,9 @@ class Desk:
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
+            "drawn": self._scene_picture,
+            "shown": self.files.picture,
+            "exported": self.exports.file,
             "start": self._starts.tell,
             "live": self._live,
             "flat": self._dyed_cloth.tell,
@@ -66,7 +73,7 @@ class Desk:
             "shape": self.screen.shape,
             "dyed": self.screen.dyed,
         }
-        return Server("nuno.studio", self.act, told)
+        return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
@@ -79,10 +86,14 @@ class Desk:
             found = {"recordings": self.recordings.list()}
         elif name in OF_FILMS:
             found = getattr(self.screen, name)(request)
+        elif name in FILE_ACTS:
+            found = getattr(self.files, name)(request)
+        elif name == "export":
+            found = self.exports.export(request)
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            known = *ACTS, "recordings", *OF_FILMS, *OF_RECORDINGS
+            known = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
             raise BadInput("no such request", value=name, limit=", ".join(known))
         return found
 
@@ -93,11 +104,18 @@ class Desk:
                 self._own.close()
             self.screen.close()
             self.recordings.close()
+            self.exports.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         try:
             path = self.recordings.picture_of(self.recordings.find(query.get("recording", [""])[0]))
             return "image/png", path.read_bytes()
+        except (BadInput, OSError):
+            raise Refused(NOT_FOUND, "there is no such picture") from None
+
+    def _scene_picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        try:
+            return "image/webp", self.scenes.picture_of(query.get("name", [""])[0]).read_bytes()
         except (BadInput, OSError):
             raise Refused(NOT_FOUND, "there is no such picture") from None
 
@@ -107,6 +125,10 @@ class Desk:
             "folder": str(Path.cwd()),
             "scenes": [one | {"picture": pictures.get(one["scene"])} for one in self.scenes.list()],
         }
+
+    def _swatches(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        with self._heavy:  # it tests fabrics, once
+            return self._looks()
 
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))

@@ -18,6 +18,7 @@ from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import item_at
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
+from nuno.studio.named import check_named
 from nuno_schemas.errors import BadInput, nearest
 
 MOST = 20
@@ -43,7 +44,7 @@ class Scenes:
     def paths(self) -> dict[str, Path]:
         """Those of the folder first."""
         own = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
-        return {path.name: path for path in own if IS_SCENE.search(_text_of(path))} | self.more | shipped.scenes()
+        return {path.name: path for path in own if IS_SCENE.search(text_of(path))} | self.more | shipped.scenes()
 
     def find(self, name: object) -> Path:
         """Raises BadInput where there is none."""
@@ -52,20 +53,28 @@ class Scenes:
             raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
         return paths[str(name)]
 
+    def picture_of(self, name: object) -> Path:
+        """What ships with nuno of one of its scenes. Raises BadInput where there is none."""
+        path = shipped.folder() / "pictures" / f"{name}.webp"
+        if name not in shipped.scenes() or not path.is_file():
+            raise BadInput("no such picture", value=name)
+        return path
+
     def list(self) -> list[dict[str, Any]]:
         """What is told of each: name of the entry and of the scene, description, whether it is one of the folder."""
         found = []
         for name, path in self.paths().items():
             try:
-                data, _ = yaml_lines.parse(_text_of(path), str(path))
+                data, _ = yaml_lines.parse(text_of(path), str(path))
                 said = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
             except BadInput as error:
                 said = {"scene": "", "description": str(error)}
-            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name} | said)
+            drawn = (shipped.folder() / "pictures" / f"{name}.webp").is_file()
+            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name, "drawn": drawn} | said)
         return found
 
 
-def _text_of(path: Path) -> str:
+def text_of(path: Path) -> str:
     """Empty for what is no text."""
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -86,7 +95,9 @@ def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]
     left = deepcopy(data)
     while len(mistakes) < MOST:
         try:
-            scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path, roots))
+            loaded = scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path, roots))
+            if not mistakes:
+                check_named(loaded)
             break
         except BadInput as error:
             if any(error.field == known["field"] for known in mistakes):

@@ -6,8 +6,8 @@ import argparse
 import shutil
 from pathlib import Path
 
+from nuno.begin.worn import Garment, describe_worn, name_garments
 from nuno.cli.common import add_flags
-from nuno.cli.worn import Garment, describe_worn, name_garments
 from nuno_schemas.errors import BadInput
 
 NEEDED = "--patterns, --body"

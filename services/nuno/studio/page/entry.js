@@ -1,5 +1,8 @@
+import { colourOf } from "./colour.js";
 import { make } from "./dom.js";
 import { dotted, shown } from "./schema.js";
+import { slider } from "./slider.js";
+import { swatchesOf } from "./swatches.js";
 
 /** How long nothing is typed [ms] until what was typed goes into the text. */
 const TYPED = 350;
@@ -15,7 +18,11 @@ export class Entry {
     // A mapping's name stands above its fields; what is chosen here is its kind.
     const name = this.mapping && field.kind === "choice" ? field.key : label;
     if (parts.length) this.row.append(make("label", { htmlFor: this.id, textContent: name }), make("span", { className: "control" }, ...parts));
-    if (this.help) this.row.append(make("p", { className: "help", id: `help:${dotted(path)}`, textContent: this.help }));
+    if (control?.slide) control.after(control.slide);
+    if (control?.swatches) this.row.append(control.swatches);
+    if (!this.help) return;
+    this.row.append(make("p", { className: "help", id: `help:${dotted(path)}`, textContent: this.help }));
+    if (parts.length) control?.setAttribute("aria-describedby", `help:${dotted(path)}`);
   }
 
   /** Whether the value is a mapping, whose fields stand below. */
@@ -44,7 +51,7 @@ export class Entry {
   control() {
     const { kind, names } = this.field;
     if (kind === "choice") return this.choice();
-    if (kind === "preset") return this.select([...names, [OWN, "own values"]], this.mapping ? OWN : this.value, (name) => this.put(name === OWN ? this.own() : name));
+    if (kind === "preset") return this.preset();
     if (kind === "group") return this.value === undefined ? make("button", { type: "button", id: this.id, className: "add", textContent: "Add", onclick: () => this.put({}) }) : null;
     if (kind === "flag") return this.select(["true", "false"], this.value === undefined ? undefined : String(this.value), (name) => this.put(name === "true"));
     if (kind === "select") return this.select(names, this.value, (name) => this.put(name));
@@ -55,6 +62,14 @@ export class Entry {
   own() {
     const from = this.field.branches.find((one) => "preset" in one.properties);
     return from && typeof (this.value ?? this.field.default) === "string" ? { preset: this.value ?? this.field.default } : {};
+  }
+
+  /** A name of those that are known, by name or by what it looks like, or own values. */
+  preset() {
+    const { names } = this.field, now = this.mapping ? OWN : this.value;
+    const select = this.select([...names, [OWN, "own values"]], now, (name) => this.put(name === OWN ? this.own() : name));
+    if (!this.mapping) select.swatches = swatchesOf(this.id, names, now ?? this.field.default, `${this.label}, by what it looks like`, (name) => this.put(name));
+    return select;
   }
 
   put(value) { this.form.change({ path: this.path, value }); }
@@ -92,7 +107,9 @@ export class Entry {
       input.sent = input.value;
       this.form.change({ path: this.path, ...(plain ? { value: input.value } : { written: input.value }) });
     };
-    input.addEventListener("input", () => { clearTimeout(input.timer); input.timer = setTimeout(send, TYPED); });
+    const later = () => { clearTimeout(input.timer); input.timer = setTimeout(send, TYPED); };
+    input.slide = this.field.colour ? colourOf(input, this.label, later) : kind === "text" ? slider(this.field, input, this.label, later) : null;
+    input.addEventListener("input", later);
     input.addEventListener("change", () => {
       if (input.value.trim() !== "") send();
       else if (this.value === undefined || this.required) input.value = before;

@@ -38,7 +38,7 @@ export class Form {
     at.focus({ preventScroll: true });
     if (held.typed && at instanceof HTMLInputElement) {
       Object.assign(at, { value: held.typed.value, sent: held.typed.sent });
-      at.setSelectionRange(held.typed.start, held.typed.end);
+      if (held.typed.start !== null) at.setSelectionRange(held.typed.start, held.typed.end);
       if (at.value !== at.sent) at.dispatchEvent(new Event("input"));
     }
     this.box.parentElement.scrollTop += at.getBoundingClientRect().top - held.top;
@@ -62,9 +62,12 @@ export class Form {
   again() { this.show(this.box.classList.contains("stale") ? null : this.data, this.mistakes); }
 
   field(name, node, value, path, required, label = name) {
-    const field = this.schema.field(node), written = value !== undefined;
-    if (field.kind === "list") return this.list(label, field, value ?? [], path);
+    const found = this.schema.field(node), written = value !== undefined;
     const mapping = value !== null && typeof value === "object" && !Array.isArray(value);
+    // What is written where a list or a mapping belongs stands there as it is, to be mended.
+    const amiss = (found.kind === "list" && written && !Array.isArray(value)) || (found.kind === "group" && written && !mapping);
+    const field = amiss ? { ...found, kind: "yaml" } : found;
+    if (field.kind === "list") return this.list(label, field, value ?? [], path);
     const entry = new Entry(this, field, value, path, required, label);
     if (!SECTIONS.includes(field.kind) || (!mapping && field.kind !== "group")) return entry.row;
     if (!mapping && !written) return entry.row;
@@ -134,10 +137,13 @@ export class Form {
       while (path && !rows.has(path)) path = path.replace(/(^|\.)[^.[\]]*$|\[\d+\]$/, "");
       const row = path && rows.get(path);
       if (!row) continue;
-      row.append(wordsOf(mistake));
+      const words = wordsOf(mistake), control = row.querySelector("input, select");
+      words.id = `mistake:${this.placed.size}`;
+      control?.setAttribute("aria-describedby", [words.id, control.getAttribute("aria-describedby")].filter(Boolean).join(" "));
+      row.append(words);
       this.placed.add(mistake);
       row.classList.add("wrong");
-      row.querySelector("input, select")?.setAttribute("aria-invalid", "true");
+      control?.setAttribute("aria-invalid", "true");
       for (let box = row.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
     }
   }

@@ -2,11 +2,14 @@ import { ask } from "./ask.js";
 import { make } from "./dom.js";
 import { taken } from "./say.js";
 
+/** Headings of nuno's own scenes, by their folders. */
+const FOLDERS = { "": "Cloth on bodies and alone", contact: "Cloth that meets cloth", dye: "Dye", extreme: "Extreme scenes, as tests", instruments: "Instruments of a laboratory", knit: "Knits and stockings", sewn: "Sewn from patterns" };
 export const pictureOf = (recording) => `picture?recording=${encodeURIComponent(recording)}`;
 
-const card = ({ name, description, picture }) => {
+const card = ({ name, description, picture, drawn }) => {
   const link = make("a", { href: `#scene=${encodeURIComponent(name)}` });
-  if (picture) link.append(make("img", { src: pictureOf(picture), alt: "", loading: "lazy", title: `The last frame of ${picture}` }));
+  const [src, title] = picture ? [pictureOf(picture), `The last frame of ${picture}`] : [drawn ? `drawn?name=${encodeURIComponent(name)}` : "icon.svg", ""];
+  link.append(make("img", { src, title, alt: "", loading: "lazy", className: picture || drawn ? "" : "blank" }));
   link.append(make("div", {}, make("b", { textContent: name }), make("p", { textContent: description })));
   const item = make("li", {}, link);
   item.dataset.words = `${name} ${description}`.toLowerCase();
@@ -26,9 +29,9 @@ export async function gallery(view) {
     const folder = one.name.includes("/") ? one.name.split("/")[0] : "";
     folders.set(folder, [...(folders.get(folder) ?? []), one]);
   }
-  const sections = [["In this folder", own], ...[...folders].map(([folder, list]) => [folder ? `With nuno: ${folder}` : "With nuno", list])];
+  const sections = [["In this folder", own], ...[...folders].map(([folder, list]) => [FOLDERS[folder] ?? folder, list])];
   for (const [title, list] of sections) {
-    if (list.length) view.append(make("section", {}, make("h2", { textContent: title }), make("ul", { className: "cards" }, ...list.map(card))));
+    if (list.length) view.append(make("section", { ariaLabel: title }, make("h2", { textContent: title }, make("span", { className: "soft", textContent: String(list.length) })), make("ul", { className: "cards" }, ...list.map(card))));
   }
   const nothing = make("p", { className: "none", textContent: "No scene has these words.", hidden: true });
   view.append(nothing);

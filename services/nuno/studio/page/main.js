@@ -3,6 +3,7 @@ import { Cloth } from "./cloth.js";
 import { Compare } from "./compare.js";
 import { dock } from "./dock.js";
 import { make } from "./dom.js";
+import { files, takeFiles } from "./files.js";
 import { gallery } from "./gallery.js";
 import { recording, recordings } from "./recordings.js";
 import { Replay } from "./replay.js";
@@ -28,7 +29,7 @@ class RunView {
   close() { this.cloth.close(); }
 }
 
-/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME. */
+/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME, files. */
 async function route() {
   const hash = location.hash || "#scenes";
   if (hash === shown) return;
@@ -41,15 +42,16 @@ async function route() {
   scene?.close();
   run?.close();
   scene = run = null;
-  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]]]) {
+  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]], ["to-files", ["files"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
     else document.getElementById(id).removeAttribute("aria-current");
   }
-  document.title = `${name || (what === "runs" ? "Runs" : "Scenes")} · nuno studio`;
+  document.title = `${name || { runs: "Runs", files: "Files" }[what] || "Scenes"} · nuno studio`;
   view.replaceChildren();
   if (what === "draw" && !name) scene = new RunView(view);
   else if (what === "scene" || what === "draw") { scene = new SceneView(view, name); await scene.open(what === "draw"); }
   else if (what === "runs") await recordings(view);
+  else if (what === "files") await files(view);
   else if (what === "run") { run = new Replay(name); await recording(view, name, run); }
   else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
   else await gallery(view);
@@ -59,6 +61,7 @@ async function route() {
 window.addEventListener("hashchange", route);
 window.addEventListener("beforeunload", (e) => { if (scene?.unsaved) e.preventDefault(); });
 document.addEventListener("keydown", (e) => (scene ?? run)?.keys(e));
+takeFiles();
 route();
 ask("now").then((answer) => { if (answer.ok) dock.follow(answer); });
 /** For whoever wants to look into the page from its console, or test it. */

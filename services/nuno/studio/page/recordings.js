@@ -2,6 +2,7 @@ import { ask } from "./ask.js";
 import { make } from "./dom.js";
 import { addressOf } from "./compare.js";
 import { dock, showPicture } from "./dock.js";
+import { exporter } from "./exports.js";
 import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { bytes, moment, seconds } from "./words.js";
@@ -46,6 +47,7 @@ export async function recording(view, name, replay) {
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, goingOn(name), verify, remover(name))),
     make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
+    exporter(name),
     verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows))));
   compare(name, verify, verdict, "verdict");
   await Promise.all([replay.open(), showPicture(picture, name)]);

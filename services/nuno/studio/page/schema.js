@@ -34,7 +34,7 @@ export class Schema {
     const names = all.flatMap((one) => one.enum ?? (typeof one.const === "string" ? [one.const] : []));
     const mappings = all.filter((one) => one.properties), lists = all.filter((one) => one.type === "array");
     const scalars = all.filter((one) => !one.enum && one.const === undefined && ["number", "integer", "string"].includes(one.type));
-    const told = { description: whole.description ?? "", default: whole.default, unit: whole.unit || all.find((one) => one.unit)?.unit || "", limits: this.limits(whole, all), names };
+    const told = { description: whole.description ?? "", default: whole.default, unit: whole.unit || all.find((one) => one.unit)?.unit || "", limits: this.limits(whole, all), range: this.range(whole, all), colour: all.some((one) => one.pattern?.startsWith("^#")), names };
     const key = mappings.length > 1 ? this.key(mappings) : "";
     if (key || mappings.some((one) => one.properties.plugin?.const)) {
       const by = key || "plugin", branches = Object.fromEntries(mappings.map((one) => [one.properties[by].const, one]));
@@ -74,6 +74,13 @@ export class Schema {
   chosen({ key, branches }, value) {
     const name = value?.[key];
     return name === undefined ? Object.values(branches).find((one) => !(one.required ?? []).includes(key)) : branches[name];
+  }
+
+  /** The two limits of one number: low, high, whether they are left out, and whether it is whole. */
+  range(whole, all) {
+    const numbers = [whole, ...all].filter((one) => ["number", "integer"].includes(one.type));
+    const one = numbers.find((own) => (own.minimum ?? own.exclusiveMinimum) !== undefined && (own.maximum ?? own.exclusiveMaximum) !== undefined);
+    return one && { low: one.minimum ?? one.exclusiveMinimum, high: one.maximum ?? one.exclusiveMaximum, whole: one.type === "integer", openLow: one.minimum === undefined, openHigh: one.maximum === undefined };
   }
 
   limits(whole, all) {

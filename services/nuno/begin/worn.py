@@ -1,4 +1,4 @@
-"""Scenes that `nuno sew` writes: garments on a body, to be run as they are and to be changed."""
+"""Garments on a body, as scenes to be run as they are and to be changed: what `nuno sew` writes."""
 
 from __future__ import annotations
 
@@ -75,10 +75,11 @@ def name_garments(stems: Sequence[str]) -> list[str]:
 
 
 def describe_worn(
-    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None
+    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None, scale: str = ""
 ) -> str:
     """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
-    beside the scene, or None for the mannequin, which may go by the file `motion`.
+    beside the scene, whose unit is `scale` long where it is not the metre, or None for the mannequin; it may go by the
+    file `motion`.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
     each = [
@@ -88,7 +89,7 @@ def describe_worn(
     ]  # fmt: skip
     given = {
         "name": _quoted(name_garments([name])[0]),
-        "body": f"file: {_quoted(body)}" if body else PERSON,
+        "body": f"file: {_quoted(body)}" + (f", scale: {scale}" if scale else "") if body else PERSON,
         "motion": _quoted(motion),
     }
     return (WALKED if motion else WORN).format(garments="".join(each), **given)

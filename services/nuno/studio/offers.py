@@ -1,0 +1,253 @@
+"""What can be done with a file: each offer writes a scene beside it, as `nuno sew` and `nuno new` do, ready to run."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nuno.begin.after import write_after
+from nuno.begin.worn import Garment, describe_worn, name_garments
+from nuno.scene import shipped
+from nuno.scene.override import as_override as _as
+from nuno.studio.arrivals import reserve
+from nuno.studio.choices import (
+    GARMENTS,
+    NONE,
+    OWN,
+    Choice,
+    below,
+    bodies,
+    drafts,
+    fabrics,
+    garments,
+    motions,
+    patterns,
+    sewn,
+    stencils,
+)
+from nuno.studio.seen import Seen
+from nuno_schemas.errors import BadInput, nearest
+
+EDGE = "2 cm"
+"""Of a pattern's triangles, as `nuno sew`."""
+GAP = 0.05
+"""How far above a body a cloth begins [m]."""
+BALL = 0.7
+"""Height of the top of the ball of `drape-over-sphere` [m]."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A file, what was seen of it, what was chosen beside it by name, and what tells of other files what they are."""
+
+    path: Path
+    seen: Seen
+    chosen: Mapping[str, str]
+    see: Callable[[Path], Seen]
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    def new(self, *parts: str) -> Path:
+        """A scene's file that is not there yet, after the names of what it is made of."""
+        (name,) = name_garments(["-".join(Path(part).stem for part in parts)])
+        path = reserve(self.folder, f"{name}.yaml")
+        path.unlink()
+        return path
+
+    def write(self, after: str, scene: Path, description: str, *changes: str) -> Path:
+        """A scene after one of nuno's, with changes (`key=value`)."""
+        return write_after(after, scene, [_as("description", description), *changes])[-1]
+
+    def collider(self, body: str) -> dict[str, str]:
+        """A mesh of the folder as a body."""
+        scale = self.see(self.folder / body).scale
+        return {"plugin": "mesh", "file": body} | ({"scale": scale} if scale else {})
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What can be done, in words, with what is chosen; `make` writes the scene and gives its file."""
+
+    name: str
+    text: str
+    make: Callable[[Task], Path]
+    choices: tuple[Callable[[Path], Choice], ...] = ()
+
+
+def offers_for(seen: Seen) -> list[Offer]:
+    """The likeliest first."""
+    if seen.kind == "mesh":
+        return ([WEAR, DRESS, COVER, STOCKING] if seen.is_body else []) + ([FALL] if seen.is_cloth else [])
+    return [] if seen.mistakes else BY_KIND.get(seen.kind, [])
+
+
+def describe(offers: Sequence[Offer], folder: Path) -> list[dict[str, Any]]:
+    """As the page shows them."""
+    return [
+        {"name": one.name, "text": one.text, "choices": [asdict(find(folder)) for find in one.choices]}
+        for one in offers
+    ]
+
+
+def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[str, object]) -> Path:
+    """Carry out an offer for a file; the scene that was written. Raises BadInput for a choice that is none."""
+    seen = see(path)
+    offers = {one.name: one for one in offers_for(seen)}
+    if name not in offers:
+        raise BadInput("this cannot be done with it", path.name, value=name, remedy=nearest(str(name), offers))
+    offer, picked = offers[str(name)], dict[str, str]()
+    for choice in (find(path.parent) for find in offer.choices):
+        known = [value for value, _ in choice.options]
+        value = chosen.get(choice.name, known[0])
+        if value not in known:
+            raise BadInput("no such choice", field=choice.name, value=value, remedy=nearest(str(value), known))
+        picked[choice.name] = str(value)
+    return offer.make(Task(path, seen, picked, see))
+
+
+def _beside(folder: Path, chosen: str, place: Path) -> str:
+    """The name of what was chosen, in a folder: what comes with nuno is copied there."""
+    if not chosen.startswith(OWN):
+        return chosen
+    source = place / chosen.removeprefix(OWN)
+    there = folder / source.name
+    if not there.is_file() or there.read_bytes() != source.read_bytes():
+        there = reserve(folder, source.name)
+        shutil.copyfile(source, there)
+    return there.name
+
+
+def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE) -> Path:
+    """As `nuno sew PATTERN --body BODY --motion BVH` writes it; what is not given is chosen."""
+    chosen = {"body": body, "pattern": pattern, "motion": motion}
+    body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
+    scale = task.see(task.folder / body).scale if body else ""
+    pattern = _beside(task.folder, pattern, sewn())
+    motion = _beside(task.folder, motion, shipped.folder())
+    scene = task.new(pattern, "worn")
+    (name,) = name_garments([Path(pattern).stem])
+    worn = [Garment(name, pattern, task.chosen["fabric"])]
+    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, scale)
+    scene.write_text(text, encoding="utf-8")
+    return scene
+
+
+def _dress(task: Task) -> Path:
+    garment = task.chosen["garment"]
+    scene = task.new(garment.replace("-on-mannequin", ""), task.path.stem)
+    changes = [_as("bodies.mannequin.collider", task.collider(task.path.name))]
+    if task.seen.crosses:  # as scanned bodies do at the mouth: no vertex can slide on it, but cloth contact meets it
+        changes += [_as("contact", {"plugin": "penalty"}), _as("cloth_contact", _meets("mannequin"))]
+    return task.write(garment, scene, f"{GARMENTS[garment].capitalize()}: {task.path.name}.", *changes)
+
+
+def _meets(body: str) -> dict[str, Any]:
+    """Contact of cloth that a body is met by as cloth is."""
+    return {"plugin": "offset", "thickness": "2 mm", "bodies": [body]}
+
+
+def _cover(task: Task) -> Path:
+    """A square of cloth, as wide as the body and half of it more, begins above the body."""
+    low, high = task.seen.low, task.seen.high
+    side = round(1.5 * max(high[0] - low[0], high[2] - low[2]) + 0.2, 2)
+    body = {"name": "body", "collider": task.collider(task.path.name), "friction": 0.4}
+    return task.write("drape-over-sphere", task.new("cover", task.path.stem), f"A cloth falls over {task.path.name}.",
+        _as("objects.cloth.model.size", [side, side]),
+        _as("objects.cloth.model.centre", [_middle(low, high, 0), round(high[1] + GAP, 4), _middle(low, high, 2)]),
+        _as("objects.cloth.model.fabric", task.chosen["fabric"]),
+        _as("bodies.floor.collider.point", [0.0, round(min(0.0, low[1]), 4), 0.0]),
+        _as("bodies.ball", body), _as("cloth_contact", _meets("body")),
+    )  # fmt: skip
+
+
+def _middle(low: Sequence[float], high: Sequence[float], axis: int) -> float:
+    return round(0.5 * (low[axis] + high[axis]), 4)
+
+
+def _stocking(task: Task) -> Path:
+    body = _as("bodies.leg.collider", task.collider(task.path.name))
+    scene = task.new("stocking", task.path.stem)
+    return task.write("knit/stocking-leg", scene, f"A stocking is drawn over {task.path.name}.", body)
+
+
+def _fall(task: Task) -> Path:
+    """The mesh as cloth, its lowest point a little above the ball's top, or on a body where its file has it."""
+    low, high = task.seen.low, task.seen.high
+    model: dict[str, Any] = {"plugin": "mesh", "file": task.path.name, "fabric": task.chosen["fabric"]}
+    model |= {"scale": task.seen.scale} if task.seen.scale else {}
+    model |= {"merge": True} if task.path.suffix == ".obj" else {}
+    if task.chosen["body"]:
+        told = f"{task.path.name}, as cloth, on {task.chosen['body']}."
+        return task.write("sewn/shirt", task.new(task.path.stem, "worn"), told,
+            _as("objects.shirt", {"name": "cloth", "colour": "#5b84b8", "model": model}),
+            _as("bodies.mannequin.collider", task.collider(task.chosen["body"])),
+        )  # fmt: skip
+    model["centre"] = [-_middle(low, high, 0), round(BALL + GAP - low[1], 4), -_middle(low, high, 2)]
+    scene = task.new(task.path.stem, "falls")
+    told = f"{task.path.name} falls, as cloth, on a ball."
+    return task.write("drape-over-sphere", scene, told, _as("objects.cloth.model", model))
+
+
+def _dance(task: Task) -> Path:
+    told = f"A skirt on a skeleton that goes by {task.path.name}."
+    return task.write("skirt-walk", task.new("skirt", task.path.stem), told,
+        _as("bodies.walker.motion.file", task.path.name), _as("objects.skirt.model.attach.frame", task.seen.joint),
+        _as("objects.skirt.model.centre", list(task.seen.waist)),
+    )  # fmt: skip
+
+
+def _weave(task: Task, draft: str, stencil: str, what: str) -> Path:
+    changes = [_as("dye.cloth.weave.file", draft)] if draft else []
+    changes += [_as("dye.cloth.resist.0.file", stencil) if stencil else _as("dye.cloth.resist", [])]
+    told = f"Cloth woven after {draft or 'a twill'}, dyed with indigo, which {stencil or 'nothing'} keeps out."
+    return task.write("dye/draft", task.new(task.path.stem, what), told, *changes)
+
+
+def _change(scene: str, field: str, told: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
+    """A scene of nuno's with the file in one of its fields."""
+
+    def write(task: Task) -> Path:
+        names = [part or task.path.stem for part in parts or (NONE, scene)]
+        value = dict(task.seen.fabric) or task.path.name
+        return task.write(scene, task.new(*names), told.format(task.path.name), _as(field, value))
+
+    return write
+
+
+NET, PRINTED, DRAPED = (
+    "The masses and springs of {}.",
+    "A skirt printed with {}.",
+    "The fabric of {} falls over a ball.",
+)
+WEAR = Offer("wear", "Put a sewing pattern on it", lambda task: _wear(task, body=task.path.name),
+             (patterns, fabrics, motions))  # fmt: skip
+DRESS = Offer("dress", "Cut a garment to it", _dress, (garments,))
+COVER = Offer("cover", "Let a cloth fall over it", _cover, (fabrics,))
+STOCKING = Offer("stocking", "Draw a stocking over it, a leg", _stocking)
+FALL = Offer("fall", "Let it fall, as cloth", _fall, (below, fabrics))
+BY_KIND = {
+    "pattern": [Offer("wear", "Put it on a body", lambda task: _wear(task, pattern=task.path.name),
+                      (bodies, fabrics, motions))],
+    "motion": [
+        Offer("wear", "A body goes by it, in a garment", lambda task: _wear(task, motion=task.path.name),
+              (bodies, patterns, fabrics)),
+        Offer("dance", "A skirt swings on its skeleton", _dance),
+    ],
+    "draft": [Offer("weave", "Weave it, and dye it",
+                    lambda task: _weave(task, task.path.name, task.chosen["stencil"], "woven"), (stencils,))],
+    "picture": [
+        Offer("resist", "Keep dye out with it, as a stencil",
+              lambda task: _weave(task, task.chosen["draft"], task.path.name, "resist"), (drafts,)),
+        Offer("print", "Print it on a skirt",
+              _change("skirt-walk", "objects.skirt.model.texture", PRINTED, ("skirt", NONE))),
+    ],
+    "net": [Offer("net", "Let it swing", _change("net", "objects.chain.model.file", NET))],
+    "sheet": [Offer("drape", "Drape this fabric over a ball",
+                    _change("drape-over-sphere", "objects.cloth.model.fabric", DRAPED, (NONE, "drape")))],
+}  # fmt: skip
+"""What is offered for each kind of file but meshes."""

@@ -1,0 +1,39 @@
+import { ask } from "./ask.js";
+import { make, sentence } from "./dom.js";
+import { bytes } from "./words.js";
+
+/** How often a file that is being made is asked about [ms]. */
+const OFTEN = 300;
+const KINDS = [
+  ["png", "Picture", "The last frame, PNG"], ["mp4", "Animation", "All frames, MP4"], ["glb", "Mesh", "Cloth and bodies in the last frame, GLB"],
+  ["csv", "Table", "Energy, stretch and more of every frame, CSV"], ["scene", "Scene", "As it was run, YAML"],
+];
+
+/** Buttons for what can be had of a recording as a file; each is made by `nuno export`, and goes to the browser's downloads. */
+export function exporter(recording) {
+  const status = make("div", { id: "exported", role: "status" });
+  const buttons = KINDS.map(([kind, text, title]) => make("button", { type: "button", id: `export-${kind}`, textContent: text, title, onclick: (e) => save(recording, kind, e.currentTarget, status) }));
+  return make("section", { className: "panel exports", ariaLabel: "Save as a file" }, make("span", { className: "soft", textContent: "Save as" }), make("span", { className: "group" }, ...buttons), status);
+}
+
+async function save(recording, kind, button, status) {
+  const line = status.querySelector(`[data-kind="${kind}"]`) ?? make("p", { className: "soft" });
+  line.dataset.kind = kind;
+  status.append(line);
+  button.disabled = true;
+  for (let again = true; ; again = false) {
+    const answer = await ask("export", { recording, kind, again });
+    if (!answer.ok || answer.problem) { line.replaceChildren(make("pre", { className: "bad", textContent: answer.words ?? sentence(answer.problem) })); break; }
+    if (!answer.making) { finish(recording, kind, answer, line); break; }
+    line.replaceChildren(`${answer.name} `, make("progress", { max: 1, ...(answer.share === null ? {} : { value: answer.share }), ariaLabel: `${answer.name}, made` }));
+    await new Promise((later) => setTimeout(later, OFTEN));
+    if (!line.isConnected) return;
+  }
+  button.disabled = false;
+}
+
+function finish(recording, kind, { name, bytes: size }, line) {
+  const link = make("a", { href: `exported?recording=${encodeURIComponent(recording)}&kind=${kind}`, download: name, textContent: name });
+  line.replaceChildren(link, ` ${bytes(size)}`);
+  link.click();
+}

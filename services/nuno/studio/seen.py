@@ -1,0 +1,257 @@
+"""What a file is, in figures, and what is wrong with it in the words of the command line."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nuno import registry
+from nuno.begin.sheet import import_sheet, in_units
+from nuno.pages.server import describe
+from nuno.recording.gaps import shortcoming
+from nuno.recording.reader import open_recording
+from nuno.scene import yaml_lines
+from nuno.scene.files import SceneFiles
+from nuno.studio import scenes
+from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS
+from nuno_schemas.draft import DrawnDraft
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.pattern import Checked
+from nuno_schemas.plugin import BodyShape
+
+Rows = list[tuple[str, str]]
+GATHER = 1.1
+"""As `nuno sew --check`: seams of edges that differ by more are told of."""
+NO_MESH = ("cannot be read", "the mesh has no triangles")
+"""How it begins what is said of a file that holds no mesh at all."""
+HEIGHT, WAIST = 1.65, 0.1
+"""Of the body of `skirt-walk`, and of its waist above its hips [m]."""
+MOST_PIXELS = 100_000_000
+LIKE = "interlock"
+"""What a laboratory's sheet does not tell is as of this fabric."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A file.
+
+    kind      of KINDS, or what a text is
+    title     what it is, in a few words
+    rows      figures, by name
+    mistakes  as the page shows them
+    is_body, is_cloth  of a mesh: whether a body, or cloth, can be made of it
+    crosses   of a mesh: whether it passes through itself
+    scale     of a mesh: how long its unit is, where that is hardly the metre
+    low, high  (3,) of a mesh: corners of the box about it, in metres
+    joint, waist  of a motion: what a skirt can be held by, and (3,) [m] where its waist begins on a body of HEIGHT
+    fabric    of a laboratory's sheet: as scenes take it
+    picture   PNG, where there is one to be shown
+    """
+
+    kind: str
+    title: str
+    rows: Rows
+    mistakes: list[dict[str, Any]] = field(default_factory=list)
+    is_body: bool = False
+    is_cloth: bool = False
+    crosses: bool = False
+    scale: str = ""
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    joint: str = ""
+    waist: tuple[float, ...] = ()
+    fabric: Mapping[str, str] = field(default_factory=dict)
+    picture: bytes = b""
+
+
+def look(path: Path) -> Seen:
+    """Raises BadInput for what is not what its name says."""
+    try:
+        return KINDS[path.suffix.lower()](path)
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", path.name) from None
+    except BadInput as error:
+        if error.file is not None and Path(error.file).name == path.name:
+            error.file = path.name
+        raise
+
+
+def _mesh(path: Path) -> Seen:
+    files, name = SceneFiles(path.parent), path.name
+    body = registry.load("nuno.colliders", "mesh")
+    cloth = registry.load("nuno.models", "mesh")
+    mistakes, rows, crosses = list[BadInput](), Rows(), False
+    try:
+        shape: BodyShape = body.build(body.Config(file=name), None, files)
+        x, faces = shape.vertices, shape.faces
+        rows, crosses = [("remark", note) for note in shape.notes], bool(shape.notes)
+        title, closed, is_cloth = "a closed mesh", True, path.suffix.lower() != ".glb"
+    except BadInput as not_closed:
+        if not_closed.problem.startswith(NO_MESH):
+            raise
+        closed, is_cloth, title = False, False, "a mesh with mistakes"
+        x, faces, mistakes = np.zeros((0, 3)), np.zeros((0, 3), np.int32), [not_closed]
+        try:
+            fabric: Fabric = cloth.build(cloth.Config(file=name, merge=path.suffix.lower() == ".obj"), files, 0)
+            x, faces, is_cloth, title = fabric.position, fabric.faces, True, "a mesh that is not closed"
+            rows, mistakes = [("as a body", f"{not_closed.problem}: {not_closed.field}")], []
+        except BadInput as no_cloth:
+            mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
+    if not len(x):
+        return Seen("mesh", title, rows, [_told(one, name) for one in mistakes])
+    unit = unit_of(x)
+    size = np.ptp(x, axis=0) * (UNITS[unit] if unit else 1.0)
+    low, high = ((UNITS[unit] if unit else 1.0) * side for side in (x.min(axis=0), x.max(axis=0)))
+    rows = [
+        ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "yes" if closed else "no"),
+        ("size", " x ".join(f"{side:.3g}" for side in size) + " m (x, y, z; y is up)"), *rows,
+    ]  # fmt: skip
+    if unit:
+        rows.append(("unit", f"taken as {unit}: in metres it would be {float(np.ptp(x, axis=0).max()):.3g} m long"))
+    scale = unit.replace("1", "1 ") if unit else ""
+    corners = tuple(map(float, low)), tuple(map(float, high))
+    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses, scale, *corners)
+
+
+def unit_of(x: Float) -> str:
+    """The unit of points (n, 3) that are too far apart, or too near, for metres; empty where they are not."""
+    size = float(np.ptp(x, axis=0).max())
+    if SMALLEST <= size <= LARGEST or not size > 0.0:
+        return ""
+    return min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
+
+
+def _pattern(path: Path) -> Seen:
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    found: Checked = model.check_pattern(SceneFiles(path.parent), path.name, GATHER)
+    wrong = [one for one in found.remarks if one.wrong]
+    mistakes = [
+        BadInput(f"{one.kind}: {one.text}", path.name, one.line, one.field or one.where, remedy=one.remedy)
+        for one in wrong
+    ]
+    openings = ", ".join(f"{100 * one.length:.1f} cm" for one in found.openings)
+    rows: Rows = [
+        ("panels", f"{len(found.panels)}: {', '.join(one.name for one in found.panels)}"),
+        ("seams", f"{found.seams}, of {found.length:.2f} m in all"), ("openings", openings or "none"),
+        ("cloth", f"{sum(one.area for one in found.panels):.2f} m²"),
+    ]  # fmt: skip
+    rows += [("remark", f"{one.kind}, {one.where}: {one.text}") for one in found.remarks if not one.wrong]
+    title = "a sewing pattern" if not wrong else "a sewing pattern that cannot be sewn"
+    return Seen("pattern", title, rows, [describe(one) for one in mistakes])
+
+
+def _motion(path: Path) -> Seen:
+    motion = registry.offering("nuno.motions", "describe_motion", "reads captured motion")
+    facts = dict(motion.describe_motion(path))
+    mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, travel=False), SceneFiles(path.parent))
+    joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
+    hips = mover.pose(0.0)[1][mover.joints.index(joint)]
+    waist = tuple(round(float(at), 3) for at in hips + np.array([0.0, WAIST, 0.0]))
+    return Seen("motion", "a captured motion", list(facts.items()), joint=joint, waist=waist)
+
+
+def _draft(path: Path) -> Seen:
+    cloth = registry.offering("nuno.dye_cloths", "draw_draft", "draws drafts")
+    drawn: DrawnDraft = cloth.draw_draft(path)
+    return Seen("draft", "a weaving draft", list(drawn.facts.items()), picture=as_png(drawn.picture))
+
+
+def _picture(path: Path) -> Seen:
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as picture:
+            width, height = picture.size
+            if width * height > MOST_PIXELS:
+                raise BadInput("too large a picture", path.name, value=f"{width} x {height} pixels",
+                               limit=f"{MOST_PIXELS} pixels")  # fmt: skip
+            picture.load()
+            rows: Rows = [("size", f"{width} x {height} pixels"), ("kind", f"{picture.format}, {picture.mode}")]
+            picture.thumbnail((640, 640))
+            small = as_png(np.asarray(picture.convert("RGB")))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
+    return Seen("picture", "a picture", rows, picture=small)
+
+
+def _net(path: Path) -> Seen:
+    model = registry.load("nuno.models", "net")
+    fabric: Fabric = model.build(model.Config(file=path.name), SceneFiles(path.parent), 0)
+    springs = len(fabric.springs.k) if fabric.springs is not None else 0
+    rows: Rows = [
+        ("masses", f"{len(fabric.mass):,}, of {fabric.mass.sum():.4g} kg in all"), ("springs", f"{springs:,}"),
+        ("held", f"{int(fabric.pinned.sum()):,}"),
+        ("size", " x ".join(f"{side:.3g}" for side in np.ptp(fabric.position, axis=0)) + " m"),
+    ]  # fmt: skip
+    return Seen("net", "a net of masses and springs", rows)
+
+
+def _sheet(path: Path) -> Seen:
+    found, head = import_sheet(path, LIKE)
+    fabric = in_units(found, found.fabric)
+    rows: Rows = [("from", line) for line in head]
+    rows += [(name, f"{text}  ({found.how[name]})") for name, text in fabric.items()]
+    return Seen("sheet", "a laboratory's sheet of a fabric", rows, fabric=fabric)
+
+
+def _text(path: Path) -> Seen:
+    """A scene, a pattern or a laboratory's sheet."""
+    text = scenes.text_of(path)
+    if scenes.IS_SCENE.search(text):
+        told = scenes.check(text, path)
+        data = told["data"] or {}
+        rows: Rows = [(name, str(data[name])) for name in ("name", "description", "duration") if data.get(name)]
+        return Seen("scene", "a scene", rows, told["mistakes"])
+    data, _ = yaml_lines.parse(text, path.name)
+    if "instrument" in data:
+        return _sheet(path)
+    if "pattern" in data:
+        return _pattern(path)
+    limit = "nuno: 1 in a scene, pattern: in a sewing pattern, instrument: in a laboratory's sheet"
+    raise BadInput("neither a scene nor a pattern nor a laboratory's sheet", path.name, limit=limit)
+
+
+def _recording(path: Path) -> Seen:
+    with open_recording(path) as recording:
+        lacks = shortcoming(recording)
+        rows: Rows = [("scene", str(recording.scene.get("name", ""))), ("lasts", f"{recording.span[1]:.4g} s")]
+    return Seen("recording", "a recording", rows + ([("lacks", lacks)] if lacks else []))
+
+
+def as_png(picture: Picture) -> bytes:
+    """A picture (h, w, 3), as a file."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def _told(error: BadInput, name: str) -> dict[str, Any]:
+    error.file = name if error.file is None or Path(error.file).name == name else error.file
+    return describe(error)
+
+
+KINDS: Mapping[str, Callable[[Path], Seen]] = {
+    **dict.fromkeys((".obj", ".ply", ".stl", ".glb"), _mesh),
+    **dict.fromkeys((".yaml", ".yml"), _text),
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), _picture),
+    ".json": _pattern,
+    ".bvh": _motion,
+    ".wif": _draft,
+    ".npz": _net,
+    ".csv": _sheet,
+    ".mcap": _recording,
+}
+"""By the ending of a file's name."""
+
+
+def files_of(folder: Path, kinds: Sequence[str]) -> list[Path]:
+    """Files of a folder with such endings, the newest first."""
+    found = [path for path in folder.glob("*") if path.suffix.lower() in kinds and path.is_file()]
+    return sorted(found, key=lambda path: (-path.stat().st_mtime_ns, path.name))
