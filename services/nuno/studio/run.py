@@ -199,6 +199,8 @@ class Run:
                     self._heard.clear()
                 return
             status = FrameStatus.model_validate_json(message.payload)
+            if status.frame < self.frame:  # it was on its way while the run was asked
+                return
             self.frame, self.t = status.frame, status.t
             self.state = status.state if status.state != "done" else self.state
             self._heard.append((time.monotonic(), status.t))

@@ -99,14 +99,16 @@ export class Cloth {
   /** Build the cloth of the text, where it is another than what is shown, once it has stood for a while. */
   start() {
     const { text } = this.scene;
-    if (!text || !this.scene.good || text.value === this.built || text.value === this.wanted) return;
+    if (!text || !this.scene.good || [this.built, this.wanted, this.waiting].includes(text.value)) return;
+    this.waiting = text.value;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.see(), this.built === null ? 0 : STAYS);
   }
 
   async see() {
     const { value } = this.scene.text;
-    if (this.over.signal.aborted || (this.running && !this.startFirst) || !this.scene.good) return;
+    this.waiting = null;
+    if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst) || !this.scene.good) return;
     this.wanted = value;
     if (this.built === null) this.say("Building the cloth …");
     const answer = await ask("see", { scene: this.scene.name, text: value });
