@@ -4,7 +4,7 @@ BIN := .venv/bin
 SCENE ?= skirt-hula
 ARGS ?=
 
-.PHONY: run test test-all lint docs tour bench soak peers lock audit clean
+.PHONY: run test test-all lint docs tour dist bench soak peers lock audit clean
 
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
@@ -32,6 +32,10 @@ docs: .venv/dev.stamp  ## the documentation as a site, to be opened as a file; a
 
 tour: .venv/dev.stamp  ## how long each command of the README takes, into it
 	$(BIN)/python docs/durations.py
+
+dist: .venv/dev.stamp  ## a wheel and a source distribution, and their sizes
+	$(BIN)/python -m hatchling build
+	@cd dist && wc -c $$(ls -t | head -2)
 
 bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper's experiment
 	$(BIN)/nuno bench speed $(ARGS)

@@ -29,6 +29,11 @@ class BadInput(Exception):
         """This error of a field of the scene, in the place of one of a file."""
         return replace(self, file=None, line=None, field=field)
 
+    def told(self) -> dict[str, str | float]:
+        """What is known of it, as JSON can say it: `BadInput(**told)` prints the same words."""
+        known = {name: value for name, value in vars(self).items() if value is not None}
+        return {name: value if isinstance(value, str | int | float) else str(value) for name, value in known.items()}
+
     def __str__(self) -> str:
         place = ":".join(str(part) for part in (self.file, self.line) if part is not None)
         head = ": ".join(part for part in (place, self.field) if part)

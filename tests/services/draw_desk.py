@@ -1,17 +1,11 @@
-"""A page's server on a sheet of triangles, for tests."""
+"""A folder with a sheet of triangles to be drawn on, and what a page asks for about lines, for tests."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from nuno.draw.desk import Desk
-from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
-from nuno.pages.server import Server
-from nuno.scene import scene_file
+from nuno.studio.desk import Desk
 
 SHEET = """\
 nuno: 1
@@ -25,30 +19,26 @@ objects:
     model: {plugin: sheet, size: [1 m, 1 m], resolution: [13, 13], cells: triangles, fabric: denim, pin: [top-corners]}
 # the end
 """
+FILE = "sheet.yaml"
 
 
 def write_sheet(folder: Path) -> Path:
     """The scene's file."""
-    path = folder / "sheet.yaml"
+    path = folder / FILE
     path.write_text(SHEET)
     return path
 
 
-@contextmanager
-def served(desk: Desk) -> Iterator[Server]:
-    """The desk's page, served meanwhile."""
-    server = desk.server()
-    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        server.server_close()
-        desk.close()
+def see(desk: Desk, text: str = SHEET, scene: str = FILE) -> int:
+    """The number of a text's start."""
+    return int(desk.act({"do": "see", "scene": scene, "text": text})["number"])
 
 
-def scene_desk(path: Path) -> Desk:
-    """On a scene."""
-    loaded = scene_file.read(path)
-    return Desk(loaded, Board(see_scene(loaded)))
+def draw(desk: Desk, does: str, **more: object) -> dict[str, Any]:
+    """What the page asks for about lines."""
+    return desk.act({"do": "draw", "does": does} | more)
+
+
+def keep(desk: Desk, start: int, lines: list[dict[str, Any]], text: str = SHEET, scene: str = FILE) -> str:
+    """The text with lines in it."""
+    return str(draw(desk, "keep", start=start, lines=lines, text=text, scene=scene)["text"])

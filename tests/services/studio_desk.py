@@ -39,10 +39,17 @@ def write_sheet(folder: Path) -> Path:
 def studio() -> Iterator[tuple[Desk, Server]]:
     """The page of the present folder, served meanwhile."""
     desk = Desk()
+    with served(desk) as server:
+        yield desk, server
+
+
+@contextmanager
+def served(desk: Desk) -> Iterator[Server]:
+    """A desk's page, served meanwhile."""
     server = desk.server()
     threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
     try:
-        yield desk, server
+        yield server
     finally:
         server.shutdown()
         server.server_close()

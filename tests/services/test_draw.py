@@ -1,28 +1,31 @@
-"""The server of the page for drawing: who may ask, what it refuses, and what becomes of a scene's file."""
+"""Lines drawn by hand: who may ask the page's server, what it refuses, and what becomes of a scene's text and run."""
 
 from __future__ import annotations
 
 import http.client
 import json
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from draw_desk import SHEET, scene_desk, served, write_sheet
-from live_run import wait_until
+from draw_desk import FILE, SHEET, draw, keep, see, write_sheet
+from live_run import PATIENCE, wait_until
+from studio_desk import studio
 
 import nuno
+from nuno.cli.draw import open_desk
 from nuno.cloth.build import Piece
-from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.lines import by_object, positions, read_strokes
-from nuno.draw.sight import Sight
 from nuno.pages.guard import MOST_BYTES
 from nuno.pages.server import Server
 from nuno.recording.restore import control_events
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.seen.sight import Sight
+from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}
@@ -31,8 +34,20 @@ LINE = {"points": [[20, 0.2, 0.3], [100, 0.3, 0.3]], "height": 0.02}
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    with served(scene_desk(write_sheet(tmp_path_factory.mktemp("sheet")))) as one:
-        yield one
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(write_sheet(tmp_path_factory.mktemp("sheet")).parent)
+        with studio() as (_, one):
+            yield one
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    """In a folder of its own, with a sheet to be drawn on."""
+    monkeypatch.chdir(tmp_path)
+    write_sheet(tmp_path)
+    one = Desk()
+    yield one
+    one.close()
 
 
 def ask(
@@ -78,12 +93,12 @@ def do(server: Server, action: str, **more: object) -> dict[str, Any]:
         (411, {"path": "do", "body": "", "Transfer_Encoding": "chunked"}),
         (415, {"path": "do", "body": "{}", "Content_Type": "text/plain"}),
         (400, {"path": "do", "body": "[" * 100_000}),
-        (400, {"path": "frame?after=x"}),
+        (400, {"path": "start?number=x"}),
         (404, {"path": "../desk.py"}),
         (404, {"path": "other", "body": "{}"}),
         (200, {"path": ""}),
         (200, {"path": "main.js"}),
-        (200, {"path": "do", "body": '{"do": "about"}'}),
+        (200, {"path": "do", "body": '{"do": "now"}'}),
     ],
 )
 def test_only_the_page_that_was_opened_is_answered(server: Server, status: int, request_: dict[str, Any]) -> None:
@@ -95,9 +110,9 @@ def test_only_the_page_that_was_opened_is_answered(server: Server, status: int, 
         assert answer.read().startswith(str(status).encode())
 
 
-def test_it_listens_on_loopback_only_and_each_has_its_own_token(server: Server, tmp_path: Path) -> None:
+def test_it_listens_on_loopback_only_and_each_has_its_own_token(server: Server) -> None:
     assert server.server_address[0] == "127.0.0.1"
-    with served(scene_desk(write_sheet(tmp_path))) as other:
+    with studio() as (_, other):
         assert len(other.guard.token) >= 32 and other.guard.token != server.guard.token
         assert ask(other, token=server.guard.token).status == 403
 
@@ -115,20 +130,19 @@ def test_it_listens_on_loopback_only_and_each_has_its_own_token(server: Server, 
     ],
 )
 def test_a_line_that_cannot_be_is_refused_by_its_number(server: Server, line: object, problem: str) -> None:
-    answer = do(server, "export", shape=0, lines=[LINE, line])
+    start = do(server, "see", scene=FILE, text=SHEET)["number"]
+    answer = do(server, "draw", does="export", start=start, lines=[LINE, line])
     assert not answer["ok"] and problem in answer["problem"] and answer["field"].startswith("lines[1]")
     assert answer["remedy"]
 
 
-def test_lines_about_other_triangles_are_refused(server: Server) -> None:
-    answer = do(server, "export", shape=1, lines=[LINE])
-    assert (answer["ok"], answer["field"]) == (False, "shape")
-
-
-def test_what_needs_a_run_is_refused_without_one(server: Server) -> None:
-    for action in ("apply", "pause", "step"):
-        assert "Simulate" in do(server, action, lines=[LINE])["remedy"]
-    assert not do(server, "dance")["ok"]
+def test_what_needs_a_start_or_a_run_is_refused_without_one(server: Server) -> None:
+    for does in ("begin", "check", "keep", "export"):
+        for start in (0, -1, "1", None, [1]):
+            answer = do(server, "draw", does=does, start=start, lines=[LINE], scene=FILE, text=SHEET)
+            assert (answer["ok"], answer["field"]) == (False, "start") and answer["remedy"]
+    assert "Run" in do(server, "draw", does="apply", lines=[LINE])["remedy"]
+    assert not do(server, "draw", does="dance")["ok"]
 
 
 TEXTS = [
@@ -189,90 +203,92 @@ def test_lines_are_given_by_their_objects_own_triangles() -> None:
         read_strokes([{"points": [[0, 0.2, 0.3], [3, 0.3, 0.3]], "height": 0.01}], sight)
 
 
-def test_saving_again_takes_the_place_of_what_was_saved(tmp_path: Path) -> None:
-    path = write_sheet(tmp_path)
-    desk = scene_desk(path)
-    save: dict[str, Any] = {"do": "save", "lines": [LINE]}
-    desk.act(save)
-    desk.act(save | {"lines": [LINE | {"height": 0.03}]})
-    (operation,) = yaml_lines.parse(path.read_text(), "")[0]["operations"]
-    assert [line["height"] for line in operation["lines"]] == [0.03]
-    changed = path.read_text() + "# mine"
-    path.write_text(changed)
-    with pytest.raises(BadInput, match="changed after"):
-        desk.act(save)
-    assert path.read_text() == changed
-    # A page that is opened on what is there now adds behind it, by places that its triangles do not matter for.
-    again = scene_desk(path)
-    again.act(save)
-    first, second = yaml_lines.parse(path.read_text(), "")[0]["operations"]
-    assert first == operation and path.read_text().endswith("# mine")
-    assert np.allclose(
-        second["lines"][0]["points"], positions(read_strokes([LINE], again.board.now)[0], again.board.now)
-    )
-    assert not list(tmp_path.glob(".*"))
+def operations(text: str) -> list[dict[str, Any]]:
+    return list(yaml_lines.parse(text, FILE)[0]["operations"])
 
 
-def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = write_sheet(tmp_path)
-    monkeypatch.setattr(keep.shipped, "scenes", lambda: {"sheet": path})
-    for name in ("sheet-drawn.yaml", "sheet-drawn-2.yaml"):
-        answer = scene_desk(path).act({"do": "save", "lines": [LINE]})
-        assert Path(answer["file"]) == tmp_path / name and answer["text"].endswith(f"nuno run {name}")
-        assert scene_file.read(tmp_path / name).scene.operations
-    assert path.read_text() == SHEET
+def test_lines_behind_others_are_added_by_places_that_triangles_do_not_matter_for(desk: Desk) -> None:
+    start = see(desk)
+    once = keep(desk, start, [LINE])
+    (operation,) = operations(once)
+    twice = keep(desk, see(desk, once), [LINE | {"height": 0.03}], once + "# mine")
+    first, second = operations(twice)
+    assert first == operation and twice.endswith("# mine") and second["lines"][0]["height"] == 0.03
+    sight = desk._starts.kept[start].sight
+    assert np.allclose(second["lines"][0]["points"], positions(read_strokes([LINE], sight)[0], sight), atol=1e-6)
 
 
-def test_cloth_that_lines_cannot_be_raised_on_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
-    path = tmp_path / "quads.yaml"
-    path.write_text(SHEET.replace("cells: triangles, ", ""))
+def test_a_file_and_a_shipped_scene_stay_as_they_are_until_they_are_saved(desk: Desk, tmp_path: Path) -> None:
+    text = shipped.find("hung-cloth-wrinkle").read_text()
+    start = see(desk, text, "hung-cloth-wrinkle")
+    after = keep(desk, start, [LINE], text, "hung-cloth-wrinkle")
+    saved = desk.act({"do": "save", "scene": "hung-cloth-wrinkle", "text": after, "before": text, "name": "drawn.yaml"})
+    assert saved["name"] == "drawn.yaml" and scene_file.read(tmp_path / "drawn.yaml").scene.operations
+    assert shipped.find("hung-cloth-wrinkle").read_text() == text
+    keep(desk, see(desk), [LINE])
+    assert Path(FILE).read_text() == SHEET
+
+
+def test_cloth_that_lines_cannot_be_raised_on_is_refused_before_anything_is_drawn(desk: Desk) -> None:
+    draw(desk, "begin", start=see(desk))
+    quads = SHEET.replace("cells: triangles, ", "")
     with pytest.raises(BadInput, match="edges of its triangles") as refused:
-        scene_desk(path)
+        draw(desk, "begin", start=see(desk, quads))
     assert refused.value.field == "objects[0].model" and "cells: triangles" in refused.value.remedy
+    Path(FILE).write_text(quads)
+    with pytest.raises(BadInput, match="edges of its triangles"):
+        open_desk(Namespace(scene=FILE, overrides=[], root=[], config=None))
 
 
-def test_lines_that_could_not_be_raised_are_not_saved(tmp_path: Path) -> None:
-    path = tmp_path / "two.yaml"
+def test_lines_that_could_not_be_raised_do_not_go_into_the_text(desk: Desk) -> None:
     quads = "  - {name: plain, model: {plugin: sheet, resolution: [5, 5], fabric: denim}}\n# the end"
-    path.write_text(two := SHEET.replace("# the end", quads))
-    desk = scene_desk(path)
+    two = SHEET.replace("# the end", quads)
     line = LINE | {"points": [[288, 0.2, 0.3], [290, 0.3, 0.3]]}
     with pytest.raises(BadInput, match="edge of its triangles"):
-        desk.act({"do": "save", "lines": [line]})
-    assert path.read_text() == two
+        keep(desk, see(desk, two), [line], two)
+
+
+def test_lines_on_other_triangles_than_the_texts_do_not_go_into_it(desk: Desk) -> None:
+    with pytest.raises(BadInput, match="other triangles"):
+        keep(desk, see(desk), [LINE], SHEET.replace("[13, 13]", "[14, 14]"))
+
+
+def test_a_scene_is_opened_with_its_changes_in_the_text(desk: Desk, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "other"
+    elsewhere.mkdir()
+    path = write_sheet(elsewhere)
+    Path(FILE).unlink()
+    opened, place = open_desk(Namespace(scene=str(path), overrides=["damping=0.7"], root=[], config=None))
+    assert place == f"#draw={FILE}"
+    found = opened.act({"do": "open", "scene": FILE})
+    assert found["text"] == SHEET and found["changed"] == SHEET.replace("damping: 2", "damping: 0.7") and found["own"]
+    opened.act({"do": "save", "scene": FILE, "text": found["changed"], "before": SHEET, "name": FILE})
+    assert path.read_text() == found["changed"] and not Path(FILE).exists()
 
 
 @pytest.mark.full
-def test_a_run_that_the_page_starts_waits_for_lines_and_takes_none_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    desk = scene_desk(write_sheet(tmp_path))
-    start = desk.board.now
-    desk.act({"do": "save", "lines": [LINE]})
-    try:
-        desk.act({"do": "start"})
-        wait_until(lambda: desk.board.now.state == "paused", 120.0)
-        assert desk.board.now.frame == 0 and np.array_equal(desk.board.now.faces, start.faces)
-        assert desk.act({"do": "apply", "shape": desk.board.now.shape, "lines": [LINE]})["applied"] == [0]
-        added = len(desk.board.now.x) - len(start.x)
-        desk.act({"do": "step"})
-        wait_until(lambda: desk.board.now.frame == 1)
-        assert len(desk.board.now.x) - len(start.x) == added > 0
-        desk.act({"do": "back"})
-        assert desk.board.now.state == "start" and np.array_equal(desk.board.now.x, start.x)
-    finally:
-        desk.close()
-    (recording,) = (tmp_path / "recordings").glob("*.mcap")
-    with nuno.open(recording) as one:
-        assert [event.text for event in control_events(one)] == ["add", "step", "stop"]
-
-
-def test_lines_on_other_triangles_than_the_files_are_not_saved(tmp_path: Path) -> None:
-    path = write_sheet(tmp_path)
-    desk = scene_desk(path)
-    path.write_text(changed := SHEET.replace("[13, 13]", "[14, 14]"))
-    with pytest.raises(BadInput, match="other triangles"):
-        desk.act({"do": "save", "lines": [LINE]})
-    assert path.read_text() == changed
+def test_a_run_has_lines_from_its_first_frame_and_takes_more_by_its_present_triangles(desk: Desk) -> None:
+    start = see(desk)
+    plain = desk._starts.kept[start].sight
+    text = keep(desk, start, [LINE])
+    desk.act({"do": "run", "scene": FILE, "text": text, "paused": True})
+    wait_until(lambda: desk.act({"do": "now"})["state"] == "paused", PATIENCE)
+    own = desk._own
+    assert own is not None and own.live is not None
+    desk.act({"do": "control", "action": "step"})
+    asked = {"run": [own.name]}
+    desk._live(asked)
+    sight = own.live.board
+    wait_until(lambda: len(sight.now.x) > len(plain.x) and desk.act({"do": "now"})["state"] == "paused")
+    with pytest.raises(BadInput) as refused:
+        draw(desk, "apply", run=own.name, shape=sight.now.shape + 1, lines=[LINE])
+    assert refused.value.field == "shape"
+    before = sight.now
+    line = LINE | {"points": [[150, 0.2, 0.3], [200, 0.3, 0.3]]}
+    assert draw(desk, "apply", run=own.name, shape=before.shape, lines=[line])["applied"] == [0]
+    assert len(sight.now.x) > len(before.x) and sight.now.shape > before.shape
+    desk.act({"do": "control", "action": "stop"})
+    wait_until(lambda: desk.act({"do": "now"})["state"] == "over", PATIENCE)
+    with nuno.open("last") as one:
+        assert [event.text for event in control_events(one)][-2:] == ["add", "stop"]
+        assert len(list(one.frames())[1].x) == len(before.x)

@@ -1,17 +1,21 @@
-"""`nuno draw`: a page for drawing ridges and valleys on a cloth by hand."""
+"""`nuno draw`: the studio's page, open on the cloth of a scene or of a run, to draw ridges and valleys by hand."""
 
 from __future__ import annotations
 
 import argparse
-import threading
+from copy import deepcopy
+from pathlib import Path
+from urllib.parse import quote
 
 from nuno.cli.common import add_config, add_scene
-from nuno.draw.desk import Desk
-from nuno.draw.follow import Follower
-from nuno.draw.shown import see_scene
-from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
-from nuno.pages.server import serving
-from nuno.scene import scene_file, shipped
+from nuno.cli.studio import serve
+from nuno.draw.append import MARK, read_text
+from nuno.draw.shown import require_lines
+from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.scene.override import apply_override, item_at
+from nuno.seen.shown import see_scene
+from nuno.studio.desk import Desk
+from nuno.studio.edit import put
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
@@ -23,40 +27,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    desk = open_desk(args)
-    try:
-        with serving(desk.server(), "draw", not args.no_browser):
-            threading.Event().wait()
-    except KeyboardInterrupt:
-        print("ending", flush=True)
-    finally:
-        desk.close()
-    return 0
+    desk, place = open_desk(args)
+    return serve(desk, "draw", place, not args.no_browser)
 
 
-def open_desk(args: argparse.Namespace) -> Desk:
-    """What is drawn on: a scene, or else a run that goes on, by its name. Raises BadInput."""
+def open_desk(args: argparse.Namespace) -> tuple[Desk, str]:
+    """The page's desk, and the place of a scene on it, or else of a run that goes on, by its name. Raises BadInput."""
     try:
         path = shipped.find(args.scene)
     except BadInput as no_scene:
         if args.scene.endswith((".yaml", ".yml")):
             raise
         try:
-            return _follow(*runs.find(args.scene), args.config)
+            run, _ = runs.find(args.scene)
         except BadInput as no_run:
             problem = "no such scene, and no such run that goes on"
             remedy = f"{no_scene.remedy}; runs: {no_run.remedy}"
             raise BadInput(problem, value=args.scene, remedy=remedy) from None
-    loaded = scene_file.read(path, args.overrides, args.root)
-    return Desk(loaded, Board(see_scene(loaded)))
+        desk, path_of_run = Desk(), runs.scene_path(run)
+        entry = _open(desk, path_of_run, [], []) if path_of_run is not None else ""
+        desk.attach(run, entry, args.config)
+        return desk, _place(entry)
+    desk = Desk()
+    return desk, _place(_open(desk, path, args.overrides, args.root))
 
 
-def _follow(run: str, endpoint: str, config: str | None) -> Desk:
-    path = runs.scene_path(run)
-    loaded = scene_file.read(path) if path is not None else None
-    if loaded is not None:
-        see_scene(loaded)
-    board = Board(Sight(NO_POINTS, NO_FACES, ()))
-    follower = Follower(run, endpoint, board, config)
-    follower.start()
-    return Desk(loaded, board, follower)
+def _open(desk: Desk, path: Path, overrides: list[str], roots: list[Path]) -> str:
+    """Make a scene one that the page can open; what it calls it. Raises BadInput for one that takes no lines."""
+    loaded = scene_file.read(path, overrides, roots)
+    require_lines(loaded, see_scene(loaded)[1])
+    scenes = desk.scenes
+    known = {found.resolve(): name for name, found in scenes.paths().items()}
+    entry = known.get(path.resolve(), path.name if path.name not in known.values() else str(path))
+    if path.resolve() not in known:
+        scenes.more[entry] = path
+    scenes.roots = tuple(roots)
+    if overrides:
+        scenes.changed[entry] = _changed(read_text(path).removeprefix(MARK), overrides, path.name)
+    return entry
+
+
+def _changed(text: str, overrides: list[str], file: str) -> str:
+    """A scene's text with the changes of `--set` in it. Raises BadInput."""
+    for item in overrides:
+        data = deepcopy(yaml_lines.parse(text, file)[0])
+        place = apply_override(data, item)
+        text = put(text, place, item_at(data, place), file, item.partition("=")[2])
+    return text
+
+
+def _place(entry: str) -> str:
+    return f"#draw={quote(entry, safe='')}"

@@ -14,9 +14,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    desk = Desk()
+    return serve(Desk(), "studio", "", not args.no_browser)
+
+
+def serve(desk: Desk, name: str, place: str, opened: bool) -> int:
+    """Serve the page, and show it at a place of it, until Ctrl-C; the exit code."""
     try:
-        with serving(desk.server(), "studio", not args.no_browser):
+        with serving(desk.server(), name, opened, place):
             threading.Event().wait()
     except KeyboardInterrupt:
         print("ending", flush=True)

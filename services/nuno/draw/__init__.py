@@ -1,1 +1,1 @@
-"""Drawing ridge and valley lines on cloth by hand: a page for a browser, served on loopback."""
+"""Ridge and valley lines drawn on cloth by hand: what they are in scenes, runs and files."""

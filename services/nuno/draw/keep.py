@@ -1,10 +1,9 @@
-"""Lines kept: as items for a run that goes on, and in a scene's file."""
+"""Lines kept: as items for a run that goes on, and in a scene's text."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno import registry
 from nuno.cloth import build
-from nuno.draw.append import MARK, append_items, read_text, write_whole
-from nuno.draw.shown import see_scene
-from nuno.draw.sight import Sight
-from nuno.scene import scene_file, shipped, yaml_lines
+from nuno.draw.append import append_items
+from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
+from nuno.seen.shown import see_scene
+from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 
@@ -54,15 +53,6 @@ def as_items(lines: Lines, settings: object) -> list[str]:
     return found
 
 
-def target(loaded: Loaded) -> Path:
-    """The file that lines are saved to: the user's own, or one of a new name here in the place of a shipped one."""
-    own = loaded.path.resolve()
-    if own not in {path.resolve() for path in shipped.scenes().values()}:
-        return own
-    names = (f"{loaded.path.stem}-drawn{number}.yaml" for number in ("", *(f"-{n}" for n in range(2, 1000))))
-    return next(path for name in names if not (path := Path.cwd() / name).exists())
-
-
 class Trial:
     """The cloth of a scene's objects at the start, on which lines are tried before they are kept."""
 
@@ -79,60 +69,23 @@ class Trial:
         self._plugin.apply(config, fabric, build.start_state(fabric), None)
 
 
-class Keeper:
-    """One page's lines in a scene's file: as it was before, with the lines that are there now.
+def with_lines(
+    text: str, file: str, base: Sight, lines: Mapping[bool, Lines], settings: object, load: Callable[[str], Loaded]
+) -> str:
+    """A scene's text with lines in it, and all else as it was written. Raises BadInput.
 
-    Saved once more, they take the place of what was saved before, so nothing is in the file twice.
+    Lines are about the triangles of `base`, and given by them (`lines[True]`) where they are the first to change
+    the cloth; behind other operations, by places on the cloth as the scene begins (`lines[False]`).
     """
-
-    def __init__(self, loaded: Loaded) -> None:
-        self.loaded, self.path = loaded, target(loaded)
-        self._before = self._written = ""
-
-    @property
-    def saved(self) -> bool:
-        """Whether lines of this page are in the file."""
-        return bool(self._written)
-
-    def save(self, base: Sight, lines: Mapping[bool, Lines], settings: object) -> dict[str, Any]:
-        """Write the file; what the page says of it. Raises BadInput, the file being as it was then.
-
-        Lines are about the triangles of `base`, and given by them (`lines[True]`) where they are the first to change
-        the cloth; behind other operations, by places on the cloth as the scene begins (`lines[False]`).
-        """
-        source = self.path if self._written else self.loaded.path
-        text = read_text(source)
-        if self._written and text != self._written:
-            remedy = "open the page again to go on from what it says now; until then, export the lines"
-            raise BadInput("the file was changed after lines were saved to it", str(self.path), remedy=remedy)
-        before = (self._before or text).removeprefix(MARK)
-        first = not yaml_lines.parse(before, str(source))[0].get(LIST)
-        operations = as_operations(lines[first], settings)
-        after = append_items(before, LIST, operations, str(source))
-        scene = self._check(base, after)
-        if first:
-            trial = Trial(scene)
-            for operation in operations:
-                trial.apply(operation)
-        whole = (MARK if text.startswith(MARK) else "") + after
-        write_whole(self.path, whole)
-        self._before, self._written = self._before or text, whole
-        return {"file": str(self.path), "text": f"To run it: {self._command()}"}
-
-    def _command(self) -> str:
-        loaded = self.loaded
-        elsewhere = self.path.parent != loaded.files.folder.resolve()
-        roots = f" --root {loaded.files.folder}" if elsewhere and loaded.files.used else ""
-        name = self.path.name if self.path.parent == Path.cwd() else str(self.path)
-        return f"nuno run {name}{roots}"
-
-    def _check(self, base: Sight, text: str) -> Loaded:
-        """A text's scene. Raises BadInput for one that is not good, or of other triangles than were drawn on."""
-        name = str(self.loaded.path)
-        data, places = yaml_lines.parse(text, name)
-        scene = scene_file.load(data, places, name, self.loaded.files)
-        if not np.array_equal(see_scene(scene).faces, base.faces):
-            problem = "the lines were drawn on other triangles than the file's scene has"
-            remedy = "open the scene as it is in the file, without --set; or export the lines"
-            raise BadInput(problem, name, remedy=remedy)
-        return scene
+    first = not yaml_lines.parse(text, file)[0].get(LIST)
+    operations = as_operations(lines[first], settings)
+    after = append_items(text, LIST, operations, file)
+    loaded = load(after)
+    if not np.array_equal(see_scene(loaded)[0].faces, base.faces):
+        problem, remedy = "the lines were drawn on other triangles than the text's scene has", "draw them again"
+        raise BadInput(problem, file, remedy=remedy)
+    if first:
+        trial = Trial(loaded)
+        for operation in operations:
+            trial.apply(operation)
+    return after

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from nuno.draw.lines import Stroke, line_at, piece_of
-from nuno.draw.sight import Sight
+from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 
 _LINE = re.compile(r"lines\[(\d+)\]")

@@ -57,7 +57,7 @@ class DyeRun(Stepper):
         self.speed = dye.speed
         self._solver = chosen.solver
         self.threads = threads or os.cpu_count() or 1
-        self.cells, self.state, given = _build_cloth(loaded)
+        self.cells, self.state, given = build_cloth(loaded)
         check_picture(loaded, self.cells)
         self._resist = self.cells.resist
         """B as the scene has it; of what was added over dye, the cells have less."""
@@ -275,7 +275,7 @@ class DyeRun(Stepper):
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 
-def _build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
+def build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
     number, size = estimate_memory(loaded)
     require_memory(loaded, "dye.cloth", f"{number:,} cells", size, "coarser: 2, larger cells, or fewer dyes")

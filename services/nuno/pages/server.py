@@ -158,15 +158,16 @@ def whole(query: Mapping[str, list[str]], key: str) -> int:
 
 
 @contextmanager
-def serving(server: Server, name: str, opened: bool) -> Iterator[None]:
-    """Serve a page until the block ends; its address is printed and, where there is a screen and it is `opened`, shown
-    in a browser.
+def serving(server: Server, name: str, opened: bool, place: str = "") -> Iterator[None]:
+    """Serve a page until the block ends; its address, of a place of it, is printed and, where there is a screen and it
+    is `opened`, shown in a browser.
     """
-    print(f"{name} at  {server.guard.address}", flush=True)
+    address = server.guard.address + place
+    print(f"{name} at  {address}", flush=True)
     print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     if opened and has_screen():
-        webbrowser.open(server.guard.address)
+        webbrowser.open(address)
     try:
         yield
     finally:

@@ -152,10 +152,10 @@ class Recording(RecordedFile):
         remedy = early if every else never
         return BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
 
-    def series(self) -> dict[str, NDArray[Any]]:
-        """Columns over the frames; see `read_series`."""
+    def series(self, end: float | None = None) -> dict[str, NDArray[Any]]:
+        """Columns over the frames, or over those with t < end [s]; see `read_series`."""
         try:
-            return read_series(self)
+            return read_series(self, end)
         except (TypeError, ValueError, OverflowError) as error:
             raise BadInput(f"a status is damaged: {error}", str(self.path)) from None
 
@@ -195,14 +195,14 @@ def open_recording(path: Path | str) -> Recording:
     return Recording(path)
 
 
-def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
+def read_series(recording: Recording, end: float | None = None) -> dict[str, NDArray[Any]]:
     """frame, t [s], steps, step_seconds, energy_* [J], stretch, and from the collision service depth [m],
     inside, mean [m], and of cloth that meets cloth crossings and distance [m]; by body force_BODY_x, _y and _z [N]
     and pressure_BODY, the largest [Pa], where those are recorded; of a cloth that is dyed mobile_*, fixed_* and
     supplied_* by dye, balance, and time, that of the dyeing [s]; NaN where one is missing.
     """
     rows: dict[int, dict[str, Any]] = {}
-    for message in recording.messages(STATUSES):
+    for message in recording.messages(STATUSES, end=end):
         value = recording.json(message.payload)
         own = "dye_" if message.topic == DYE_STATUS.name and not recording.dyed_alone else ""
         row = {own + name if name in OWN else name: value[name] for name in SERIES if name in value}
@@ -210,7 +210,7 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
             table = value.get(name)
             row |= {f"{name}_{key}": number for key, number in table.items()} if isinstance(table, dict) else {}
         rows.setdefault(recording.whole(value.get("frame", -1)), {}).update(row)
-    for message in recording.messages([PENETRATION.name]):
+    for message in recording.messages([PENETRATION.name], end=end):
         value = recording.json(message.payload)
         rows.setdefault(
             recording.whole(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}
@@ -218,7 +218,7 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
             {name: value.get(name) for name in ("depth", "inside", "mean")}
             | {name: value[name] for name in ("crossings", "distance") if value.get(name) is not None}
         )
-    for message in recording.messages([CONTACT.name]):
+    for message in recording.messages([CONTACT.name], end=end):
         contact = Contact.model_validate(recording.json(message.payload))
         row = rows.setdefault(contact.frame, {"frame": contact.frame, "t": contact.t})
         for felt in contact.bodies:

@@ -44,12 +44,12 @@ def lines(report: Report) -> list[tuple[str, str]]:
         if recorded := report["frames"]["recorded"]:
             text = f"{recorded:,} frames are recorded; the step after them had not come to its end"
             return [*rows, ("time", f"{text} when it was no longer waited for")]
-        return [*rows, ("time", f"ended while it was prepared, after {prepared:.2g} s")]
+        return [*rows, ("time", f"ended while it was prepared, after {duration(prepared)}")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
     took = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
     paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
-    rows.append(("time", f"{took} (prepared in {prepared:.2g} s{paused})"))
+    rows.append(("time", f"{took} (prepared in {duration(prepared)}{paused})"))
     if clock := report.get("clock"):
         late = f"{clock['late']:,} of {clock['frames']:,} were late, by at most {clock['most']:.2g} s"
         rows.append(("clock", f"frames waited for it; {late if clock['late'] else 'none was late'}"))

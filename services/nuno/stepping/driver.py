@@ -164,8 +164,7 @@ class Driver(ABC):
             try:
                 change = (self.change if action == "set" else self.add)(str(request.get("item")))
             except BadInput as error:
-                told = {name: str(value) for name, value in vars(error).items() if value is not None}
-                return {"ok": False, "error": str(error), "refused": told}
+                return {"ok": False, "error": str(error), "refused": error.told()}
         elif action != "status":
             return {"ok": False, "error": f"unknown action {action!r}; known: {', '.join(ACTIONS)}"}
         if action not in ("start", "status"):

@@ -4,26 +4,49 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from nuno.draw.append import MARK, read_text
-from nuno.draw.desk import Desk as DrawDesk
-from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server
-from nuno.scene import scene_file, yaml_lines
-from nuno.studio import edit, scenes
+from nuno.recording.restore import resumed_scene
+from nuno.scene import yaml_lines
+from nuno.scene.scene_file import Loaded
+from nuno.studio import edit, paint, scenes
+from nuno.studio.cloth import Starts
+from nuno.studio.dyed import Dyed, cloth_of
+from nuno.studio.lines import Drawing
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
+from nuno.studio.screen import Screen
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
-ACTS = ("scenes", "open", "check", "change", "save", "plan", "run", "control", "now", "draw")
+ACTS = (
+    "scenes",
+    "open",
+    "check",
+    "change",
+    "save",
+    "plan",
+    "run",
+    "resume",
+    "control",
+    "now",
+    "see",
+    "draw",
+    "dyed",
+    "paint",
+)
 """What the page may ask for, each a method of a desk."""
-OF_RECORDINGS = {"recording": "open", "picture": "draw", "verify": "verify", "verdict": "verdict", "delete": "delete"}
+CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
+"""What a page may ask of a run, as `nuno control`."""
+OF_FILMS = ("replay", "plots", "compare")
+"""What it may ask of recordings that are replayed, each a method of a screen."""
+OF_RECORDINGS = {"recording": "open", "picture": "draw", "delete": "delete"}
+OF_RECORDINGS |= {name: name for name in ("verify", "verdict", "resumable")}
 """What it may ask of one recording, and which method of the recordings does it."""
 
 
@@ -32,41 +55,54 @@ class Desk:
 
     def __init__(self) -> None:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
+        self.screen = Screen(self.recordings)
         self._own: Run | None = None
-        self._drawn: list[tuple[Server, DrawDesk]] = []
+        self._starts, self._dyed_cloth = Starts(), Dyed()
+        self._drawing = Drawing(self._starts)
         self._heavy, self._starting = threading.Lock(), threading.Lock()
         self._schema = functools.cache(scenes.schema)
+
+    def attach(self, run: str, entry: str, config: str | None = None) -> None:
+        """Show a run that was started elsewhere, of the scene that the page calls so."""
+        self._own = Run.attach(run, entry, config)
 
     def server(self) -> Server:
         """What serves the page, until it is closed."""
         told = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
+            "start": self._starts.tell,
+            "live": self._live,
+            "flat": self._dyed_cloth.tell,
+            "frames": self.screen.frames,
+            "shape": self.screen.shape,
         }
         return Server("nuno.studio", self.act, told)
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
         name = str(request.get("do"))
+        if name == "delete":
+            self.screen.forget(str(request.get("recording")))
         if name in OF_RECORDINGS:
             found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
         elif name == "recordings":
             found = {"recordings": self.recordings.list()}
+        elif name in OF_FILMS:
+            found = getattr(self.screen, name)(request)
         elif name in ACTS:
             found = getattr(self, f"_{name}")(request)
         else:
-            raise BadInput("no such request", value=name, limit=", ".join((*ACTS, "recordings", *OF_RECORDINGS)))
+            known = *ACTS, "recordings", *OF_FILMS, *OF_RECORDINGS
+            raise BadInput("no such request", value=name, limit=", ".join(known))
         return found
 
     def close(self) -> None:
         """End what was started here."""
         with self._starting:
-            for server, desk in self._drawn:
-                server.shutdown()
-                server.server_close()
-                desk.close()
             if self._own is not None:
                 self._own.close()
+            self.screen.close()
             self.recordings.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
@@ -86,8 +122,19 @@ class Desk:
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))
         text = read_text(path)
-        own = path.parent == self.scenes.folder
-        return {"text": text, "own": own, "file": path.name} | scenes.check(text.removeprefix(MARK), path)
+        changed = self.scenes.changed.get(str(request.get("scene")))
+        facts = {"text": text, "changed": changed, "own": self._own_file(path), "file": path.name}
+        return facts | self._checked(text.removeprefix(MARK) if changed is None else changed, path)
+
+    def _own_file(self, path: Path) -> bool:
+        """Whether a scene's file is the person's own, and not one that comes with nuno."""
+        return path.parent == self.scenes.folder or path in self.scenes.more.values()
+
+    def _checked(self, text: str, path: Path) -> dict[str, Any]:
+        return scenes.check(text, path, self.scenes.roots)
+
+    def _loaded(self, request: Mapping[str, Any]) -> Loaded:
+        return scenes.load(*self._text(request), self.scenes.roots)
 
     def _text(self, request: Mapping[str, Any]) -> tuple[str, Path]:
         """What stands in the page, and the file that it stands for. Raises BadInput."""
@@ -97,7 +144,7 @@ class Desk:
         return text.removeprefix(MARK), self.scenes.find(request.get("scene"))
 
     def _check(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        return scenes.check(*self._text(request))
+        return self._checked(*self._text(request))
 
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Put a value into the text, or take it out; the new text, and what it says."""
@@ -111,51 +158,99 @@ class Desk:
         else:
             value, written = _value_of(request)
             after = edit.put(text, where, value, path.name, written)
-        return {"text": after} | scenes.check(after, path)
+        return {"text": after} | self._checked(after, path)
 
     def _save(self, request: Mapping[str, Any]) -> dict[str, Any]:
         text, path = self._text(request)
-        return scenes.save(text, str(request.get("before")), path, self.scenes.folder, request.get("name"))
+        folder = path.parent if path in self.scenes.more.values() else self.scenes.folder
+        return scenes.save(text, str(request.get("before")), path, folder, request.get("name"))
 
     def _plan(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        text, path = self._text(request)
+        loaded = self._loaded(request)
         with self._heavy:  # it compiles kernels
-            return {"rows": scenes.plan(text, path)}
+            return {"rows": scenes.plan(loaded)}
 
     def _run(self, request: Mapping[str, Any]) -> dict[str, Any]:
         text, path = self._text(request)
-        loaded = scenes.load(text, path)
+        loaded = scenes.load(text, path, self.scenes.roots)
+        changed = text if text != read_text(path).removeprefix(MARK) else None
+        entry, paused = str(request.get("scene")), bool(request.get("paused"))
+        return self._begin(lambda: Run.start(loaded, entry, changed, paused))
+
+    def _resume(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Go on with a recording, until the whole run has a duration. Raises BadInput."""
+        path, change = self.recordings.find(request.get("recording")), f"duration={request.get('duration')}"
+        with resumed_scene(path, [change]) as (loaded, _):
+            return self._begin(lambda: Run.resume(loaded, [str(path), "--set", change]))
+
+    def _begin(self, make: Callable[[], Run]) -> dict[str, Any]:
+        """Start a run, of which one goes on at a time. Raises BadInput."""
         with self._starting:
             if self._own is not None and self._own.going:
                 raise BadInput("a run goes on already", value=self._own.name, remedy="stop it before")
             if self._own is not None:
                 self._own.close()
-            changed = text if text != read_text(path).removeprefix(MARK) else None
-            self._own = Run(loaded, changed, bool(request.get("paused")))
+            self._own = make()
             return self._own.tell()
 
     def _control(self, request: Mapping[str, Any]) -> dict[str, Any]:
         action = request.get("action")
-        if action not in ("pause", "resume", "step", "stop"):
-            raise BadInput("no such action", value=action, limit="pause, resume, step, stop")
+        if action not in CONTROLS:
+            raise BadInput("no such action", value=action, limit=", ".join(CONTROLS))
         if self._own is None:
             raise BadInput("no run goes on", remedy="start one with Run")
-        self._own.control(action)
-        return self._own.tell()
+        item = {"item": str(request.get("item", ""))} if action in ("set", "add") else {}
+        answer = self._own.control(action, **item)
+        return self._own.tell() | {"changed": {name: answer.get(name) for name in ("field", "old", "new", "frame")}}
 
     def _now(self, request: Mapping[str, Any]) -> dict[str, Any]:
         return self._own.tell() if self._own is not None else {"state": "none"}
 
+    def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
+        return self._starts.see(self._loaded(request))
+
+    def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
+        return self._dyed_cloth.see(self._loaded(request))
+
+    def _paint(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Put a stroke or a stencil into the text; or a stroke into the run that goes on. Raises BadInput."""
+        text, path = self._text(request)
+        cells, _, _ = cloth_of(self._loaded(request))
+        item = paint.item_of(request, cells, path, self._own_file(path))
+        if request.get("live"):
+            return self._control({"action": "add", "item": item})
+        after = paint.put(text, item, path.name)
+        # What lies beside the cloth is refused before it is in the text.
+        cloth_of(scenes.load(after, path, self.scenes.roots))
+        return {"text": after} | self._checked(after, path)
+
+    def _live(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """The newest frame of the run that was started here, where it is the one that is asked for."""
+        own = self._own
+        if own is None or own.live is None or query.get("run", [""])[0] != own.name:
+            raise Refused(NOT_FOUND, "there is no such run")
+        return own.live.tell(query)
+
     def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Serve the page for drawing lines on a scene's cloth. Raises BadInput for cloth that takes none."""
-        path = self.scenes.find(request.get("scene"))
-        with self._heavy:
-            loaded = scene_file.read(path)
-            desk = DrawDesk(loaded, Board(see_scene(loaded)))
-        server = desk.server()
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        self._drawn.append((server, desk))
-        return {"address": server.guard.address}
+        """Lines on the cloth that is shown: see `nuno.studio.lines`. Raises BadInput."""
+        does = request.get("does")
+        if does == "begin":
+            self._drawing.begin(request)
+        elif does == "check":
+            self._drawing.check(request)
+        elif does == "export":
+            return self._drawing.export(request, self._own)
+        elif does == "apply":
+            return self._drawing.apply(request, self._own)
+        elif does == "keep":
+            text, path = self._text(request)
+            after = self._drawing.keep(request, text, lambda changed: scenes.load(changed, path, self.scenes.roots))
+            return {"text": after} | self._checked(after, path)
+        else:
+            raise BadInput("no such request", value=does, limit="begin, check, keep, apply, export")
+        return {}
 
 
 def _value_of(request: Mapping[str, Any]) -> tuple[Any, str | None]:

@@ -9,6 +9,7 @@ from typing import Any
 from nuno.pages.child import Child
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import END, open_recording
+from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of
 from nuno.report.show import lines
 from nuno.scene.files import stamp_of
@@ -91,6 +92,11 @@ class Recordings:
             return {"verifying": False, "equal": None, "words": ""}
         code = child.code
         return {"verifying": code is None, "equal": None if code is None else code == 0, "words": child.said}
+
+    def resumable(self, name: object) -> dict[str, Any]:
+        """From when its run can go on, and until when its scene lasts [s]. Raises BadInput where it cannot."""
+        with open_recording(self.find(name)) as recording, restored_scene(recording) as loaded:
+            return {"at": recording.common_checkpoint().t, "end": loaded.scene.duration}
 
     def delete(self, name: object) -> dict[str, Any]:
         """Remove a recording with its log and its picture. Raises BadInput."""

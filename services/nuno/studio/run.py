@@ -1,4 +1,4 @@
-"""The run that was started from the page: a process of its own, heard on its bus."""
+"""The run that the page follows, heard on its bus: one that was started there, a process of its own, or another."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ import tempfile
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from nuno.draw.follow import EVENTS, SAYS, order
 from nuno.pages.child import Child
 from nuno.scene.scene_file import Loaded
+from nuno.seen.follow import EVENTS, SAYS, order
+from nuno.studio.cloth import Live
 from nuno.supervision import runs
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, Event, FrameStatus
+from nuno_schemas.scene import Scene
 
 SPAN = 3.0
 """Wall time that the real-time factor is told of [s]."""
@@ -35,53 +38,91 @@ ENDS = {0: "over", 1: "failed", 2: "refused"}
 
 
 class Run:
-    """One run of a scene's text.
+    """A run that goes on: one of a scene's text that was started here, or another one.
 
-    The page sees what the run's services say of each frame, in small messages of which only the newest is taken: it
-    asks for no positions, and never slows a run.
+    What the run's services say of each frame is heard in small messages, of which only the newest is taken; positions
+    are asked for while a page looks at the cloth (`live`). Neither slows the run.
     """
 
-    def __init__(self, loaded: Loaded, text: str | None, paused: bool) -> None:
-        """text: what is run in the place of the scene's file, where it is another."""
-        scene, path = loaded.scene, loaded.path
-        self.name = runs.new_id(scene.name)
-        self.frames, self.end = scene.frames, scene.frames / scene.frame_rate
-        self.record = runs.record_path(runs.RECORDINGS, self.name)
+    def __init__(self, name: str, entry: str, child: Child | None = None, config: str | None = None) -> None:
+        """entry: what the page calls the scene; child: the process of a run that was started here."""
+        self.name, self.entry = name, entry
+        self.frames, self.end = 0, 0.0
+        self.record = ""
+        self._child, self._config = child, config
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        roots: list[str] = []
-        if text is not None:
-            self._folder = tempfile.TemporaryDirectory(prefix="nuno-")
-            for root in (loaded.files.folder, *loaded.files.roots):
-                roots += ["--root", str(root)]
-            path = Path(self._folder.name) / path.name
-            path.write_text(text, encoding="utf-8")
-        more = ["--paused"] if paused else []
-        self._child = Child(["run", str(path), "--no-view", "--run", self.name, *roots, *more])
         self.state, self.frame, self.t = "preparing", -1, 0.0
         self._heard: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
+        self.live: Live | None = None
+        self._closed = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="studio", daemon=True)
-        self._thread.start()
+
+    @classmethod
+    def start(cls, loaded: Loaded, entry: str, text: str | None, paused: bool) -> Run:
+        """Start one; text: what is run in the place of the scene's file, where it is another."""
+        path = loaded.path
+        folder: tempfile.TemporaryDirectory[str] | None = None
+        roots = [str(root) for root in loaded.files.roots]
+        if text is not None:
+            folder = tempfile.TemporaryDirectory(prefix="nuno-")
+            roots.insert(0, str(loaded.files.folder))
+            path = Path(folder.name) / path.name
+            path.write_text(text, encoding="utf-8")
+        more = [part for root in roots for part in ("--root", root)] + (["--paused"] if paused else [])
+        run = cls._begin(loaded.scene, entry, [str(path), *more])
+        run._folder = folder
+        return run
+
+    @classmethod
+    def resume(cls, loaded: Loaded, arguments: Sequence[str]) -> Run:
+        """Go on with a recording; arguments: its file, and what is changed of its scene, as of `nuno run --resume`."""
+        return cls._begin(loaded.scene, "", ["--resume", *arguments])
+
+    @classmethod
+    def _begin(cls, scene: Scene, entry: str, arguments: Sequence[str]) -> Run:
+        name = runs.new_id(scene.name)
+        run = cls(name, entry, Child(["run", *arguments, "--no-view", "--run", name]))
+        run.frames, run.end = scene.frames, scene.frames / scene.frame_rate
+        run.record = runs.record_path(runs.RECORDINGS, name).name
+        run._thread.start()
+        return run
+
+    @classmethod
+    def attach(cls, name: str, entry: str, config: str | None) -> Run:
+        """Follow one that was started elsewhere, and goes on without this."""
+        run = cls(name, entry, config=config)
+        run._thread.start()
+        return run
 
     @property
     def going(self) -> bool:
-        return self._child.code is None
+        return self._code is None
+
+    @property
+    def _code(self) -> int | None:
+        """Its exit code; None while it goes on, 0 for one of elsewhere that goes on no more."""
+        if self._child is not None:
+            return self._child.code
+        return None if self.name in runs.running() else 0
 
     def tell(self) -> dict[str, Any]:
         """What the page shows: the state, how far it is, simulated seconds a second, and what the run has printed."""
-        code = self._child.code
+        code = self._code
         # A run that has stopped still finishes its recording.
         now = self.state if self.state in GOING else "ending"
         return {
             "run": self.name,
-            "recording": self.record.name,
+            "scene": self.entry,
+            "live": self.live is not None,
+            "recording": self.record,
             "state": now if code is None else ENDS.get(code, "stopped"),
             "frame": self.frame,
             "frames": self.frames,
             "t": self.t,
             "end": self.end,
             "factor": self._factor() if self.state == "running" and code is None else None,
-            "said": self._child.said[-20_000:],
+            "said": self._child.said[-20_000:] if self._child is not None else "",
         }
 
     def _factor(self) -> float | None:
@@ -92,42 +133,49 @@ class Run:
             return None
         return (heard[-1][1] - first[1]) / (heard[-1][0] - first[0])
 
-    def control(self, action: str) -> None:
-        """Pause, resume, step or stop it. Raises BadInput."""
+    def control(self, action: str, **more: object) -> dict[str, Any]:
+        """Pause, resume, step or stop it, set a field or add an item; what it answers. Raises BadInput."""
         if not self.going:
             raise BadInput("no run goes on", remedy="start one with Run")
         if self._bus is None:
             if action != "stop":
                 raise BadInput("the run is getting ready", remedy="wait until it has begun, or stop it")
-            self._child.end()
-            return
-        answer = order(self._bus, {"action": action})
-        self.state = str(answer["state"])
-        self._heard.clear()
+            if self._child is not None:
+                self._child.end()
+            return {}
+        answer = order(self._bus, {"action": action} | more)
+        self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
+        if action not in ("set", "add"):
+            self._heard.clear()
+        return answer
 
     def close(self) -> None:
-        """End it, where it goes on."""
-        if self.going:
+        """End it, where it goes on and was started here."""
+        if self._child is not None and self.going:
             with contextlib.suppress(BadInput):
                 self.control("stop")
             self._child.end(terminate=self._bus is None)
+        self._closed.set()
+        if self.live is not None:
+            self.live.close()
         self._thread.join(ASK)
         if self._folder is not None:
             self._folder.cleanup()
 
     def _follow(self) -> None:
         endpoint: str | None = None
-        while self.going and endpoint is None:
-            time.sleep(LOOK)
+        while self.going and endpoint is None and not self._closed.wait(LOOK):
             endpoint = runs.running().get(self.name)
         if endpoint is None:
             return
-        with contextlib.suppress(RunFailed, zenoh.ZError), spoke(endpoint, None, 1.0) as session:
+        with contextlib.suppress(RunFailed, zenoh.ZError), spoke(endpoint, self._config, 1.0) as session:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
             self._ask(bus)
             self._bus = bus
-            while self.going:
+            while self.going and not self._closed.is_set():
+                if self.live is None and self.state != "preparing":  # its services answer
+                    self.live = Live(self.name, endpoint, self._config)
                 item = inbox.get(PAUSE)
                 if isinstance(item, Message):
                     self._hear(item)
@@ -140,6 +188,7 @@ class Run:
         with contextlib.suppress(RunFailed):
             answer = bus.ask_json("control", {"action": "status"}, ASK)
             self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
+            self.frames = int(answer["frames"])
 
     def _hear(self, message: Message) -> None:
         with contextlib.suppress(ValueError):

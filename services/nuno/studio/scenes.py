@@ -33,11 +33,17 @@ class Scenes:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.more: dict[str, Path] = {}
+        """Scenes of elsewhere that were named when the page was opened."""
+        self.changed: dict[str, str] = {}
+        """Texts that stand for those of files, where changes were named, too."""
+        self.roots: tuple[Path, ...] = ()
+        """Further folders that scenes' files may come from."""
 
     def paths(self) -> dict[str, Path]:
         """Those of the folder first."""
         own = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
-        return {path.name: path for path in own if IS_SCENE.search(_text_of(path))} | shipped.scenes()
+        return {path.name: path for path in own if IS_SCENE.search(_text_of(path))} | self.more | shipped.scenes()
 
     def find(self, name: object) -> Path:
         """Raises BadInput where there is none."""
@@ -67,7 +73,7 @@ def _text_of(path: Path) -> str:
         return ""
 
 
-def check(text: str, path: Path) -> dict[str, Any]:
+def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]:
     """What a text says, the line of each field in it, and its mistakes, each as the command line has it.
 
     The loader tells the first. Where that is a value that can be left out, what it tells without that is the next.
@@ -80,7 +86,7 @@ def check(text: str, path: Path) -> dict[str, Any]:
     left = deepcopy(data)
     while len(mistakes) < MOST:
         try:
-            scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path))
+            scene_file.load(deepcopy(left), lines, str(path), scene_file.files_of(path, roots))
             break
         except BadInput as error:
             if any(error.field == known["field"] for known in mistakes):
@@ -109,15 +115,15 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def load(text: str, path: Path) -> Loaded:
+def load(text: str, path: Path, roots: tuple[Path, ...] = ()) -> Loaded:
     """The scene of a text that stands for the file at a path. Raises BadInput."""
     data, lines = yaml_lines.parse(text, str(path))
-    return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path)), path=path)
+    return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path, roots)), path=path)
 
 
-def plan(text: str, path: Path) -> list[Row]:
+def plan(loaded: Loaded) -> list[Row]:
     """The rows of `nuno plan`. Raises BadInput."""
-    return list(describe(load(text, path)))
+    return list(describe(loaded))
 
 
 def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:

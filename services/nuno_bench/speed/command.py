@@ -34,6 +34,7 @@ CASES = {
     "dye": "dye:dye",
     "pipeline": "pipeline:pipeline",
     "live": "live:live",
+    "studio": "studio:studio",
     "start": "processes:start",
     "memory": "processes:memory",
 }

@@ -12,9 +12,6 @@ from typing import Any
 
 from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
-from nuno.draw.desk import Desk
-from nuno.draw.shown import see_scene
-from nuno.draw.sight import Board
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
@@ -23,6 +20,7 @@ from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver
+from nuno.studio.desk import Desk
 from nuno.wire.arrays import BadMessage, encode_picture
 from nuno.wire.bus import Bus, Inbox
 from nuno.wire.question import Question
@@ -33,6 +31,8 @@ from soak.fuzz.kind import Kind, Read, require, require_finite
 from soak.fuzz.recordings import CLOTH, DYED, recorded
 
 RUN = "fuzz"
+PAGE = ("now", "draw", "control")
+"""What is asked of the page's server."""
 FRESH = 300
 """Requests after which a service is made anew: they change it."""
 TEXTS: dict[str, list[dict[str, Any]]] = {
@@ -42,10 +42,11 @@ TEXTS: dict[str, list[dict[str, Any]]] = {
        {"action": "add", "item": "wrinkle: {object: a, lines: [{points: [[0,0,0],[1,0,0]], height: 1 cm}]}"}],
     "finish": [{}, {"error": "x", "discard": True, "expected": {"sim/state": 3}, "state": "done", "report": {}}],
     "poses": [{"frame": 0}, {"frame": 2}],
-    "page": [{"do": "about"}, {"do": "check", "shape": 0, "lines": [
+    "page": [{"do": "now"}, {"do": "draw", "does": "check", "start": 1, "lines": [
         {"points": [[0, 0.3, 0.3], [1, 0.3, 0.3]], "height": 0.01, "closed": False}], "settings": {"passes": 2}},
-        {"do": "export", "shape": 0, "lines": [{"points": [[0, 0.5, 0.25], [1, 0.5, 0.25]], "height": -0.01}]},
-        {"do": "pause"}, {"do": "apply", "shape": 0, "lines": []}],
+        {"do": "draw", "does": "export", "start": 1, "lines": [
+            {"points": [[0, 0.5, 0.25], [1, 0.5, 0.25]], "height": -0.01}]},
+        {"do": "control", "action": "pause"}, {"do": "draw", "does": "apply", "shape": 0, "lines": []}],
 }  # fmt: skip
 
 
@@ -201,15 +202,15 @@ def _poses(context: Context) -> Callable[[Question], None]:
 
 def _page(folder: Path) -> Read:
     """What the page asks for: anything but an answer or BadInput would end a request without one."""
-    loaded = _loaded(CLOTH)
-    desk = Desk(loaded, Board(see_scene(loaded)))
+    desk = Desk()
+    desk._starts.see(_loaded(CLOTH))
 
     def read(data: bytes) -> None:
         try:
             request = json.loads(data)
         except (ValueError, RecursionError):
             request = None
-        if not isinstance(request, dict) or request.get("do") in ("start", "save"):  # a process, and a file
+        if not isinstance(request, dict) or request.get("do") not in PAGE:  # others start processes, or write
             raise BadInput("a request is a JSON object")
         json.dumps(desk.act(request))
 
@@ -243,5 +244,5 @@ MESSAGES = (
     _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.service")),
     _question("finish", _finish, ("nuno.service",)),
     _question("poses", _poses, ("nuno.collision.service",)),
-    Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.draw.desk", "nuno.draw.lines")),
+    Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.studio.lines", "nuno.draw.lines")),
 )

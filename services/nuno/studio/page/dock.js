@@ -1,5 +1,6 @@
 import { ask } from "./ask.js";
 import { make } from "./dom.js";
+import { wordsOf } from "./form.js";
 import { pictureOf } from "./gallery.js";
 import { rowsOf } from "./rows.js";
 import { taken } from "./say.js";
@@ -15,9 +16,13 @@ const $ = (id) => document.getElementById(id);
 class Dock {
   constructor() {
     this.now = { state: "none" };
+    /** Called each time that something is heard of the run. */
+    this.hearers = new Set();
     $("pause").addEventListener("click", () => this.order(this.now.state === "paused" ? "resume" : "pause"));
     $("step").addEventListener("click", () => this.order("step"));
     $("stop").addEventListener("click", () => this.order("stop"));
+    $("set").addEventListener("submit", (e) => { e.preventDefault(); this.set($("set-item").value.trim()); });
+    $("set-item").addEventListener("input", () => $("set-said").replaceChildren());
     $("more").addEventListener("click", () => this.fold($("run-said").hidden));
     $("dismiss").addEventListener("click", () => { $("dock").hidden = true; });
   }
@@ -26,9 +31,10 @@ class Dock {
 
   /** Show a run from now on, until it has ended. */
   follow(now) {
-    if (now.run !== this.now.run) { this.ended = null; $("run-said").replaceChildren(make("pre")); this.fold(false); }
+    if (now.run !== this.now.run) { this.ended = null; $("set-said").replaceChildren(); $("run-said").replaceChildren(make("pre")); this.fold(false); }
     $("dock").hidden = now.state === "none";
     this.show(now);
+    for (const hear of this.hearers) hear();
     clearTimeout(this.timer);
     if (this.going) this.timer = setTimeout(() => this.look(), OFTEN);
     else if (now.state !== "none" && this.ended !== now.run) this.end(now);
@@ -45,19 +51,29 @@ class Dock {
     if (taken(answer)) this.follow(answer);
   }
 
+  /** Change a field of the run that goes on; what it held and holds now, or why not, in the words of the command line. */
+  async set(item) {
+    const answer = await ask("control", { action: "set", item }), said = $("set-said");
+    if (!answer.ok) { said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem); return; }
+    const { field, old, new: now, frame } = answer.changed, text = (value) => (value === null ? "nothing" : JSON.stringify(value));
+    said.textContent = `${field} ${text(old)} → ${text(now)} at frame ${frame}`;
+    this.follow(answer);
+  }
+
   show(now) {
     this.now = now;
     $("dock").dataset.state = now.state;
     $("run-state").textContent = SAID[now.state] ?? now.state;
     $("run-name").textContent = now.run ?? "";
-    $("run-progress").value = now.end ? Math.min(1, now.t / now.end) : 0;
-    const far = now.frame >= 0 ? `${now.t.toFixed(2)} of ${Number(now.end.toPrecision(6))} s · frame ${now.frame} of ${now.frames}` : "";
+    $("run-progress").value = now.frames ? Math.max(0, now.frame) / now.frames : 0;
+    const far = now.frame >= 0 ? `${now.t.toFixed(2)} ${now.end ? `of ${Number(now.end.toPrecision(6))} ` : ""}s · frame ${now.frame} of ${now.frames}` : "";
     $("run-time").textContent = [far, factor(now.factor)].filter(Boolean).join(" · ");
     $("pause").textContent = now.state === "paused" ? "Resume" : "Pause";
     $("pause").disabled = !["running", "paused"].includes(now.state);
+    for (const part of $("set").elements) part.disabled = $("pause").disabled;
     $("step").disabled = now.state !== "paused";
     $("stop").disabled = !this.going || now.state === "ending";
-    $("pause").hidden = $("step").hidden = $("stop").hidden = !this.going;
+    $("pause").hidden = $("step").hidden = $("stop").hidden = $("set").hidden = !this.going;
     $("dismiss").hidden = this.going;
     const lines = (now.said ?? "").split("\n"), warned = lines.filter((line) => /\bWARNING\b/.test(line));
     $("run-warned").replaceChildren(...warned.map((line) => make("div", { textContent: line })));

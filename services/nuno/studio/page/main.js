@@ -1,14 +1,34 @@
 import { ask } from "./ask.js";
+import { Cloth } from "./cloth.js";
+import { Compare } from "./compare.js";
 import { dock } from "./dock.js";
+import { make } from "./dom.js";
 import { gallery } from "./gallery.js";
 import { recording, recordings } from "./recordings.js";
+import { Replay } from "./replay.js";
 import { confirm } from "./say.js";
 import { SceneView } from "./scene.js";
 
 const view = document.getElementById("view");
-let scene = null, shown = "";
+let scene = null, run = null, shown = "";
 
-/** Where the address points: scenes, scene=NAME, runs, run=NAME. */
+/** A run of a scene that the page cannot open: its cloth alone. */
+class RunView {
+  constructor(view) {
+    Object.assign(this, { name: "", text: null, good: false });
+    this.cloth = new Cloth(this);
+    this.cloth.draw.wanted = true;
+    view.replaceChildren(make("div", { className: "scene" }, make("div", { className: "sides alone" }, this.cloth.box)));
+  }
+
+  get unsaved() { return this.cloth.draw.unsaved; }
+
+  keys(e) { this.cloth.draw.keys(e); }
+
+  close() { this.cloth.close(); }
+}
+
+/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME. */
 async function route() {
   const hash = location.hash || "#scenes";
   if (hash === shown) return;
@@ -18,24 +38,28 @@ async function route() {
   }
   shown = hash;
   const [what, text = ""] = hash.slice(1).split("="), name = decodeURIComponent(text);
-  scene = null;
-  for (const [id, own] of [["to-scenes", ["scenes", "scene"]], ["to-runs", ["runs", "run"]]]) {
+  scene?.close();
+  run?.close();
+  scene = run = null;
+  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
     else document.getElementById(id).removeAttribute("aria-current");
   }
   document.title = `${name || (what === "runs" ? "Runs" : "Scenes")} · nuno studio`;
   view.replaceChildren();
-  if (what === "scene") { scene = new SceneView(view, name); await scene.open(); }
+  if (what === "draw" && !name) scene = new RunView(view);
+  else if (what === "scene" || what === "draw") { scene = new SceneView(view, name); await scene.open(what === "draw"); }
   else if (what === "runs") await recordings(view);
-  else if (what === "run") await recording(view, name);
+  else if (what === "run") { run = new Replay(name); await recording(view, name, run); }
+  else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
   else await gallery(view);
   if (shown === hash) view.dataset.shown = hash;
 }
 
 window.addEventListener("hashchange", route);
 window.addEventListener("beforeunload", (e) => { if (scene?.unsaved) e.preventDefault(); });
-document.addEventListener("keydown", (e) => scene?.keys(e));
+document.addEventListener("keydown", (e) => (scene ?? run)?.keys(e));
 route();
 ask("now").then((answer) => { if (answer.ok) dock.follow(answer); });
 /** For whoever wants to look into the page from its console, or test it. */
-window.nuno = { get scene() { return scene; }, dock };
+window.nuno = { get scene() { return scene; }, get run() { return run; }, dock };

@@ -1,4 +1,5 @@
 import { ask } from "./ask.js";
+import { Cloth } from "./cloth.js";
 import { make } from "./dom.js";
 import { dock } from "./dock.js";
 import { Form, wordsOf } from "./form.js";
@@ -19,16 +20,20 @@ async function known() {
 
 /** A scene that is open: its text and its form, in step. */
 export class SceneView {
-  constructor(view, name) { Object.assign(this, { view, name, version: 0, queue: Promise.resolve() }); }
+  constructor(view, name) { Object.assign(this, { view, name, version: 0, queue: Promise.resolve(), mistakes: [] }); }
 
-  async open() {
+  /** drawing: in the mode for lines on the cloth. */
+  async open(drawing = false) {
     const [answer, read] = await Promise.all([ask("open", { scene: this.name }), known()]);
     if (!taken(answer)) return;
     Object.assign(this, { saved: answer.text, own: answer.own, file: answer.file });
+    this.cloth = new Cloth(this);
+    this.cloth.draw.wanted = drawing;
     this.build();
     this.text = new Text(this.view.querySelector(".editor"), () => this.typed());
     this.form = new Form(this.view.querySelector(".fields"), read, (what) => this.change(what), (path) => this.look(path));
     this.text.open(answer.text);
+    if (answer.changed !== null) this.text.set(answer.changed);
     this.take(answer);
     this.view.addEventListener("line", (e) => { this.side("text"); this.text.go(e.detail); });
   }
@@ -38,11 +43,10 @@ export class SceneView {
     const side = (which, textContent) => button(`side-${which}`, textContent, () => this.side(which));
     this.box = make("div", { className: "scene" },
       make("div", { className: "head" }, make("h1", { textContent: this.name }), make("span", { id: "unsaved", className: "unsaved", role: "status" }),
-        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form")),
+        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form"), side("cloth", "Cloth")),
         make("span", { className: "group" },
           button("undo", "Undo", () => this.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.text.redo(), { title: "Ctrl Shift Z" }),
           button("save", this.own ? "Save" : "Save as …", () => this.save(), { title: "Ctrl S" }),
-          button("draw", "Draw lines", () => this.draw(), { title: "Ridges and valleys on the cloth by hand, in a page of its own" }),
           button("plan", "Plan", () => this.plan(), { title: "What will run, what is left out, the stable step, the cost" }),
           button("run-step", "Step", () => this.run(true), { title: "Start a run that waits after its first frame" }),
           button("run", "Run", () => this.run(false), { className: "main", title: "Ctrl Enter" }))),
@@ -50,7 +54,8 @@ export class SceneView {
         make("section", { className: "side text", ariaLabel: "Text" },
           make("div", { className: "editor" }, make("div", { className: "gutter", ariaHidden: "true" }), make("textarea", { id: "text", spellcheck: false, wrap: "off", ariaLabel: "The scene as YAML" })),
           make("div", { className: "verdict", role: "status", id: "verdict" })),
-        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" }))),
+        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" })),
+        this.cloth.box),
       make("div", { className: "panel plan", id: "planned", hidden: true }));
     this.view.replaceChildren(this.box);
     this.side("text");
@@ -59,8 +64,17 @@ export class SceneView {
   /** In a narrow window, which side is shown. */
   side(which) {
     this.box.dataset.side = which;
-    for (const one of ["text", "form"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
+    for (const one of ["text", "form", "cloth"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
   }
+
+  /** Only the cloth, or text and form beside it. */
+  large(large = this.box.dataset.large !== "true") {
+    this.box.dataset.large = String(large);
+    const button = document.getElementById("cloth-large");
+    Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "Text and form beside it (key L)" : "Hide text and form (key L)" });
+  }
+
+  close() { this.cloth?.close(); }
 
   typed() {
     this.version++;
@@ -74,26 +88,25 @@ export class SceneView {
     if (version === this.version && taken(answer)) this.take(answer);
   }
 
-  /** A change by the form: one after the other, each of the text that the one before has made. */
-  change(what) {
+  /** A change by form or brush: one after the other, each of the text that the one before has made. */
+  change(what, does = "change") {
     this.queue = this.queue.then(async () => {
-      const version = this.version, answer = await ask("change", { scene: this.name, text: this.text.value, ...what });
-      if (version !== this.version || !taken(answer)) return;
-      this.text.set(answer.text);
-      this.take(answer, true);
+      const version = this.version, answer = await ask(does, { scene: this.name, text: this.text.value, ...what });
+      if (version === this.version && taken(answer)) this.put(answer);
     });
     return this.queue;
   }
 
   /** What the server says of the text. */
   take({ data, lines, mistakes }, keep = false) {
-    Object.assign(this, { lines, mistakes });
+    Object.assign(this, { data, lines, mistakes, checked: this.text.value });
     this.text.mark(mistakes.map(({ line }) => line).filter(Boolean));
     this.form.show(data, mistakes, keep);
     const verdict = document.getElementById("verdict"), first = mistakes.find(({ line }) => line);
     verdict.replaceChildren(make("span", { className: mistakes.length ? "bad" : "good", textContent: mistakes.length ? count(mistakes.length, "mistake") : "No mistakes" }));
     if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => this.text.go(first.line) }));
     // What is wrong with the whole of the text has no field.
+    this.cloth.update();
     verdict.append(...mistakes.filter((one) => !this.form.placed.has(one)).map(wordsOf));
     this.state();
   }
@@ -106,7 +119,10 @@ export class SceneView {
     document.getElementById("save").disabled = this.own && !changed;
   }
 
-  get unsaved() { return Boolean(this.text) && this.text.value !== this.saved; }
+  /** Whether the text as it stands has been found to have no mistakes. */
+  get good() { return !this.mistakes.length && this.text?.value === this.checked; }
+
+  get unsaved() { return Boolean(this.text) && (this.text.value !== this.saved || this.cloth.draw.unsaved); }
 
   look(path) { this.text.point(this.lines[path]); }
 
@@ -123,10 +139,19 @@ export class SceneView {
     box.scrollIntoView({ block: "nearest" });
   }
 
-  async run(paused) {
+  /** Run the text, or another in its place; whether it has begun. */
+  async run(paused, text = this.text.value) {
     document.getElementById("planned").hidden = true;
-    const answer = await ask("run", { scene: this.name, text: this.text.value, paused });
+    const answer = await ask("run", { scene: this.name, text, paused });
     if (taken(answer)) dock.follow(answer);
+    return answer.ok;
+  }
+
+  /** Take a text that the server has made of this one. */
+  put(answer) {
+    this.version++;
+    this.text.set(answer.text);
+    this.take(answer, true);
   }
 
   async save() {
@@ -140,17 +165,9 @@ export class SceneView {
     else location.hash = `#scene=${encodeURIComponent(answer.name)}`;
   }
 
-  async draw() {
-    if (this.unsaved) { toast("Save the scene first", "Lines are drawn on the scene as it is in its file.", true); return; }
-    const button = document.getElementById("draw");
-    button.disabled = true;
-    const answer = await ask("draw", { scene: this.name });
-    button.disabled = false;
-    if (taken(answer)) window.open(answer.address, "_blank", "noopener");
-  }
-
   keys(e) {
     const key = e.key.toLowerCase();
+    if (this.cloth?.draw.keys(e) || this.cloth?.paint.keys(e)) return;
     if (!(e.ctrlKey || e.metaKey) || !this.text) return;
     const does = { z: () => (e.shiftKey ? this.text.redo() : this.text.undo()), y: () => this.text.redo(), s: () => this.save(), enter: () => this.run(false) }[key];
     if (!does) return;

@@ -15,7 +15,12 @@ export class Camera {
   constructor() {
     Object.assign(this, { target: [0, 0, 0], distance: 2, azimuth: 0.35, elevation: 0.2, width: 1, height: 1, size: 1 });
     this.slope = Math.tan(0.3);
+    /** Stages that show what it sees. */
+    this.watched = new Set();
   }
+
+  /** It has been moved: all of them are to be drawn anew. */
+  changed() { for (const stage of this.watched) stage.dirty(); }
 
   get eye() { return add(this.target, toward(this.azimuth, this.elevation), this.distance); }
 
@@ -59,8 +64,8 @@ export class Camera {
   /** Length of a pixel at a distance. */
   pixel(z) { return 2 * this.slope * z / this.height; }
 
-  /** Look at all points of x from where the cloth faces, with room left for the panels. */
-  fit(x, normal) {
+  /** Look at all points of x from where the cloth faces, with some pixels of room left for panels. */
+  fit(x, normal, aside = 0) {
     const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
     for (let i = 0; i < x.length; i++) if (isFinite(x[i])) {
       low[i % 3] = Math.min(low[i % 3], x[i]);
@@ -74,7 +79,7 @@ export class Camera {
       this.azimuth = (Math.hypot(normal[0], normal[2]) > 0.3 ? Math.atan2(normal[0], normal[2]) : 0) + 0.3;
       this.elevation = 0.7 * Math.asin(Math.max(-1, Math.min(1, normal[1]))) + 0.15;
     }
-    const room = Math.max(0.3, (this.width - 560) / this.width);
+    const room = Math.max(0.3, (this.width - aside) / this.width);
     this.distance = 0.56 * this.size / this.slope / Math.min(0.86, room * this.width / this.height);
   }
 

@@ -8,13 +8,13 @@ export class Panel {
 
   show() {
     const { lines } = this, open = lines.open.length;
-    const list = document.getElementById("list");
-    list.replaceChildren(...lines.list.map((line, i) => this.row(line, i + 1)));
-    document.getElementById("none").hidden = lines.list.length > 0;
-    document.getElementById("count").textContent = lines.list.length ? `${lines.list.length}` : "";
+    const part = (id) => document.getElementById(`draw-${id}`);
+    part("list").replaceChildren(...lines.list.map((line, i) => this.row(line, i + 1)));
+    part("none").hidden = lines.list.length > 0;
+    part("count").textContent = lines.list.length ? `${lines.list.length}` : "";
     for (const [id, off] of [["undo", !lines.past.length], ["redo", !lines.future.length], ["clear", !open], ["save", !lines.list.length], ["export", !lines.list.length], ["hide", !lines.list.length]])
-      document.getElementById(id).disabled = off;
-    document.getElementById("hide").textContent = this.stage.veiled ? "Show all" : "Hide all";
+      part(id).disabled = off;
+    part("hide").textContent = this.stage.veiled ? "Show all" : "Hide all";
     this.labels();
   }
 
@@ -49,7 +49,7 @@ export class Panel {
 
   /** What is wrong with lines, on the cloth beside where it is. */
   labels() {
-    const { lines, stage } = this, box = document.getElementById("labels");
+    const { lines, stage } = this, box = document.getElementById("draw-labels");
     box.replaceChildren();
     for (const line of stage.veiled ? [] : lines.list) {
       const error = lines.errors.get(line.id);

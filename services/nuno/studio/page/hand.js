@@ -1,5 +1,6 @@
 import { thin } from "./lines.js";
 import { length, add } from "./math.js";
+import { Orbit } from "./orbit.js";
 
 const STEP = 3, LEAST = 8, CLOSE = 0.5;
 // Pixels between two samples of a line, that a line must have at least, and that it may be moved by thinning it.
@@ -8,56 +9,36 @@ const RING = 18;
 const LEAP = 30;
 // A line that goes on this many times further off than the pixels between two samples are wide is on another layer.
 
-/** Pointer and wheel: a drag on the cloth draws, beside it it turns the view. */
-export class Hand {
+/** Where there is a pen, a drag on the cloth draws, beside it it turns the view. */
+export class Hand extends Orbit {
   constructor(stage, pen, done) {
-    Object.assign(this, { stage, pen, done, mode: "", last: null });
-    const { canvas } = stage;
-    canvas.addEventListener("pointerdown", (e) => this.down(e));
-    canvas.addEventListener("pointermove", (e) => this.move(e));
-    canvas.addEventListener("pointerup", (e) => this.up(e));
-    canvas.addEventListener("pointercancel", () => this.cancel());
-    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
-    canvas.addEventListener("wheel", (e) => {
-      e.preventDefault();
-      stage.camera.zoom(Math.exp(Math.max(-240, Math.min(240, e.deltaY * (e.deltaMode ? 30 : 1))) * 0.0015));
-      stage.dirty();
-    }, { passive: false });
+    super(stage);
+    Object.assign(this, { pen, done });
   }
 
-  down(e) {
-    this.stage.canvas.focus();
-    if (this.mode) return;
-    this.stage.canvas.setPointerCapture(e.pointerId);
-    this.last = { x: e.offsetX, y: e.offsetY };
-    const hit = e.button === 0 && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY);
-    this.mode = hit ? "draw" : e.button === 1 || e.shiftKey ? "shift" : "turn";
-    if (hit) { this.samples = [{ ...this.sample(hit), x: e.offsetX, y: e.offsetY }]; this.preview(); }
-    this.stage.canvas.classList.toggle("turning", !hit);
+  begin(e) {
+    const hit = this.pen() && e.button === 0 && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY);
+    if (!hit) return super.begin(e);
+    this.samples = [{ ...this.sample(hit), x: e.offsetX, y: e.offsetY }];
+    this.preview();
+    return "draw";
   }
 
   move(e) {
-    if (!this.mode) {
-      this.stage.canvas.classList.toggle("on-cloth", !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY) !== null);
-      return;
-    }
-    const seen = this.mode === "draw" && e.getCoalescedEvents?.().length ? e.getCoalescedEvents() : [e];
-    for (const one of seen) this.step(one.offsetX, one.offsetY);
-    this.stage.dirty();
+    if (!this.mode) this.stage.canvas.classList.toggle("on-cloth", Boolean(this.pen()) && !e.shiftKey && this.stage.pick(e.offsetX, e.offsetY) !== null);
+    else if (this.mode === "draw" && e.getCoalescedEvents?.().length) for (const one of e.getCoalescedEvents()) this.step(one.offsetX, one.offsetY);
+    else this.step(e.offsetX, e.offsetY);
   }
 
   step(x, y) {
-    const dx = x - this.last.x, dy = y - this.last.y;
-    if (this.mode === "draw") {
-      const n = Math.ceil(Math.hypot(dx, dy) / STEP);
-      for (let i = 1; i <= n; i++) {
-        const at = { x: this.last.x + (dx * i) / n, y: this.last.y + (dy * i) / n }, hit = this.stage.pick(at.x, at.y);
-        this.samples.push(hit ? { ...this.sample(hit), ...at } : { ...at, place: null });
-      }
-      this.preview();
-    } else if (this.mode === "turn") this.stage.camera.turn(dx, dy);
-    else this.stage.camera.move(dx, dy);
+    if (this.mode !== "draw") { super.step(x, y); return; }
+    const dx = x - this.last.x, dy = y - this.last.y, n = Math.ceil(Math.hypot(dx, dy) / STEP);
+    for (let i = 1; i <= n; i++) {
+      const at = { x: this.last.x + (dx * i) / n, y: this.last.y + (dy * i) / n }, hit = this.stage.pick(at.x, at.y);
+      this.samples.push(hit ? { ...this.sample(hit), ...at } : { ...at, place: null });
+    }
     this.last = { x, y };
+    this.preview();
   }
 
   sample(hit) {
@@ -107,9 +88,8 @@ export class Hand {
   thinned(run) { return thin(run, CLOSE * Math.min(...run.map((s) => s.size))).map((s) => s.place); }
 
   cancel() {
-    this.mode = "";
+    super.cancel();
     this.stage.drawn = null;
-    this.stage.canvas.classList.remove("turning");
     this.stage.dirty();
   }
 }

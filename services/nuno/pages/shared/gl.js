@@ -26,6 +26,15 @@ const FLAT = {
     precision highp float; in vec4 tint; uniform vec4 over; uniform float fade; out vec4 colour;
     void main() { colour = over.a > 0.0 ? over : vec4(tint.rgb, tint.a * fade); }`,
 };
+const LINK = {
+  vertex: `#version 300 es
+    layout(location=0) in vec3 position; layout(location=2) in vec3 colour;
+    uniform mat4 matrix; uniform float dot; out vec3 tint;
+    void main() { gl_Position = matrix * vec4(position, 1.0); gl_PointSize = dot; tint = colour; }`,
+  fragment: `#version 300 es
+    precision highp float; in vec3 tint; out vec4 colour;
+    void main() { colour = vec4(tint, 1.0); }`,
+};
 const RIBBON = {
   // A part of a line, from a to b, is a quad with two more corners at each end, which make a round cap.
   vertex: `#version 300 es
@@ -50,13 +59,24 @@ const RIBBON = {
     }`,
 };
 export const WIDTH = 2.6;
+// Of a vertex that no triangle has, in pixels.
+const DOT = 2.5;
+
+/** Whether there is no graphics card: then edges are not smoothed, which would take most of a picture's time. */
+function inSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), known = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = known ? gl.getParameter(known.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
 
 export class Painter {
   constructor(canvas) {
-    const gl = this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
+    const gl = this.gl = canvas.getContext("webgl2", { antialias: !inSoftware(), alpha: false });
     if (!gl) throw new Error("no WebGL 2");
     this.canvas = canvas;
-    this.lit = this.program(LIT); this.flat = this.program(FLAT); this.ribbon = this.program(RIBBON);
+    this.lit = this.program(LIT); this.flat = this.program(FLAT); this.ribbon = this.program(RIBBON); this.link = this.program(LINK);
+    this.ground = [0.914, 0.929, 0.945];
     this.meshes = { cloth: this.mesh(), body: this.mesh() };
     this.parts = this.lines(); this.fins = this.array([[0, 3], [1, 4]]);
     gl.enable(gl.DEPTH_TEST);
@@ -80,10 +100,10 @@ export class Painter {
     buffers.forEach((buffer, i) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer); gl.enableVertexAttribArray(i); gl.vertexAttribPointer(i, 3, gl.FLOAT, false, 0, 0);
     });
-    const index = gl.createBuffer(), wires = gl.createBuffer();
+    const [index, wires, links, dots] = [0, 1, 2, 3].map(() => gl.createBuffer());
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, index);
     gl.bindVertexArray(null);
-    return { vao, buffers, index, wires, count: 0, edges: 0 };
+    return { vao, buffers, index, wires, links, dots, count: 0, edges: 0, linked: 0, dotted: 0 };
   }
 
   /** Floats of one buffer, each row made of attributes [place, floats]. */
@@ -120,6 +140,31 @@ export class Painter {
 
   move(name, x, normals) { this.fill(this.meshes[name].buffers[0], x); this.fill(this.meshes[name].buffers[1], normals); }
 
+  /** What of the cloth no triangle has: pairs of vertices as lines, and vertices as dots. */
+  setLinks(pairs, loose) {
+    const gl = this.gl, mesh = this.meshes.cloth;
+    gl.bindVertexArray(mesh.vao);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.links); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, pairs, gl.STATIC_DRAW);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.dots); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, loose, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+    mesh.linked = pairs.length; mesh.dotted = loose.length;
+  }
+
+  drawLinks(use, ratio) {
+    const gl = this.gl, mesh = this.meshes.cloth;
+    if (!mesh.dotted) return;
+    use(this.link, { dot: DOT * ratio });
+    gl.bindVertexArray(mesh.vao);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.links); gl.drawElements(gl.LINES, mesh.linked, gl.UNSIGNED_INT, 0);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.dots); gl.drawElements(gl.POINTS, mesh.dotted, gl.UNSIGNED_INT, 0);
+  }
+
+  /** Let the browser have back what it holds for this. */
+  close() { this.gl.getExtension("WEBGL_lose_context")?.loseContext(); }
+
+  /** Three numbers of each vertex, until there are other triangles. */
+  colour(name, colours) { this.fill(this.meshes[name].buffers[2], colours); }
+
   fill(buffer, values) {
     this.gl.bindBuffer(this.gl.ARRAY_BUFFER, buffer);
     this.gl.bufferData(this.gl.ARRAY_BUFFER, values, this.gl.DYNAMIC_DRAW);
@@ -135,7 +180,7 @@ export class Painter {
     const w = Math.round(camera.width * ratio), h = Math.round(camera.height * ratio);
     if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
     gl.viewport(0, 0, w, h);
-    gl.clearColor(0.914, 0.929, 0.945, 1);
+    gl.clearColor(...this.ground, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const matrix = camera.matrix(), { right, up } = camera.axes(), eye = camera.eye;
     const use = ({ p, at }, more) => {
@@ -151,6 +196,7 @@ export class Painter {
       gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
       gl.disable(gl.POLYGON_OFFSET_FILL);
     }
+    this.drawLinks(use, ratio);
     gl.enable(gl.BLEND);
     if (wires) {
       const mesh = this.meshes.cloth;

@@ -1,7 +1,7 @@
 /** The lines drawn, what can be undone, and what was said of each.
 
   A line is { id, kind, height, closed }; closed is one that ends where it began. Of its places, points are places [face, u, v] on the cloth as it is shown; base the same
-  on the cloth that the page began with, which is what a scene's file is about. Places belong to an id and are shared by
+  on the cloth as the scene begins, which is what its text is about, or null where there is no such. Places belong to an id and are shared by
   all states that can be gone back to; kind and height are each state's own.
 */
 export class Lines {
@@ -45,11 +45,14 @@ export class Lines {
     this.past = []; this.future = [];
   }
 
-  /** Back at the start nothing is applied, and every line lies on the cloth that the page began with. */
+  /** Back at the start nothing is applied, and every line lies on the cloth as the scene begins. */
   restart() {
     this.applied.clear(); this.errors.clear();
-    for (const place of this.places.values()) place.points = place.base;
+    for (const place of this.places.values()) place.points = place.base ?? place.points;
   }
+
+  /** Give every place on the start anew, by a function. */
+  rebase(move) { for (const place of this.places.values()) place.base = place.base?.map(move) ?? null; }
 
   /** Give every place anew, by a function. */
   carry(move) { for (const place of this.places.values()) place.points = place.points.map(move); }

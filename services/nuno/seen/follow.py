@@ -13,8 +13,8 @@ import zenoh
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces
-from nuno.draw.shown import draw_bodies, see_now, size_of
-from nuno.draw.sight import NO_POINTS, Board, Sight
+from nuno.seen.shown import draw_bodies, see_now, size_of
+from nuno.seen.sight import NO_POINTS, Board, Sight
 from nuno.simulation.service import NOW
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
@@ -68,9 +68,9 @@ class Follower:
         self._body = NO_POINTS
         self._stack = contextlib.ExitStack()
         session: zenoh.Session = self._stack.enter_context(spoke(endpoint, config, 1.0))
-        self._bus = Bus(session, run, "draw")
+        self._bus = Bus(session, run, "page")
         self._inbox = Inbox(self._bus, [STATE, BODIES, FABRIC, EVENTS], newest_only=True)
-        self._thread = threading.Thread(target=self._follow, name="draw", daemon=True)
+        self._thread = threading.Thread(target=self._follow, name="page", daemon=True)
 
     def start(self) -> None:
         """Show the run's cloth as it is, and go on showing it. Raises RunFailed where the run does not answer."""
@@ -133,6 +133,8 @@ class Follower:
                 if not self._take_in():
                     self._look_after()
                     continue
+                if self.board.wanted(PAUSE):  # bodies are placed for what is shown alone
+                    self._take_in(0.0)
                 self._show_newest()
                 self._stop.wait(max(0.0, INTERVAL - (time.monotonic() - begin)))
         except (RunFailed, BadMessage, zenoh.ZError) as error:
@@ -143,9 +145,9 @@ class Follower:
         if self._ended:
             self.board.show(state=self._ended)
 
-    def _take_in(self) -> bool:
-        """Take in all that has come; whether anything has."""
-        item = self._inbox.get(PAUSE)
+    def _take_in(self, patience: float = PAUSE) -> bool:
+        """Take in all that has come, or comes first within `patience` [s]; whether anything has."""
+        item = self._inbox.get(patience)
         came = item is not None
         while item is not None:
             if isinstance(item, Message) and item.topic.startswith(EVENT.name):

@@ -17,6 +17,7 @@ from nuno_schemas.fabric import Float, Int
 
 NO_POINTS = np.zeros((0, 3))
 NO_FACES = np.zeros((0, 3), np.int32)
+NO_EDGES, NO_LENGTHS = np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
 SAID = ("name", "start", "stop", "colour")
 """What the page is told of a piece of cloth."""
 PATIENCE = 10.0
@@ -29,6 +30,7 @@ class Sight:
 
     number  grows with every one that is shown, shape with every change of topology, place with every move of bodies
     x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] stays what it was at first
+    edges (e, 2), rest (e,) [m]: threads and links, and how long they are unstretched
     state   start (no run), preparing, running, paused, or how a run ended
     """
 
@@ -37,6 +39,8 @@ class Sight:
     pieces: tuple[Piece, ...]
     body: Float = field(default_factory=lambda: NO_POINTS)
     body_faces: Int = field(default_factory=lambda: NO_FACES)
+    edges: Int = field(default_factory=lambda: NO_EDGES)
+    rest: NDArray[np.float32] = field(default_factory=lambda: NO_LENGTHS)
     origin: Float = field(default_factory=lambda: np.zeros(3))
     state: str = "start"
     run: str = ""
@@ -49,30 +53,37 @@ class Sight:
     place: int = 0
 
     def encode(self, shape: int, place: int) -> bytes:
-        """A length, a JSON text and arrays, little-endian.
+        """As `pack` has it.
 
         Topology goes only to a page that has another `shape`, bodies to one that has another `place`.
 
         Positions are float32 about `origin`, so that cloth far from the world's origin keeps its digits.
         """
         origin = self.origin
-        arrays: dict[str, NDArray[Any]] = {"x": _about(self.x, origin)}
+        arrays: dict[str, NDArray[Any]] = {"x": about(self.x, origin)}
         if (shape, place) != (self.shape, self.place):
-            arrays["body"] = _about(self.body, origin)
+            arrays["body"] = about(self.body, origin)
         if shape != self.shape:
             arrays |= {"faces": self.faces.astype("<u4"), "bodyFaces": self.body_faces.astype("<u4")}
+            arrays |= {"edges": self.edges.astype("<u4"), "rest": self.rest.astype("<f4")}
         names = ("state", "run", "frame", "frames", "t", "message", "number", "shape", "place")
         head = {name: getattr(self, name) for name in names} | {
             "origin": origin.tolist(),
             "pieces": [{name: getattr(piece, name) for name in SAID} for piece in self.pieces],
-            "arrays": [[name, str(a.dtype), a.size] for name, a in arrays.items()],
         }
-        text = json.dumps(head).encode()
-        text += b" " * (-len(text) % 4)
-        return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
+        return pack(head, arrays)
 
 
-def _about(x: Float, origin: Float) -> NDArray[np.float32]:
+def pack(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """A length, a JSON text, and arrays of four bytes a number, little-endian, which the text names."""
+    named = [[name, str(a.dtype), a.size] for name, a in arrays.items()]
+    text = json.dumps({**head, "arrays": named}).encode()
+    text += b" " * (-len(text) % 4)
+    return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
+
+
+def about(x: Float, origin: Float) -> NDArray[np.float32]:
+    """Positions (n, 3) [m] as float32 about an origin."""
     return np.ascontiguousarray(x - origin, "<f4")
 
 
@@ -80,9 +91,9 @@ class Board:
     """The newest sight; a page that asks for the next one waits for it."""
 
     def __init__(self, sight: Sight) -> None:
-        finite = len(sight.x) > 0 and bool(np.isfinite(sight.x).all())
-        self._sight = replace(sight, origin=np.round(sight.x.mean(axis=0)) if finite else np.zeros(3))
+        self._sight = replace(sight, origin=_origin(sight.x))
         self._changed = threading.Condition()
+        self._waiting = 0
 
     @property
     def now(self) -> Sight:
@@ -95,17 +106,34 @@ class Board:
             sight = replace(sight or before, **changes)
             shape = before.shape + (not np.array_equal(sight.faces, before.faces))
             shape += not np.array_equal(sight.body_faces, before.body_faces)
+            shape += not np.array_equal(sight.edges, before.edges)
             place = before.place + (not np.array_equal(sight.body, before.body))
-            self._sight = replace(sight, number=before.number + 1, shape=shape, place=place, origin=before.origin)
+            origin = before.origin if len(before.x) else _origin(sight.x)
+            self._sight = replace(sight, number=before.number + 1, shape=shape, place=place, origin=origin)
             self._changed.notify_all()
 
     def wait(self, after: int, patience: float) -> Sight:
         """The first sight with another number than `after`, or after `patience` [s] the present one."""
         with self._changed:
-            self._changed.wait_for(lambda: self._sight.number != after, patience)
+            self._waiting += 1
+            self._changed.notify_all()
+            try:
+                self._changed.wait_for(lambda: self._sight.number != after, patience)
+            finally:
+                self._waiting -= 1
             return self._sight
+
+    def wanted(self, patience: float) -> bool:
+        """Whether a page waits for the next sight, or does so within `patience` [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._waiting > 0, patience)
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """The next frame, for a page that says what it has. Raises Refused."""
         after, shape, place = (whole(query, key) for key in ("after", "shape", "place"))
         return "application/octet-stream", self.wait(after, PATIENCE).encode(shape, place)
+
+
+def _origin(x: Float) -> Float:
+    """(3,) near the middle of points (n, 3) [m]; 0 where there is none."""
+    return np.asarray(np.round(x.mean(axis=0))) if len(x) and np.isfinite(x).all() else np.zeros(3)

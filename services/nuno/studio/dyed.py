@@ -1,0 +1,99 @@
+"""The dyed cloth of scenes as it begins, laid flat: what the page paints on."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nuno.dye.run import build_cloth
+from nuno.dye.supply import Supplies
+from nuno.pages.guard import Refused
+from nuno.pages.server import NOT_FOUND, whole
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.dye import Cells, DyeState, Supply
+from nuno_schemas.dye_picture import Picture, Window, amount_seen
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+SIDE, MOST_SCALE = 1000, 8
+"""Pixels of a picture's longer side, about, and of a cell at most."""
+MOST = 4
+"""Pictures that are kept for pages: each shows the newest that it has asked for."""
+PASTE = np.array([201.0, 150.0, 62.0])
+"""sRGB of what keeps dye out, where it takes all of a cell's room."""
+SHOWN = 0.8
+"""How much of what lies below paste it hides."""
+
+
+class Dyed:
+    """Pictures of scenes' cloth, drawn when a page asks for them, without a run."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self._kept: dict[int, bytes] = {}
+
+    def see(self, loaded: Loaded) -> dict[str, Any]:
+        """Build a scene's cloth: the number of its picture, its size [m], its cells, and the dyes. Raises BadInput."""
+        cells, phi, fixed = at_start(loaded)
+        number = next(self._numbers)
+        self._kept[number] = png_of(draw(loaded, cells, phi, fixed))
+        for old in sorted(self._kept)[:-MOST]:
+            self._kept.pop(old, None)
+        _, ny, nx = cells.fibre.shape
+        dyes = [{"name": one.name, "colour": one.colour.dark} for one in loaded.dyed.said.dyes]
+        return {
+            "number": number,
+            "cell": cells.size,
+            "cells": [nx, ny],
+            "dyes": dyes,
+            "object": loaded.dyed.said.object,
+        }
+
+    def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """One of the pictures. Raises Refused."""
+        found = self._kept.get(whole(query, "number"))
+        if found is None:
+            raise Refused(NOT_FOUND, "this picture is no longer kept")
+        return "image/png", found
+
+
+def cloth_of(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
+    """Cells, what they hold, and what gives dye to them. Raises BadInput for a scene without dye."""
+    if loaded.scene.dye is None:
+        raise BadInput(
+            "only cloth to dye is painted", field="dye", remedy="begin from dye/drops, or add dye to the scene"
+        )
+    return build_cloth(loaded)
+
+
+def at_start(loaded: Loaded) -> tuple[Cells, Float, Float]:
+    """Cells, and the mobile and fixed amounts (dyes, 2, ny, nx) that a run begins with. Raises BadInput."""
+    cells, state, given = cloth_of(loaded)
+    dt = loaded.dyed.said.speed / loaded.scene.frame_rate  # a frame: what begins later is not there yet
+    Supplies(given, cells.mobile_room, dt, len(state.phi)).begin(state.phi, 0)
+    return cells, state.phi, state.fixed
+
+
+def draw(loaded: Loaded, cells: Cells, phi: Float, fixed: Float) -> Picture:
+    """All of the cloth, with what keeps dye out over it."""
+    _, ny, nx = cells.fibre.shape
+    scale = min(MOST_SCALE, max(1, round(SIDE / max(ny, nx))))
+    colours = tuple(one.colour for one in loaded.dyed.said.dyes)
+    chosen = loaded.dyed.picture
+    prepared = chosen.plugin.prepare(chosen.config, loaded.files, cells, colours, Window(0, ny, 0, nx), scale)
+    below: Picture = chosen.plugin.draw(prepared, amount_seen(phi, fixed))
+    over = SHOWN * cells.resist.mean(axis=0).repeat(scale, 0).repeat(scale, 1)[:, :, None]
+    picture: Picture = np.rint((1.0 - over) * below + over * PASTE).astype(np.uint8)
+    return picture
+
+
+def png_of(picture: Picture) -> bytes:
+    """A picture as a PNG file."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "PNG")
+    return out.getvalue()

@@ -1,0 +1,258 @@
+"""A recording as the page replays it: its frames by their times, and where its cloth changes."""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.collision.surfaces import NO_SURFACES, Surfaces
+from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
+from nuno.exports.paint import PLAIN
+from nuno.exports.shapes import sample
+from nuno.recording.gaps import shortcoming
+from nuno.recording.reader import open_recording
+from nuno.recording.recorded import Frame, Recorded
+from nuno.seen.shown import draw_bodies, size_of
+from nuno.seen.sight import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
+from nuno.wire.arrays import BadMessage, decode_points, origin_of
+from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.messages import BODIES, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
+
+DYED = "This cloth is dyed and does not move, so that there is nothing to replay in 3-D: see its last frame."
+NOTHING = "It holds no positions of cloth that could be shown."
+NET = "This cloth has no triangles: its links are shown as lines."
+DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
+
+
+@dataclass(frozen=True)
+class Still:
+    """Cloth and bodies at one moment.
+
+    x (n, 3) [m], as it is recorded or, `between` two frames, interpolated linearly; body (b, 3) [m]; frame is the
+    number of the last one recorded until then, and shape that of the cloth's triangles.
+    """
+
+    t: float
+    frame: int
+    shape: int
+    x: Float
+    body: Float
+    between: bool = False
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the cloth consists of until an operation changes it.
+
+    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] where an
+    image lies on it, else None.
+    """
+
+    pieces: tuple[ShownPiece, ...]
+    faces: Int
+    edges: Int
+    rest: NDArray[np.float32]
+    colours: NDArray[np.float32] | None
+
+    def same_as(self, other: Shape) -> bool:
+        """Whether each vertex is the same of the same cloth in both."""
+        return all(
+            (one.start, one.stop) == (two.start, two.stop)
+            and np.array_equal(one.faces, two.faces)
+            and np.array_equal(one.edges, two.edges)
+            for one, two in zip(self.pieces, other.pieces, strict=False)
+        ) and len(self.pieces) == len(other.pieces)
+
+
+class Film:
+    """A recording, open until it is closed. Any thread may ask it.
+
+    times    log times [ns] of the frames that can be read, rising
+    numbers  of these frames
+    moves    whether they have positions; those of cloth that is dyed alone have none
+    end      the time [s] up to which it can be read; None where nothing is damaged
+    problem  what is, in words
+
+    Raises BadInput where it is no recording.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.recording = open_recording(path)
+        self._lock = threading.RLock()
+        try:
+            self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def _read(self) -> None:
+        recording, last = self.recording, 0
+        states, numbers, changes = set[int](), dict[int, int](), list[int]()
+        self.end: float | None = None
+        self.problem = ""
+        try:
+            for message in recording.messages([STATE.name, STATUS.name, DYE_STATUS.name, FABRIC.name]):
+                last = message.log_time
+                if message.topic == STATE.name:
+                    states.add(last)
+                elif message.topic == FABRIC.name:
+                    changes.append(last)
+                else:
+                    numbers[last] = recording.whole(recording.json(message.payload).get("frame", -1))
+        except BadInput as error:  # what stands before the damage is shown
+            later = [one.message_start_time for one in recording.layout.chunks if one.message_end_time > last]
+            self.end, self.problem = min(later, default=last) / 1e9, str(error)
+        self.moves = bool(states)
+        self.times = sorted(time for time in states or numbers if self.end is None or time < self.end * 1e9)
+        self.numbers = [numbers.get(time, i) for i, time in enumerate(self.times)]
+        self._changes = [time for time in changes if self.times and time <= self.times[-1]]
+        self._shapes: dict[int, Shape] = {}
+        self._bodies: Surfaces = NO_SURFACES
+        self.origin = np.zeros(3)
+        if self.moves and self.times:
+            x = self.stills(self.times[:1])[0].x
+            self.origin, geometry = origin_of(x), recording.last(GEOMETRY.name)
+            if geometry is not None:
+                try:
+                    self._bodies = draw_bodies(decode_geometry(geometry.payload), size_of(x))
+                except BadMessage as error:
+                    raise self._damaged(geometry, error) from None
+
+    @property
+    def says(self) -> list[str]:
+        """What a person is told beside it."""
+        with self._lock:
+            said = [self.problem or shortcoming(self.recording)]
+            if not self.times or not self.moves:
+                said.append(DYED if self.recording.dyed_alone else NOTHING)
+            elif any(not len(piece.faces) for piece in self.shape(0).pieces):
+                said.append(NET)
+            if self.moves and self.recording.scene.get("dye"):
+                said.append(DYE)
+        return [text for text in said if text]
+
+    def close(self) -> None:
+        with self._lock:
+            self.recording.close()
+
+    def series(self) -> dict[str, NDArray[Any]]:
+        """Columns over the frames that can be read: see `nuno.recording.reader.read_series`."""
+        with self._lock:
+            return self.recording.series(self.end)
+
+    @property
+    def body_faces(self) -> Int:
+        """(g, 3) of the bodies."""
+        return self._bodies.faces
+
+    def shape_at(self, time: int) -> int:
+        """Number of the cloth's shape at a log time [ns]."""
+        return max(bisect_right(self._changes, time) - 1, 0)
+
+    def shape(self, number: int) -> Shape:
+        """Raises BadInput where it is damaged, IndexError where there is none."""
+        with self._lock:
+            if not 0 <= number < len(self._changes):
+                raise IndexError("there is no such shape")
+            if number not in self._shapes:
+                self._shapes[number] = self._read_shape(self._changes[number])
+            return self._shapes[number]
+
+    def _read_shape(self, time: int) -> Shape:
+        recording = self.recording
+        try:
+            cut = cut_pieces(*recording.fabric(time / 1e9))
+        except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+            raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
+        pieces = [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in cut]
+        faces, edges, rest = (
+            np.concatenate([none, *rows])
+            for none, rows in (
+                (NO_FACES, (piece.faces + piece.start for piece in pieces)),
+                (NO_EDGES, (piece.edges + piece.start for piece in pieces)),
+                (NO_LENGTHS, (piece.rest for piece in pieces)),
+            )
+        )
+        return Shape(tuple(pieces), faces, edges, rest.astype(np.float32), _printed(pieces))
+
+    def stills(self, times: Sequence[int]) -> list[Still]:
+        """The cloth at log times [ns] that rise, none before the first frame or after the last.
+
+        Raises BadInput where a frame is damaged.
+        """
+        around = [self._around(time) for time in times]
+        wanted = {time for pair in around for time in pair}
+        if not wanted:
+            return []
+        with self._lock:
+            states, poses = dict[int, Float](), dict[int, Float]()
+            window = min(wanted) / 1e9, max(wanted) / 1e9 + 1e-9
+            for message in self.recording.messages([STATE.name, BODIES.name], *window):
+                if message.log_time in wanted:
+                    if message.topic == STATE.name:
+                        states[message.log_time] = self._points(message)
+                    else:
+                        poses[message.log_time] = self._body(message)
+            for time in wanted - poses.keys():
+                poses[time] = self._body(self.recording.last(BODIES.name, time / 1e9))
+            return [self._still(time, *pair, states, poses) for time, pair in zip(times, around, strict=True)]
+
+    def _around(self, time: int) -> tuple[int, int]:
+        """The last frame until a log time and the first one from it on: the same where there is one at that time."""
+        at = bisect_right(self.times, time) - 1
+        before = self.times[at]
+        return before, before if before == time else self.times[at + 1]
+
+    def _still(self, time: int, before: int, after: int, states: dict[int, Float], poses: dict[int, Float]) -> Still:
+        number, shape = self.numbers[bisect_right(self.times, time) - 1], self.shape_at(before)
+        x, body = states[before], poses[before]
+        if after != before and shape == self.shape_at(after):
+            share = (time - before) / (after - before)
+            x = (1.0 - share) * x + share * states[after]
+            body = (1.0 - share) * body + share * poses[after]
+        return Still(time / 1e9, number, shape, x, body, after != before)
+
+    def _points(self, message: Recorded) -> Float:
+        try:
+            x = decode_points(message.payload)
+        except BadMessage as error:
+            raise self._damaged(message, error) from None
+        number, digest = self.numbers[bisect_right(self.times, message.log_time) - 1], ""
+        if self._changes:
+            check_size(self.recording, list(self.shape(self.shape_at(message.log_time)).pieces),
+                       Frame(number, message.t, digest, x))  # fmt: skip
+        return x
+
+    def _body(self, message: Recorded | None) -> Float:
+        if message is None or not len(self._bodies.vertices):
+            return NO_POINTS
+        try:
+            return self._bodies.at(decode_poses(message.payload))
+        except (BadMessage, IndexError) as error:
+            raise self._damaged(message, error) from None
+
+    def _damaged(self, message: Recorded, error: Exception) -> BadInput:
+        return BadInput(f"{message.topic} at {message.t:g} s is damaged: {error}", str(self.recording.path))
+
+
+def _printed(pieces: Sequence[ShownPiece]) -> NDArray[np.float32] | None:
+    """(n, 3) sRGB of all vertices where an image lies on a piece, else None: each has the colour of its pixel."""
+    if all(piece.image is None for piece in pieces):
+        return None
+    colours = np.ones((max(piece.stop for piece in pieces), 3), np.float32)
+    for piece in pieces:
+        own = colours[piece.start : piece.stop]
+        own[:] = to_srgb(parse_hex(piece.colour or PLAIN))
+        if piece.image is not None and (laid := piece.laid_out) is not None:
+            own[laid.vertex] = sample(piece.image, laid.points) / 255.0
+    return colours

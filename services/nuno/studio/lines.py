@@ -1,0 +1,96 @@
+"""Lines drawn on the cloth that the page shows: tried, given to a run, written into a scene's text, exported."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from nuno.draw import keep
+from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
+from nuno.draw.refusals import beside
+from nuno.draw.shown import require_lines
+from nuno.pages.server import describe
+from nuno.scene.scene_file import Loaded
+from nuno.seen.sight import Sight
+from nuno.studio.cloth import Start, Starts
+from nuno.studio.run import Run
+from nuno.wire.arrays import BadMessage
+from nuno_schemas.errors import BadInput, RunFailed
+
+Load = Callable[[str], Loaded]
+
+
+class Drawing:
+    """What a page asks for that draws on a start (`start`, its number), or on the run that goes on (`run`, `shape`)."""
+
+    def __init__(self, starts: Starts) -> None:
+        self._starts = starts
+
+    def begin(self, request: Mapping[str, Any]) -> None:
+        """Raises BadInput for a start that lines cannot be drawn on."""
+        start = self._start(request)
+        require_lines(start.loaded, start.fabric)
+
+    def check(self, request: Mapping[str, Any]) -> None:
+        """Try lines on the cloth as it begins. Raises BadInput for the first that cannot be raised."""
+        start = self._start(request)
+        strokes, sight = read_strokes(request.get("lines"), start.sight), start.sight
+        for which in pieces_of(strokes, sight).values():
+            (operation,) = keep.as_operations(by_object([strokes[i] for i in which], sight), request.get("settings"))
+            try:
+                start.trial.apply(operation)
+            except BadInput as error:
+                raise beside(error, strokes, which, sight) from None
+
+    def keep(self, request: Mapping[str, Any], text: str, load: Load) -> str:
+        """A text with lines that were drawn on a start. Raises BadInput."""
+        start = self._start(request)
+        strokes = read_strokes(request.get("lines"), start.sight)
+        lines = {exact: by_object(strokes, start.sight, exact) for exact in (True, False)}
+        return keep.with_lines(text, start.loaded.path.name, start.sight, lines, request.get("settings"), load)
+
+    def export(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
+        """The lines as an OBJ file's text, which the browser saves. Raises BadInput."""
+        sight = self._start(request).sight if "start" in request else _sight(run, request)
+        name = self._start(request).loaded.scene.name if "start" in request else sight.run
+        return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
+
+    def apply(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
+        """Add lines to the run, those of each object at once; numbers of those that it took, and what it refused."""
+        sight = _sight(run, request)
+        assert run is not None and run.live is not None
+        strokes = read_strokes(request.get("lines"), sight)
+        refused: dict[str, Any] = {}
+        applied: list[int] = []
+        for which in pieces_of(strokes, sight).values():
+            (item,) = keep.as_items(by_object([strokes[i] for i in which], sight), request.get("settings"))
+            try:
+                run.control("add", item=item)
+            except BadInput as error:
+                refused = {"ok": False} | describe(beside(error, strokes, which, sight))
+                break
+            applied += which
+        if run.live.follower is not None:
+            with contextlib.suppress(RunFailed, BadMessage):
+                run.live.follower.see()
+        return {"applied": applied} | refused
+
+    def _start(self, request: Mapping[str, Any]) -> Start:
+        number = request.get("start")
+        start = self._starts.kept.get(number) if isinstance(number, int) else None
+        if start is None:
+            remedy = "go back to the start, and try again"
+            raise BadInput("the start that the lines were drawn on is no longer kept", field="start", remedy=remedy)
+        return start
+
+
+def _sight(run: Run | None, request: Mapping[str, Any]) -> Sight:
+    """What is shown of a run, if the page has drawn on that. Raises BadInput."""
+    if run is None or not run.going or run.live is None:
+        raise BadInput("no run goes on", remedy="start one with Run")
+    sight = run.live.board.now
+    if request.get("shape") != sight.shape:
+        remedy = "try again: the lines have moved along"
+        raise BadInput("the cloth's triangles have changed meanwhile", field="shape", remedy=remedy)
+    return sight

@@ -1,0 +1,54 @@
+import { make } from "./dom.js";
+import { Orbit } from "./orbit.js";
+import { colours, gradient, stretched } from "./scale.js";
+import { Stage } from "./stage.js";
+
+/** Frames of a reel in 3-D, in the scene's own colours or by what is measured on each vertex. */
+export class Screen {
+  /** name: beside it, of one of several; camera: that several share. */
+  constructor(reel, { name = "", camera, id = "film" } = {}) {
+    Object.assign(this, { reel, by: "", most: 0, index: -1 });
+    this.canvas = make("canvas", { id, className: "film", tabIndex: 0, ariaLabel: `The cloth${name && ` of ${name}`}. Drag or arrow keys turn it, with Shift they move it, the wheel or + and - come nearer.` });
+    this.box = make("div", { className: "screen" }, this.canvas, ...(name ? [make("span", { className: "tag", textContent: name })] : []));
+    this.stage = new Stage(this.canvas, camera ? { camera } : {});
+    new Orbit(this.stage);
+  }
+
+  show(index) {
+    const frame = this.reel.at(index);
+    if (!frame) return;
+    this.index = index;
+    this.frame = frame;
+    const { stage } = this, same = stage.shape === frame.shape, { far, ...known } = frame;
+    if (same) { delete known.faces; delete known.bodyFaces; delete known.edges; }
+    if (same && frame.body === this.placed) delete known.body;
+    this.placed = frame.body;
+    known.colours = same ? undefined : frame.colours;
+    stage.show(known);
+    if (this.by || !same) this.paint();
+  }
+
+  /** Colour by "stretch", "far" or, with "", as the scene has it. */
+  colour(by, most = this.most) { this.by = by; this.most = most; if (this.frame) this.paint(); }
+
+  paint() {
+    const { frame } = this;
+    let found = frame.colours;
+    if (this.by === "stretch") found = colours(stretched(frame));
+    if (this.by === "far" && frame.far) found = colours(frame.far.map((value) => value / (this.most || 1)));
+    this.stage.colour(found);
+  }
+
+  close() { this.stage.close(); }
+}
+
+/** A bar with the scale's colours between what its ends stand for. */
+export class Bar {
+  constructor(id, low, high) {
+    this.low = make("span", { textContent: low });
+    this.high = make("span", { textContent: high });
+    const bar = make("i");
+    bar.style.background = gradient;
+    this.box = make("div", { className: "scale", id, hidden: true }, this.low, bar, this.high);
+  }
+}

@@ -1,0 +1,182 @@
+"""Recordings as the page replays them: what it asks of one, of two on one clock, and their frames as bytes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nuno.pages.guard import Refused
+from nuno.pages.server import BAD_REQUEST, NOT_FOUND, whole
+from nuno.scene.files import stamp_of
+from nuno.seen.sight import SAID, about, pack
+from nuno.studio.film import Film, Still
+from nuno.studio.pair import Pair
+from nuno.studio.plots import plots_of
+from nuno.studio.recordings import Recordings
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+MOST_FILMS, MOST_PAIRS, MOST_FRAMES = 6, 2, 64
+"""That are kept open for pages, and that are asked for at once."""
+GONE = 410
+BYTES = "application/octet-stream"
+
+
+class Screen:
+    """The films that pages look at, of a folder's recordings.
+
+    The page knows each by a text, of the recording's name and of how the file was: one that was written anew since is
+    another film.
+    """
+
+    def __init__(self, recordings: Recordings) -> None:
+        self.recordings = recordings
+        self._films: dict[str, Film] = {}
+        self._pairs: dict[tuple[str, str], Pair] = {}
+        self._lock = threading.RLock()
+
+    def replay(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """What the page begins to replay a recording with. Raises BadInput."""
+        key, film = self._open(request.get("recording"))
+        shapes = film.shape_at(film.times[-1]) + 1 if film.moves and film.times else 0
+        return {
+            "film": key,
+            "times": [time / 1e9 for time in film.times],
+            "numbers": film.numbers,
+            "moves": film.moves and bool(film.times),
+            "shapes": shapes,
+            "says": film.says,
+        }
+
+    def plots(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Its series, for plots. Raises BadInput."""
+        series = self._film(request.get("film")).series()
+        return {"t": series.get("t", np.zeros(0)).tolist(), "plots": [plot.to_json() for plot in plots_of(series)]}
+
+    def compare(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Two recordings on one clock, and how far apart they are as far as that is measured. Raises BadInput."""
+        films = request.get("first"), request.get("second")
+        if films[0] == films[1]:
+            raise BadInput("a run is not compared with itself", value=films[0], remedy="choose another one")
+        pair = self._pair(*map(str, films))
+        return {
+            "times": [time / 1e9 for time in pair.times],
+            "spans": [[film.times[0] / 1e9, film.times[-1] / 1e9] for film in pair.films],
+            "interpolated": pair.interpolated,
+        } | pair.tell()
+
+    def frames(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """Some frames of a film, those from number `first` on; beside another film those of the clock of both, with how
+        far each vertex is from the other's. Raises Refused.
+        """
+        first, count = whole(query, "first"), whole(query, "count")
+        key, beside = (query.get(name, [""])[0] for name in ("film", "beside"))
+        far: list[Float | None] = [None] * count
+        try:
+            film = self._film(key)
+            pair = self._pair_of(key, beside) if beside else None
+            times = (pair.times if pair else film.times)[first : first + count] if first >= 0 else []
+            if not 0 < count <= MOST_FRAMES or not times:
+                raise Refused(BAD_REQUEST, "there are no such frames")
+            stills = film.stills(times)
+            if pair is not None:
+                far = _far(pair, film, stills, times)
+        except BadInput as error:
+            raise Refused(GONE, str(error)) from None
+        return BYTES, _encode(film, stills, far)
+
+    def shape(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """What the cloth of a film consists of, by a shape's number, and its bodies' triangles. Raises Refused."""
+        try:
+            film = self._film(query.get("film", [""])[0])
+            shape = film.shape(whole(query, "shape"))
+        except (BadInput, IndexError) as error:
+            raise Refused(NOT_FOUND, str(error)) from None
+        arrays = {"faces": shape.faces.astype("<u4"), "edges": shape.edges.astype("<u4"), "rest": shape.rest}
+        arrays["bodyFaces"] = film.body_faces.astype("<u4")
+        if shape.colours is not None:
+            arrays["colours"] = shape.colours
+        return BYTES, pack({"pieces": [{name: getattr(p, name) for name in SAID} for p in shape.pieces]}, arrays)
+
+    def forget(self, name: str) -> None:
+        """Close the films of a recording."""
+        with self._lock:
+            for key in [key for key in self._films if key.partition(":")[2] == name]:
+                self._close(key)
+
+    def close(self) -> None:
+        """Close all of them."""
+        with self._lock:
+            for key in list(self._films):
+                self._close(key)
+
+    def _close(self, key: str) -> None:
+        for pair in [pair for pair in self._pairs if key in pair]:
+            self._pairs.pop(pair).close()
+        self._films.pop(key).close()
+
+    def _open(self, name: object) -> tuple[str, Film]:
+        path = self.recordings.find(name)
+        with self._lock:
+            key = _key(path)
+            if key not in self._films:
+                for old in list(self._films)[: len(self._films) + 1 - MOST_FILMS]:
+                    self._close(old)
+                self._films[key] = Film(path)
+            self._films[key] = self._films.pop(key)  # the last of those that are wanted
+            return key, self._films[key]
+
+    def _film(self, key: object) -> Film:
+        """Raises BadInput where it was closed meanwhile, and the file is another one now."""
+        film = self._films.get(str(key))
+        if film is None:
+            now, film = self._open(str(key).partition(":")[2])
+            if now != key:
+                raise BadInput("the recording has changed since", value=key, remedy="load the page again")
+        return film
+
+    def _pair(self, first: str, second: str) -> Pair:
+        with self._lock:
+            if (first, second) not in self._pairs:
+                one, two = self._film(first), self._film(second)
+                for old in list(self._pairs)[: len(self._pairs) + 1 - MOST_PAIRS]:
+                    self._pairs.pop(old).close()
+                self._pairs[first, second] = Pair(one, two)
+            return self._pairs[first, second]
+
+    def _pair_of(self, key: str, beside: str) -> Pair:
+        return next((self._pairs[names] for names in ((key, beside), (beside, key)) if names in self._pairs), None) or (
+            self._pair(key, beside)
+        )
+
+
+def _key(path: Path) -> str:
+    try:
+        return f"{'-'.join(map(str, stamp_of(path)))}:{path.name}"
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
+
+
+def _far(pair: Pair, film: Film, stills: list[Still], times: list[int]) -> list[Float | None]:
+    """How far each vertex is from the same one of the other film [m]."""
+    other = pair.films[1] if film is pair.films[0] else pair.films[0]
+    theirs = other.stills(times)
+    ordered = (stills, theirs) if film is pair.films[0] else (theirs, stills)
+    return [pair.distances(one, two) for one, two in zip(*ordered, strict=True)]
+
+
+def _encode(film: Film, stills: list[Still], far: list[Float | None]) -> bytes:
+    """x, body and far of each frame with its place behind the name; bodies only where they have moved since."""
+    arrays, heads = {}, []
+    for i, (still, apart) in enumerate(zip(stills, far, strict=False)):
+        arrays[f"x{i}"] = about(still.x, film.origin)
+        if i == 0 or not np.array_equal(still.body, stills[i - 1].body):
+            arrays[f"body{i}"] = about(still.body, film.origin)
+        if apart is not None:
+            arrays[f"far{i}"] = apart.astype("<f4")
+        heads.append({"t": still.t, "frame": still.frame, "shape": still.shape, "between": still.between})
+    return pack({"origin": film.origin.tolist(), "frames": heads}, arrays)

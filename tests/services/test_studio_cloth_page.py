@@ -1,0 +1,166 @@
+"""The cloth in the page of `nuno studio`, in a browser: its start, a run that goes on, and what is asked for then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_run import wait_until
+from studio_desk import FILE, SHEET, studio, write_sheet
+
+from nuno.pages.server import Server
+from nuno.scene import scene_file
+from nuno.seen.shown import see_scene
+from nuno.studio import cloth
+from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
+
+pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+PATIENCE = 300.0
+"""The first run on a machine compiles kernels [s]."""
+VIEW = "nuno.scene.cloth"
+BOX = "(({x, y, width, height}) => [x, y, width, height])(document.getElementById('cloth').getBoundingClientRect())"
+CAMERA = f"(({{azimuth, elevation, distance}}) => [azimuth, elevation, distance])({VIEW}.stage.camera)"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
+        yield one
+        assert one.said == []
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cloth, "LEAVE", 0.3)
+    write_sheet(tmp_path)
+    with studio() as both:
+        yield both
+
+
+def look(page: Page, server: Server, name: str = FILE) -> None:
+    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
+    page.open("about:blank")
+    page.open(server.guard.address + f"#scene={name.replace('/', '%2F')}")
+    page.wait(f"window.nuno?.scene?.name === '{name}' && {VIEW}?.frame")
+
+
+def shown(page: Page) -> np.ndarray[Any, Any]:
+    """(n, 3) where the page has the cloth, about its origin."""
+    return np.array(page.value(f"[...{VIEW}.stage.cloth.x]"), np.float32).reshape(-1, 3)
+
+
+def size(page: Page, width: int) -> None:
+    more: dict[str, Any] = {"deviceScaleFactor": 1, "mobile": False}
+    page.call("Emulation.setDeviceMetricsOverride", width=width, height=820, **more)
+
+
+def painted(page: Page) -> int:
+    """How many pixels of the canvas are not its background's."""
+    page.wait(f"!{VIEW}.stage.asked")
+    x, y, w, h = (round(value) for value in page.value(BOX))
+    seen = page.picture()[y + 60 : y + h - 4, x + 4 : x + w - 4].astype(int)
+    return int((np.abs(seen - seen[0, 0]).sum(axis=2) > 20).sum())
+
+
+def test_the_start_of_the_text_is_shown_without_a_run_and_changes_with_it(
+    page: Page, served: tuple[Desk, Server]
+) -> None:
+    look(page, served[1])
+    sight, _ = see_scene(scene_file.read(Path(FILE)))
+    assert np.allclose(shown(page), sight.x, atol=1e-6) and painted(page) > 5000
+    number = page.value(f"{VIEW}.built.length")
+    page.value("document.getElementById('text').focus(); document.getElementById('text').setSelectionRange(0, 1e6)")
+    page.type(text := SHEET.replace("[9, 9]", "[5, 7]"))
+    page.wait(f"{VIEW}.stage.cloth.x.length === {3 * 5 * 7}")
+    page.value("document.getElementById('text').setSelectionRange(0, 1e6)")
+    page.type(text.replace("silk", "sillk"))
+    page.wait("nuno.scene.mistakes.length === 1")
+    assert len(shown(page)) == 35 and page.value(f"{VIEW}.built.length") == number
+    assert not Path("recordings").exists()
+
+
+def test_the_view_is_turned_by_mouse_and_keys_and_coloured_by_stretch(page: Page, served: tuple[Desk, Server]) -> None:
+    look(page, served[1])
+    first = page.value(CAMERA)
+    x, y, _, _ = page.value(BOX)
+    x, y = x + 60, y + 300
+    page.drag([(x, y), (x + 50, y + 20)])
+    turned = page.value(CAMERA)
+    assert turned[0] == pytest.approx(first[0] - 0.35) and turned[1] == pytest.approx(first[1] + 0.14)
+    assert page.value("document.activeElement.id") == "cloth"
+    for key, which in [("ArrowLeft", 0), ("-", 2)]:
+        before = page.value(CAMERA)
+        page.press(key)
+        after = page.value(CAMERA)
+        assert after[which] > before[which], key
+    page.press("f")
+    assert page.value(CAMERA)[2] == pytest.approx(first[2], rel=0.2)
+    page.press("s")
+    assert page.value("!document.querySelector('.scale').hidden")
+    page.press("l")
+    assert page.value("document.querySelector('.side.text').offsetParent === null")
+    page.press("l")
+
+
+def test_a_run_is_shown_while_it_is_on_the_screen_and_not_followed_else(
+    page: Page, served: tuple[Desk, Server]
+) -> None:
+    desk = served[0]
+    Path(FILE).write_text(SHEET.replace("0.4 s", "400 s"))
+    look(page, served[1])
+    start = shown(page)
+    page.click("run")
+    page.wait(f"{VIEW}.frame.frame > 5", PATIENCE)
+    page.wait(f"/pictures/.test({VIEW}.figures.textContent)")
+    assert not np.allclose(shown(page), start, atol=1e-4)
+    own = desk._own
+    assert own is not None and own.live is not None
+    size(page, 700)  # where the text is in front of the cloth
+    wait_until(lambda: own.live.follower is None)
+    frame = page.value(f"{VIEW}.frame.frame")
+    page.click("side-cloth")
+    page.wait(f"{VIEW}.frame.frame > {frame + 3}")
+    page.value("Object.defineProperty(document, 'hidden', {value: true, configurable: true})")
+    page.value("document.dispatchEvent(new Event('visibilitychange'))")
+    wait_until(lambda: own.live.follower is None)
+    page.value("delete document.hidden; document.dispatchEvent(new Event('visibilitychange'))")
+    wait_until(lambda: own.live.follower is not None)
+    size(page, 1300)
+    check_set(page)
+    page.click("pause")
+    page.wait("nuno.dock.now.state === 'paused'")
+    page.wait(f"{VIEW}.frame.frame === nuno.dock.now.frame")
+    now = own.live.board.now
+    assert np.array_equal(shown(page), (now.x - now.origin).astype(np.float32))
+    page.click("stop")
+    page.wait("nuno.dock.now.state === 'over'", PATIENCE)
+    wait_until(lambda: own.live.follower is None)
+    page.click("cloth-back")
+    page.wait(f"{VIEW}.frame.state === 'start'")
+    assert np.array_equal(shown(page), start)
+
+
+def check_set(page: Page) -> None:
+    """A field is set in the dock, and what cannot be is refused beside it."""
+    for item, words in [("damping=0.75", "damping 0.5 → 0.75 at frame"), ("duration=1 s", "cannot change while")]:
+        page.value("document.getElementById('set-item').select()")
+        page.type(item)
+        page.press("Enter")
+        page.wait(f"document.getElementById('set-said').textContent.includes({words!r})")
+
+
+def test_cloth_of_yarns_is_shown_as_lines_and_what_is_not_shown_is_said(
+    page: Page, served: tuple[Desk, Server]
+) -> None:
+    look(page, served[1], "knit/stitch-10x10")
+    page.wait("document.getElementById('cloth-said').textContent.includes('links are shown as lines')")
+    assert painted(page) > 300
+    look(page, served[1], "skirt-dyed")
+    page.wait("document.getElementById('cloth-said').textContent.includes('Dye')")
+    page.value("location.hash = '#scene=dye%2Fdrops'")
+    page.wait("document.getElementById('cloth-said')?.textContent.includes('no cloth here that moves')")

@@ -1,0 +1,242 @@
+"""Recordings as the page of `nuno studio` replays and compares them: the bytes that it gets are what was recorded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_run import PATIENCE, wait_until
+from numpy.typing import NDArray
+from recorded_sheet import Sheet, items, metadata, write
+from studio_desk import FILE, write_sheet
+
+import nuno
+from nuno.exports.cloth import body_vertices, read_bodies
+from nuno.pages.guard import Refused
+from nuno.recording.reader import END, open_recording
+from nuno.recording.writer import RecordingWriter, part_of
+from nuno.studio.desk import Desk
+from nuno.wire.arrays import encode_points
+from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import FABRIC, STATE
+
+FOLDER = Path("recordings")
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    """In a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    FOLDER.mkdir()
+    one = Desk()
+    yield one
+    one.close()
+
+
+def ask(desk: Desk, name: str, /, **more: object) -> dict[str, Any]:
+    return desk.act({"do": name} | more)
+
+
+def unpack(answer: tuple[str, bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Head and arrays of what the server tells, as the page takes them apart."""
+    body = answer[1]
+    size = int.from_bytes(body[:4], "little")
+    head, at = json.loads(body[4 : 4 + size]), 4 + size
+    arrays = {}
+    for name, kind, count in head["arrays"]:
+        arrays[name] = np.frombuffer(body, kind, count, at)
+        at += 4 * count
+    assert at == len(body)
+    return head, arrays
+
+
+def frames(desk: Desk, film: str, first: int, count: int, beside: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
+    query = {"film": [film], "first": [str(first)], "count": [str(count)], "beside": [beside]}
+    return unpack(desk.screen.frames(query))
+
+
+def both(desk: Desk, one: str, two: str) -> tuple[list[str], dict[str, Any]]:
+    """The films of two recordings, and how far apart they are once all is measured."""
+    films = [ask(desk, "replay", recording=name)["film"] for name in (one, two)]
+    wait_until(lambda: ask(desk, "compare", first=films[0], second=films[1])["measured"])
+    return films, ask(desk, "compare", first=films[0], second=films[1])
+
+
+def waving(path: Path, rate: float = 50.0, size: float = 1.0, sheet: Sheet | None = None, frames: int = 20) -> None:
+    """A sheet that waves `size` times as far, recorded at a rate."""
+    sheet = sheet or Sheet()
+    writer = RecordingWriter(path, metadata(), {})
+    for topic, header, payload in items(sheet, frames):
+        t = header.t * 50.0 / rate
+        if topic == STATE.name:
+            payload = encode_points(sheet.rest + size * (sheet.x(t) - sheet.rest), t)
+        writer.write(topic, header.model_copy(update={"t": t}), payload)
+    writer.finish({END: {"state": "done", "complete": "true", "missing": "{}"}})
+
+
+def test_frames_are_the_bytes_that_were_recorded(desk: Desk) -> None:
+    write(path := FOLDER / "wave.mcap", Sheet())
+    found = ask(desk, "replay", recording=path.name)
+    head, arrays = frames(desk, found["film"], 3, 5)
+    with open_recording(path) as recording:
+        recorded = list(recording.frames())
+        bodies = read_bodies(recording)
+        assert found["times"] == [frame.t for frame in recorded]
+        assert found["numbers"] == [frame.number for frame in recorded] and found["says"] == []
+        for i, frame in enumerate(recorded[3:8]):
+            x = (arrays[f"x{i}"].reshape(-1, 3).astype(np.float64)) + head["origin"]
+            assert np.array_equal(x, frame.x)  # the origins are the same: not a bit is lost
+            body = arrays[f"body{i}"].reshape(-1, 3) + head["origin"]
+            assert np.allclose(body, body_vertices(recording, bodies, frame.t), atol=1e-6)
+    assert [one["frame"] for one in head["frames"]] == [3, 4, 5, 6, 7]
+    told, shape = unpack(desk.screen.shape({"film": [found["film"]], "shape": ["0"]}))
+    assert np.array_equal(shape["faces"].reshape(-1, 3), Sheet().faces) and told["pieces"][0]["name"] == "cloth"
+    for wrong in ({"first": "20"}, {"first": "-1"}, {"count": "0"}, {"count": "65"}, {"film": "1-2:wave.mcap"}):
+        query = {"film": found["film"], "first": "0", "count": "1"} | wrong
+        with pytest.raises(Refused):
+            desk.screen.frames({name: [value] for name, value in query.items()})
+
+
+def test_cloth_that_changes_has_its_triangles_of_each_time(desk: Desk) -> None:
+    before, after = Sheet(6, 5), Sheet(8, 5)
+    writer = RecordingWriter(FOLDER / "finer.mcap", metadata(), {})
+    late = [message for message in items(after, 20) if message[1].t >= 0.2]
+    (fabric,) = [message for message in items(after, 1) if message[0] == FABRIC.name]
+    changed = fabric[0], fabric[1].model_copy(update={"t": 0.2, "seq": 1}), fabric[2]
+    for topic, header, payload in [*(one for one in items(before, 10) if one[1].t < 0.2), changed, *late]:
+        if "event" not in topic and "report" not in topic:
+            writer.write(topic, header, payload)
+    writer.finish({END: {"state": "done", "complete": "true", "missing": "{}"}})
+    found = ask(desk, "replay", recording="finer.mcap")
+    assert found["shapes"] == 2
+    head, arrays = frames(desk, found["film"], 8, 4)
+    assert [one["shape"] for one in head["frames"]] == [0, 0, 1, 1]
+    assert [arrays[f"x{i}"].size // 3 for i in range(4)] == [before.number, before.number, after.number, after.number]
+    for number, sheet in enumerate((before, after)):
+        _, shape = unpack(desk.screen.shape({"film": [found["film"]], "shape": [str(number)]}))
+        assert np.array_equal(shape["faces"].reshape(-1, 3), sheet.faces)
+    # Beside a run that keeps its cloth: vertices are compared as long as they are the same ones.
+    waving(FOLDER / "same.mcap")
+    _, apart = both(desk, "finer.mcap", "same.mcap")
+    assert apart["largest"][:10] == [0.0] * 10 and apart["largest"][10:] == [None] * 10
+
+
+def test_what_is_cut_or_damaged_is_shown_as_far_as_it_goes(desk: Desk) -> None:
+    write(path := FOLDER / "long.mcap", Sheet(60, 50), frames=240)
+    data = path.read_bytes()
+    part_of(FOLDER / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    with open_recording(path) as recording:
+        chunk = recording.layout.chunks[-2]
+        end = chunk.message_start_time
+    spoilt = bytearray(data)
+    spoilt[chunk.chunk_start_offset + 2000] ^= 1
+    (FOLDER / "spoilt.mcap").write_bytes(bytes(spoilt))
+    cut = ask(desk, "replay", recording="cut.mcap.part")
+    assert 0 < len(cut["times"]) < 240 and cut["says"][0].startswith("INCOMPLETE: cut short at")
+    found = ask(desk, "replay", recording="spoilt.mcap")
+    assert found["times"] == [i / 50.0 for i in range(240) if round(i / 50.0 * 1e9) < end]
+    assert "the recording is damaged" in found["says"][0]
+    for one in (cut, found):
+        last = len(one["times"]) - 1
+        head, arrays = frames(desk, one["film"], last, 1)
+        x = arrays["x0"].reshape(-1, 3) + np.array(head["origin"])
+        assert np.allclose(x, Sheet(60, 50).x(one["times"][last]), atol=1e-6)
+        assert ask(desk, "plots", film=one["film"])["t"][:2] == [0.0, 0.02]
+
+
+def test_plots_are_the_series_in_units_that_people_read(desk: Desk) -> None:
+    write(path := FOLDER / "wave.mcap", Sheet())
+    found = ask(desk, "plots", film=ask(desk, "replay", recording=path.name)["film"])
+    plots = {one["name"]: one for one in found["plots"]}
+    with open_recording(path) as recording:
+        series = recording.series()
+    assert found["t"] == series["t"].tolist()
+    energy = plots["energy"]["lines"]
+    assert energy["kinetic"] == series["energy_kinetic"].tolist()
+    assert energy["total"] == (series["energy_kinetic"] + series["energy_springs"]).tolist()
+    assert plots["stretch"]["unit"] == "%" and plots["stretch"]["lines"][""] == (100.0 * series["stretch"]).tolist()
+    assert plots["penetration"]["lines"]["largest"] == (1e3 * series["depth"]).tolist()
+    speed = plots["speed"]["lines"][""]
+    assert speed[0] is None and np.allclose(speed[1:], 0.02 / 0.001)
+
+
+def test_two_runs_at_the_same_times_are_as_far_apart_as_numpy_says(desk: Desk) -> None:
+    waving(FOLDER / "a.mcap")
+    waving(FOLDER / "b.mcap", size=1.5, frames=26)
+    films, found = both(desk, "a.mcap", "b.mcap")
+    with open_recording(FOLDER / "a.mcap") as one, open_recording(FOLDER / "b.mcap") as two:
+        apart = [np.linalg.norm(a.x - b.x, axis=1) for a, b in zip(one.frames(), two.frames(), strict=False)]
+    assert found["interpolated"] == 0 and len(found["times"]) == 20
+    assert found["largest"] == [float(d.max()) for d in apart]
+    assert found["rms"] == [float(np.sqrt((d**2).mean())) for d in apart]
+    assert max(found["largest"]) == pytest.approx(0.05, abs=1e-4)  # half of the wave's height
+    for film, other in (films, films[::-1]):
+        _, arrays = frames(desk, film, 4, 3, other)
+        assert all(np.array_equal(arrays[f"far{i}"], apart[4 + i].astype(np.float32)) for i in range(3))
+
+
+def test_the_clock_is_the_slower_rates_and_only_what_has_no_frame_then_is_interpolated(desk: Desk) -> None:
+    waving(FOLDER / "50.mcap", 50.0, frames=21)
+    waving(FOLDER / "25.mcap", 25.0, frames=11)
+    waving(FOLDER / "40.mcap", 40.0, frames=17)
+    for order in (("50.mcap", "25.mcap"), ("25.mcap", "50.mcap")):
+        _, found = both(desk, *order)
+        assert len(found["times"]) == 11 and found["interpolated"] == 0 and max(found["largest"]) == 0.0
+    films, found = both(desk, "50.mcap", "40.mcap")
+    assert len(found["times"]) == 17
+    equal = [i for i, t in enumerate(found["times"]) if abs(t * 50.0 - round(t * 50.0)) < 1e-9]
+    assert equal == [0, 4, 8, 12, 16] and found["interpolated"] == 12
+    assert all((found["largest"][i] == 0.0) == (i in equal) for i in range(17))
+    head, arrays = frames(desk, films[0], 1, 1, films[1])
+    with open_recording(FOLDER / "50.mcap") as recording:
+        x = [frame.x for frame in recording.frames()]
+    assert head["frames"][0]["between"]  # 25 ms lie a quarter of the way from 20 to 40 ms
+    assert np.allclose(arrays["x0"].reshape(-1, 3) + head["origin"], 0.75 * x[1] + 0.25 * x[2], atol=1e-7)
+
+
+def test_what_cannot_be_compared_is_refused_or_left_out(desk: Desk) -> None:
+    waving(FOLDER / "a.mcap")
+    waving(FOLDER / "fine.mcap", sheet=Sheet(12, 10))
+    films, found = both(desk, "a.mcap", "fine.mcap")
+    assert set(found["largest"]) == {None} and len(found["largest"]) == 20
+    _, arrays = frames(desk, films[0], 0, 2, films[1])
+    assert "far0" not in arrays and arrays["x0"].size == 3 * Sheet().number
+    with pytest.raises(BadInput, match="not compared with itself"):
+        ask(desk, "compare", first=films[0], second=films[0])
+    with pytest.raises(BadInput, match="no such recording"):
+        ask(desk, "replay", recording="../a.mcap")
+    (FOLDER / "a.mcap").write_bytes((FOLDER / "fine.mcap").read_bytes())
+    ask(desk, "delete", recording="fine.mcap")
+    with pytest.raises(BadInput, match="no such recording"):
+        ask(desk, "plots", film=films[1])
+    desk.screen.forget("a.mcap")
+    with pytest.raises(BadInput, match="has changed since"):
+        ask(desk, "plots", film=films[0])
+
+
+def test_a_recording_without_a_scene_is_not_gone_on_with(desk: Desk) -> None:
+    write(FOLDER / "none.mcap", Sheet(), scene={"name": "waving"})
+    for name in ("resumable", "resume"):
+        with pytest.raises(BadInput) as refused:
+            ask(desk, name, recording="none.mcap", duration="1 s")
+        assert "the scene in recordings/none.mcap" in str(refused.value)
+
+
+@pytest.mark.full
+def test_a_run_goes_on_from_its_last_checkpoint_to_the_bits_of_a_longer_one(desk: Desk) -> None:
+    scene = write_sheet(Path())
+    nuno.run(scene, record=FOLDER / "short.mcap")
+    assert ask(desk, "resumable", recording="short.mcap") == {"at": 0.4, "end": 0.4}
+    with pytest.raises(BadInput, match="has come to the end of its scene"):
+        ask(desk, "resume", recording="short.mcap", duration="0.4 s")
+    ask(desk, "resume", recording="short.mcap", duration="0.6 s")
+    wait_until(lambda: ask(desk, "now")["state"] in ("over", "failed", "refused", "stopped"), PATIENCE)
+    now = ask(desk, "now")
+    assert (now["state"], now["frame"]) == ("over", 30), now["said"]
+    with nuno.open(FOLDER / now["recording"]) as recording:
+        digests = [frame.digest for frame in recording.frames()]
+    assert digests[-1] == nuno.run(FILE, duration="0.6 s").digest and len(digests) == 31
