@@ -163,4 +163,4 @@ def test_cloth_of_yarns_is_shown_as_lines_and_what_is_not_shown_is_said(
     look(page, served[1], "skirt-dyed")
     page.wait("document.getElementById('cloth-said').textContent.includes('Dye')")
     page.value("location.hash = '#scene=dye%2Fdrops'")
-    page.wait("document.getElementById('cloth-said')?.textContent.includes('no cloth here that moves')")
+    page.wait("document.getElementById('cloth-said')?.textContent.includes('lies flat and does not move')")

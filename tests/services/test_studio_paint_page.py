@@ -10,15 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Page, find_browser
 from PIL import Image
 from studio_desk import studio
 
 import nuno
 from nuno.pages.server import Server
-from nuno.scene import shipped
+from nuno.scene import scene_file, shipped
+from nuno.seen.shown import see_scene
 from nuno.studio import scenes
 from nuno.studio.dyed import at_start
+from nuno_bench.chromium import Page, find_browser
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 
@@ -37,18 +38,23 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         assert one.said == []
 
 
+def paint(page: Page, server: Server, name: str) -> None:
+    """Open a scene in the mode for painting."""
+    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
+    page.open("about:blank")
+    page.open(f"{server.guard.address}#scene={name}")
+    page.wait("window.nuno?.scene?.text && document.getElementById('verdict')?.textContent === 'No mistakes'")
+    page.click("cloth-paint")
+    page.wait("nuno.scene.cloth.paint.on && document.getElementById('paint').clientWidth > 400")
+
+
 @pytest.fixture
 def painting(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     """The scene dye/drops as one's own, open in the mode for painting."""
     monkeypatch.chdir(tmp_path)
     Path(FILE).write_text(shipped.find("dye/drops").read_text())
     with studio() as (_, server):
-        page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-        page.open("about:blank")
-        page.open(f"{server.guard.address}#scene={FILE}")
-        page.wait("window.nuno?.scene?.text && document.getElementById('verdict')?.textContent === 'No mistakes'")
-        page.click("cloth-paint")
-        page.wait("nuno.scene.cloth.paint.on && document.getElementById('paint').clientWidth > 400")
+        paint(page, server, FILE)
         yield server
 
 
@@ -178,3 +184,41 @@ def test_a_stroke_goes_into_the_run_that_goes_on_and_not_into_the_text(page: Pag
         (event,) = [one for one in recording.events() if "kind: stroke" in one.text or "stroke" in str(one)]
     assert "width: 1 mm" in str(event)
     page.click("dismiss")
+
+
+def test_a_dab_on_a_garment_is_where_the_solver_has_that_place_of_it(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A vertex that faces the eye is clicked on: its texture coordinates say which cells it is."""
+    monkeypatch.chdir(tmp_path)
+    loaded = scene_file.read(shipped.find("skirt-dyed"))
+    text = shipped.find("skirt-dyed").read_text()
+    resist = "    resist:\n      - {kind: shibori, pattern: {pattern: seigaiha, radius: 1.8 mm}}\n"
+    assert resist in text
+    Path("skirt.yaml").write_text(text.replace(resist, ""))
+    _, fabric = see_scene(loaded)
+    with studio() as (_, server):
+        paint(page, server, "skirt.yaml")
+        page.click("paint-garment")
+        page.wait("nuno.scene.cloth.paint.worn", PATIENCE)
+        page.click("paint-paste")
+        set_width(page, 0.7)
+        # One whose own triangle is what its pixel shows, well within the picture.
+        vertex = page.value("""(() => { const { stage } = nuno.scene.cloth, { x, faces } = stage.cloth;
+            for (let v = 1200; v < x.length / 3; v++) {
+              const at = stage.camera.project([...x.slice(3 * v, 3 * v + 3)]), hit = at && stage.pick(at.x, at.y);
+              const shares = hit && [1 - hit.u - hit.v, hit.u, hit.v];
+              if (shares?.some((share, k) => share > 0.97 && faces[3 * hit.face + k] === v)) return [v, at.x, at.y];
+            } })()""")
+        number, x, y = vertex
+        left, top = page.value("(({ x, y }) => [x, y])(document.getElementById('cloth').getBoundingClientRect())")
+        page.drag([(left + round(x), top + round(y))])
+        page.wait(f"/kind: paste/.test(nuno.scene.text.value) && {DONE}")
+        cells, _, _ = at_start(scenes.load(page.value("nuno.scene.text.value"), Path("skirt.yaml")))
+        rows, columns = np.nonzero(cells.resist[0] > 0.5)
+        assert fabric.uv is not None
+        expected = fabric.uv[number] * [36e-3, -7.2e-3] + [0.0, 7.2e-3]
+        found = (np.array([columns.mean(), rows.mean()]) + 0.5) * cells.size
+        pixel = 6e-5  # of the screen on the flat cloth, less than 3 mm on the skirt, which is 0.45 m for 7.2 mm of it
+        assert np.abs(found - expected).max() < cells.size + pixel
+        assert len(rows) * cells.size**2 == pytest.approx(np.pi * 0.35e-3**2, abs=np.pi * 0.7e-3 * cells.size)

@@ -16,7 +16,7 @@ from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
 from nuno.studio import edit, paint, scenes
 from nuno.studio.cloth import Starts
-from nuno.studio.dyed import Dyed, cloth_of
+from nuno.studio.dyed import Dyed, cloth_of, worn
 from nuno.studio.lines import Drawing
 from nuno.studio.recordings import Recordings
 from nuno.studio.run import Run
@@ -25,21 +25,9 @@ from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 
 ACTS = (
-    "scenes",
-    "open",
-    "check",
-    "change",
-    "save",
-    "plan",
-    "run",
-    "resume",
-    "control",
-    "now",
-    "see",
-    "draw",
-    "dyed",
-    "paint",
-)
+    "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
+    "worn", "paint",
+)  # fmt: skip
 """What the page may ask for, each a method of a desk."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """What a page may ask of a run, as `nuno control`."""
@@ -76,6 +64,7 @@ class Desk:
             "flat": self._dyed_cloth.tell,
             "frames": self.screen.frames,
             "shape": self.screen.shape,
+            "dyed": self.screen.dyed,
         }
         return Server("nuno.studio", self.act, told)
 
@@ -213,6 +202,14 @@ class Desk:
     def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
         return self._dyed_cloth.see(self._loaded(request))
+
+    def _worn(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Where the triangles of a start that is shown lie on the flat cloth. Raises BadInput."""
+        number = request.get("start")
+        start = self._starts.kept.get(number) if isinstance(number, int) else None
+        if start is None:
+            raise BadInput("this start is no longer kept", field="start", remedy="load the page again")
+        return {"corners": worn(start)}
 
     def _paint(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Put a stroke or a stencil into the text; or a stroke into the run that goes on. Raises BadInput."""

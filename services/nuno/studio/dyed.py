@@ -15,6 +15,7 @@ from nuno.dye.supply import Supplies
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
 from nuno.scene.scene_file import Loaded
+from nuno.studio.cloth import Start
 from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.dye_picture import Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
@@ -69,6 +70,24 @@ def cloth_of(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
             "only cloth to dye is painted", field="dye", remedy="begin from dye/drops, or add dye to the scene"
         )
     return build_cloth(loaded)
+
+
+def worn(start: Start) -> list[list[float] | None]:
+    """Of each triangle of a start, x and y [m] of its three corners on the flat cloth; None of cloth that is not dyed.
+
+    Raises BadInput for a scene whose dyed cloth is no object.
+    """
+    cells, _, _ = cloth_of(start.loaded)
+    piece = next((one for one in start.sight.pieces if one.name == start.loaded.dyed.said.object), None)
+    fabric = start.fabric
+    if piece is None or fabric.uv is None:
+        raise BadInput("no object of this scene is dyed", field="dye.object", remedy="paint on the flat cloth")
+    corners = fabric.corners.points[fabric.corners.faces] if fabric.corners is not None else fabric.uv[fabric.faces]
+    _, ny, nx = cells.fibre.shape
+    # Cells cover the texture: u to the right and v up, places to the right and down.
+    places = (corners * [1.0, -1.0] + [0.0, 1.0]) * [nx * cells.size, ny * cells.size]
+    dyed = (fabric.faces[:, 0] >= piece.start) & (fabric.faces[:, 0] < piece.stop)
+    return [row if own else None for row, own in zip(places.reshape(-1, 6).tolist(), dyed.tolist(), strict=True)]
 
 
 def at_start(loaded: Loaded) -> tuple[Cells, Float, Float]:

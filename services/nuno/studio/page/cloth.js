@@ -32,7 +32,7 @@ export class Cloth {
       this.say(`This browser cannot show the cloth: ${error.message}. A present Firefox, Chrome, Edge or Safari can.`);
       return;
     }
-    this.hand = new Hand(this.stage, () => (this.draw.on ? { kind: this.draw.kind, height: this.draw.height } : null), (pieces) => this.draw.drawn(pieces));
+    this.hand = new Hand(this.stage, () => (this.draw.on ? { kind: this.draw.kind, height: this.draw.height } : this.paint.pen), (pieces, places) => (this.draw.on ? this.draw.drawn(pieces) : this.paint.drawn(places)));
     this.canvas.addEventListener("keydown", (e) => this.keys(e));
     this.seen = new IntersectionObserver(([{ isIntersecting }]) => { this.visible = isIntersecting; this.update(); });
     this.seen.observe(this.canvas);
@@ -128,6 +128,7 @@ export class Cloth {
     if (this.stretch) frame.colours = colours(stretched(this.frame));
     this.stage.show(frame);
     if (frame.faces) { this.say(this.lacks()); this.draw.changed(); }
+    if (frame.faces) this.paint.dress();
     if (this.draw.wanted) { this.draw.wanted = false; this.draw.toggle(true); }
     const now = performance.now();
     this.times = [...this.times.filter((time) => now - time < SPAN), now];

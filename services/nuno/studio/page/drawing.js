@@ -2,7 +2,7 @@ import { add } from "./math.js";
 import { Stage } from "./stage.js";
 import { Surface } from "./surface.js";
 
-const COLOURS = { ridge: [0.85, 0.28, 0.11], valley: [0.12, 0.44, 0.77] };
+const COLOURS = { ridge: [0.85, 0.28, 0.11], valley: [0.12, 0.44, 0.77], paint: [0.15, 0.15, 0.18] };
 const same = (a, b) => a.length === b.length && a.every((value, i) => value === b[i]);
 // How strong the colour of a line is that is in the cloth already.
 const APPLIED = 0.5;

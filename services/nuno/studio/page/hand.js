@@ -59,7 +59,7 @@ export class Hand extends Orbit {
       this.step(e.offsetX, e.offsetY);
       const runs = this.runs();
       const pieces = runs.map((run) => ({ points: this.thinned(run), closed: this.closes(run) })).filter(({ points }) => points.length > 1);
-      this.done(pieces);
+      this.done(pieces, this.fresh.map((s) => s.place));
     }
     this.cancel();
   }

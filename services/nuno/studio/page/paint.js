@@ -4,6 +4,7 @@ import { make } from "./dom.js";
 import { Flat } from "./flat.js";
 import { mm } from "./panel.js";
 import { taken, toast } from "./say.js";
+import { Worn } from "./worn.js";
 
 const TOOLS = { dye: ["Dye", "1"], paste: ["Paste", "2"], stencil: ["Stencil", "3"] };
 const PASTE = "#c9963e";
@@ -12,7 +13,7 @@ const $ = (id) => document.getElementById(`paint-${id}`);
 /** The mode of the cloth's view in which dye, paste and stencils are put on cloth to dye, which lies flat. */
 export class Paint {
   constructor(cloth) {
-    Object.assign(this, { cloth, on: false, tool: "dye", width: null, amount: 1, seen: null, image: null });
+    Object.assign(this, { cloth, on: false, tool: "dye", width: null, amount: 1, seen: null, image: null, onGarment: false });
     this.box = this.build();
     this.flat = new Flat(this.canvas, this);
   }
@@ -31,6 +32,7 @@ export class Paint {
         of("dye paste stencil", "Width ", make("input", { type: "number", id: "paint-width", min: "0", step: "any", inputMode: "decimal", onchange: (e) => { if (e.target.value > 0) this.width = e.target.value / 1000; this.brush(); } }), " mm"),
         of("stencil", make("input", { type: "file", id: "paint-file", accept: "image/png", ariaLabel: "Stencil, a PNG", onchange: (e) => this.load(e.target.files[0]) })),
         of("stencil", make("input", { type: "checkbox", id: "paint-invert" }), " Black keeps dye out"),
+        button("garment", "On the garment", () => this.hang(), { title: "Paint on the garment as it hangs, or on its cloth laid flat (key G)", hidden: true }),
         make("span", { className: "tool-group" }, button("undo", "Undo", () => this.cloth.scene.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.cloth.scene.text.redo(), { title: "Ctrl Shift Z" }),
           button("done", "Done", () => this.toggle(false), { className: "main", title: "Back to the cloth (Escape)" }))),
       this.canvas, make("div", { className: "below" }, this.said, this.place));
@@ -44,9 +46,44 @@ export class Paint {
     this.cloth.box.classList.toggle("painting", on);
     document.getElementById("cloth-paint").setAttribute("aria-pressed", String(on));
     this.cloth.scene.large?.(on);
-    if (!on) return;
+    this.hang(on && this.onGarment);
+    if (!on) { this.cloth.stage.colour(); return; }
     this.choose(this.tool);
     this.canvas.focus();
+  }
+
+  /** Paint on the garment as it hangs, or on its cloth laid flat. */
+  hang(on = !this.onGarment) {
+    if (this.on) this.onGarment = on;
+    this.cloth.box.classList.toggle("worn", on);
+    $("garment").setAttribute("aria-pressed", String(on));
+    this.say();
+    this.cloth.update();
+    this.dress();
+  }
+
+  /** What a drag on the garment draws with: nothing unless that is painted on. */
+  get pen() { return this.on && this.onGarment && this.worn ? { kind: "paint", height: 0 } : null; }
+
+  /** Colour the garment as its cloth is, vertex by vertex, once both are there. */
+  async dress() {
+    const { cloth } = this, { number, stage } = cloth;
+    if (!this.on || !this.onGarment || !number || !this.seen.object) return;
+    if (this.start !== number) {
+      const answer = await ask("worn", { start: number });
+      if (!answer.ok || cloth.number !== number) return;
+      Object.assign(this, { start: number, worn: new Worn(answer.corners, stage.base.cloth) });
+    }
+    if (stage.base.cloth.faces === stage.cloth.faces) stage.colour(this.worn.colours(this.picture, this.size, stage.ownColours()));
+  }
+
+  /** A drag over the garment: the lines that it is on the flat cloth, one after the other. */
+  async drawn(places) {
+    const there = places.filter(Boolean), base = this.cloth.stage.basePlaces(there);
+    if (!base) { toast("The run is of other cloth than the text", "Paint on its cloth laid flat.", true); return; }
+    const found = new Map(there.map((place, i) => [place, base[i]])), lines = this.worn.lines(places.map((place) => place && found.get(place)));
+    if (this.tool === "stencil") { if (lines.length) await this.put(lines.at(-1)); return; }
+    for (const line of lines) await this.put(line);
   }
 
   /** Draw the cloth of the text as it begins; whether it could be. */
@@ -58,11 +95,13 @@ export class Paint {
     const image = new Image();
     image.src = `flat?number=${answer.number}`;
     await image.decode();
-    Object.assign(this, { seen: answer, shown: value });
+    Object.assign(this, { seen: answer, shown: value, picture: image });
+    $("garment").hidden = !answer.object;
     this.width ??= Number((0.05 * Math.max(...this.size)).toPrecision(1));
     if (document.getElementById("paint-which").length !== answer.dyes.length) $("which").replaceChildren(...answer.dyes.map(({ name }) => make("option", { value: name, textContent: name })));
     this.flat.show(image, this.size);
     this.say();
+    this.dress();
     return true;
   }
 
@@ -82,7 +121,7 @@ export class Paint {
   }
 
   say() {
-    const [wide, high] = this.size, of = this.seen.object ? `The cloth of ${this.seen.object}, laid flat` : "The cloth";
+    const [wide, high] = this.size, of = this.seen.object ? `The cloth of ${this.seen.object}${this.onGarment ? "" : ", laid flat"}` : "The cloth";
     const where = this.live ? "What you paint goes into the run that goes on; the picture stays that of its start." : "What you paint stands in the text.";
     this.said.textContent = `${of}: ${mm(wide)} mm × ${mm(high)} mm, cells of ${mm(this.seen.cell)} mm. ${where}`;
   }
@@ -144,6 +183,7 @@ export class Paint {
     if (!this.on || e.ctrlKey || e.metaKey || e.altKey || ["TEXTAREA", "SELECT", "INPUT"].includes(e.target.tagName)) return false;
     const found = Object.entries(TOOLS).find(([, [, key]]) => key === e.key);
     if (found) this.choose(found[0]);
+    else if (e.key.toLowerCase() === "g" && this.seen.object) this.hang();
     else if (e.key === "Escape") { if (!this.flat.cancel()) this.toggle(false); }
     else return false;
     e.preventDefault();
