@@ -28,7 +28,7 @@ FOLDER = ROOT / "docs" / "tutorials"
 TUTORIALS = sorted(path for path in FOLDER.glob("*.md") if path.stem != "index")
 FENCE = re.compile(r"^```(\S*)[ ]?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PICTURE = re.compile(r"!\[[^\]]*\]\((?:\.\./pictures/)?(tutorial-[^)]+)\)")
-KNOWN = ("python", "pip", "echo", "cat", "kill", "sleep", "wait")
+KNOWN = ("python", "pip", "echo", "cat", "sed", "kill", "sleep", "wait")
 """What commands of a page are beside those of nuno."""
 LIMIT = 1800.0
 """Seconds that a tutorial may take, kernels compiled anew, beside other tests."""
