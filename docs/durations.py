@@ -1,6 +1,6 @@
 """How long each command of the README takes: those whose comment ends in a time are run, and the time is put there.
 
-`make tour` runs each twice in a new folder, in their order, and takes the second time, for which kernels are compiled.
+`make tour` runs all in a new folder, then again in another one, and takes the second time: kernels are then compiled.
 """
 
 from __future__ import annotations
@@ -46,14 +46,19 @@ def _run(command: str, folder: Path) -> float:
     return took
 
 
+def _run_all(text: str) -> str:
+    """The page with times, its commands run in a new folder."""
+    with tempfile.TemporaryDirectory(prefix="nuno-tour-") as name:
+        return write_durations(text, lambda command: _run(command, Path(name)))
+
+
 def main() -> None:
     """Run the commands of README.md, and write what they took into it."""
     readme = ROOT / "README.md"
-    with tempfile.TemporaryDirectory(prefix="nuno-tour-") as name:
-        text = readme.read_text(encoding="utf-8")
-        write_durations(text, lambda command: _run(command, Path(name)))
-        others = machine.Others()
-        timed = write_durations(text, lambda command: _run(command, Path(name)))
+    text = readme.read_text(encoding="utf-8")
+    _run_all(text)
+    others = machine.Others()
+    timed = _run_all(text)
     readme.write_text(timed, encoding="utf-8")
     facts = machine.about(others)
     said = f"Times in brackets: {facts['processor']}, kernels compiled, {facts['date']}; {facts['load']} (`make tour`)."

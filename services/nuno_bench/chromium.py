@@ -90,7 +90,8 @@ class Page:
         if message.get("method") == "Runtime.exceptionThrown":
             self.said.append(json.dumps(message["params"]["exceptionDetails"])[:600])
         if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
-            self.said.append(str(message["params"]["entry"]["text"]))
+            entry = message["params"]["entry"]
+            self.said.append(f"{entry['text']}: {entry.get('url', '')}")
 
     def _read(self, patience: float) -> dict[str, Any]:
         end = time.monotonic() + patience

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from types import ModuleType
 
 COMMANDS = {
     "speed": ("nuno_bench.speed.command", "measured bars: kernels, pipeline, start, memory, recording"),
@@ -30,8 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run one measurement; the exit code is 1 where one could not be taken."""
-    path, summary = COMMANDS[args.kind]
-    module = importlib.import_module(path)
-    parser = argparse.ArgumentParser(prog=f"nuno bench {args.kind}", description=summary[0].upper() + summary[1:] + ".")
-    module.add_arguments(parser)
+    module, parser = parser_of(args.kind)
     return int(module.main(parser.parse_args(args.arguments)))
+
+
+def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
+    """The module of a measurement, one of COMMANDS, and what reads its arguments."""
+    path, summary = COMMANDS[kind]
+    module = importlib.import_module(path)
+    parser = argparse.ArgumentParser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")
+    module.add_arguments(parser)
+    return module, parser

@@ -200,3 +200,8 @@ def test_a_fields_value_is_what_the_scene_gives_or_leaves_to_the_default(tmp_pat
     assert loaded.value("forces[0].gamma") == 0.0
     assert loaded.value("forces.1.plugin") is None
     assert loaded.value("nothing.0") is None
+
+
+def test_what_nobody_answers_is_not_waited_for_and_says_why(run: Run) -> None:
+    with spoke(run.endpoint) as session, pytest.raises(RunFailed, match=r"nobody answers no/such: .* not yet, or"):
+        Bus(session, run.run, "test").ask("no/such", timeout=60.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import importlib
 import re
 import shlex
 import shutil
@@ -62,9 +60,7 @@ def test_every_command_is_read_by_its_parser(page: str, words: list[str]) -> Non
     _, parser = parser_of(words[1])
     args = parser.parse_args(words[2:])
     if words[1] == "bench":
-        parser = argparse.ArgumentParser(exit_on_error=False)
-        importlib.import_module(nuno_bench.cli.COMMANDS[args.kind][0]).add_arguments(parser)
-        parser.parse_args(args.arguments)
+        nuno_bench.cli.parser_of(args.kind)[1].parse_args(args.arguments)
 
 
 def test_the_readme_is_short_and_says_how_long_each_command_takes() -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dye_scene
 import numpy as np
 import pytest
 from live_run import PATIENCE, wait_until
 from numpy.typing import NDArray
+from PIL import Image
 from recorded_sheet import Sheet, items, metadata, write
 from studio_desk import FILE, write_sheet
 
@@ -170,7 +173,7 @@ def test_two_runs_at_the_same_times_are_as_far_apart_as_numpy_says(desk: Desk) -
     films, found = both(desk, "a.mcap", "b.mcap")
     with open_recording(FOLDER / "a.mcap") as one, open_recording(FOLDER / "b.mcap") as two:
         apart = [np.linalg.norm(a.x - b.x, axis=1) for a, b in zip(one.frames(), two.frames(), strict=False)]
-    assert found["interpolated"] == 0 and len(found["times"]) == 20
+    assert all(found["exact"]) and len(found["times"]) == 20
     assert found["largest"] == [float(d.max()) for d in apart]
     assert found["rms"] == [float(np.sqrt((d**2).mean())) for d in apart]
     assert max(found["largest"]) == pytest.approx(0.05, abs=1e-4)  # half of the wave's height
@@ -185,11 +188,11 @@ def test_the_clock_is_the_slower_rates_and_only_what_has_no_frame_then_is_interp
     waving(FOLDER / "40.mcap", 40.0, frames=17)
     for order in (("50.mcap", "25.mcap"), ("25.mcap", "50.mcap")):
         _, found = both(desk, *order)
-        assert len(found["times"]) == 11 and found["interpolated"] == 0 and max(found["largest"]) == 0.0
+        assert len(found["times"]) == 11 and all(found["exact"]) and max(found["largest"]) == 0.0
     films, found = both(desk, "50.mcap", "40.mcap")
     assert len(found["times"]) == 17
     equal = [i for i, t in enumerate(found["times"]) if abs(t * 50.0 - round(t * 50.0)) < 1e-9]
-    assert equal == [0, 4, 8, 12, 16] and found["interpolated"] == 12
+    assert equal == [0, 4, 8, 12, 16] and [i for i in range(17) if found["exact"][i]] == equal
     assert all((found["largest"][i] == 0.0) == (i in equal) for i in range(17))
     head, arrays = frames(desk, films[0], 1, 1, films[1])
     with open_recording(FOLDER / "50.mcap") as recording:
@@ -240,3 +243,19 @@ def test_a_run_goes_on_from_its_last_checkpoint_to_the_bits_of_a_longer_one(desk
     with nuno.open(FOLDER / now["recording"]) as recording:
         digests = [frame.digest for frame in recording.frames()]
     assert digests[-1] == nuno.run(FILE, duration="0.6 s").digest and len(digests) == 31
+
+
+def test_dyed_cloth_is_shown_as_its_pictures_are_exported(desk: Desk) -> None:
+    nuno.run(dye_scene.write_scene(Path()), record=FOLDER / "dye.mcap")
+    found = ask(desk, "replay", recording="dye.mcap")
+    assert found["dyed"] and not found["moves"]
+    kind, png = desk.screen.dyed({"film": [found["film"]], "frame": [str(len(found["times"]) - 1)]})
+    nuno.export(FOLDER / "dye.mcap", png="last.png")
+    with Image.open(io.BytesIO(png)) as here, Image.open("last.png") as exported:
+        assert kind == "image/png" and np.array_equal(np.asarray(here), np.asarray(exported))
+    with pytest.raises(Refused):
+        desk.screen.dyed({"film": [found["film"]], "frame": [str(len(found["times"]))]})
+    waving(FOLDER / "a.mcap")
+    other = ask(desk, "replay", recording="a.mcap")["film"]
+    with pytest.raises(BadInput, match="no positions in it to compare"):
+        ask(desk, "compare", first=found["film"], second=other)

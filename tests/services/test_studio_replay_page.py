@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dye_scene
 import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
-from studio_desk import FILE, SHEET, studio, write_sheet
+from studio_desk import SHEET, studio, write_sheet
 
 import nuno
 from nuno.pages.server import Server
@@ -205,6 +206,7 @@ def test_another_rate_is_interpolated_and_another_mesh_is_not_compared_by_vertic
     page.value(f"{RUN}.player.go(4)")  # 0.1 s, of which both have a frame
     at(page, 4)
     page.wait("!document.getElementById('far-said').textContent.includes('interpolated')")
+    assert page.value(f"{RUN}.apart.lines[0].t") == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     look(page, server, "#compare=a.mcap,fine.mcap", f"{RUN}?.done")
     assert "cannot be compared vertex by vertex" in page.value("document.getElementById('far-said').textContent")
     titles = page.value("[...document.querySelectorAll('.plot:not([hidden]) b')].map((b) => b.textContent)")
@@ -229,4 +231,14 @@ def test_a_run_is_gone_on_with_or_it_is_said_why_not(page: Page, server: Server)
     assert page.value("nuno.dock.now.frame") == 30
     now = page.value("nuno.dock.now.recording")
     assert np.array_equal(frames(now)[:21], frames("a.mcap"))
-    assert Path(FILE).is_file()
+    page.wait("document.querySelector('#run-said img')?.complete", PATIENCE)
+
+
+def test_dyed_cloth_is_shown_by_its_pictures(page: Page, server: Server) -> None:
+    nuno.run(dye_scene.write_scene(Path()), record=FOLDER / "dye.mcap")
+    look(page, server, "#run=dye.mcap", "document.getElementById('dyed')?.naturalWidth > 0")
+    before = page.value("document.getElementById('dyed').src")
+    focus(page, "time-line")
+    page.press("End")
+    page.wait("document.getElementById('dyed').complete && document.getElementById('dyed').src.endsWith('frame=10')")
+    assert page.value("document.getElementById('dyed').naturalWidth") > 0 and before.endswith("frame=0")

@@ -52,7 +52,7 @@ def line_of(row: Row) -> str:
 
 def describe(loaded: Loaded) -> Iterator[Row]:
     """The rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
-    yield "scene", f"{loaded.scene.name}: {loaded.scene.description}"
+    yield "scene", ": ".join(filter(None, (loaded.scene.name, loaded.scene.description)))
     # Before what it is warned of takes long, or fails.
     yield from (("WARNING", text) for text in scene_warnings(loaded))
     loaded = decide(loaded)

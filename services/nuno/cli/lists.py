@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-from importlib import import_module
 
 from nuno import registry
 from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
 
 REFERENCES = {
-    "messages": ("nuno.reference.messages", "describe_messages", "what a run publishes"),
-    "fields": ("nuno.reference.fields", "describe_fields", "every field of a scene"),
-    "commands": ("nuno.cli.reference", "describe_commands", "every command and its arguments"),
+    "messages": "what a run publishes",
+    "fields": "every field of a scene",
+    "commands": "every command and its arguments",
 }
-"""Pages of the documentation that are made from what they describe: module, function, and what they are of."""
+"""Pages of the documentation that are made from what they describe."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     elif parser.get_default("command") == "scenes":
         parser.add_argument("--paths", action="store_true", help="print where they are")
     else:
-        for name, (_, _, what) in REFERENCES.items():
+        for name, what in REFERENCES.items():
             parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
 
 
@@ -33,9 +32,18 @@ def main(args: argparse.Namespace) -> int:
         _list_plugins(args.group)
     elif args.command == "scenes":
         _list_scenes(args.paths)
-    elif asked := [place for name, place in REFERENCES.items() if getattr(args, name)]:
-        for path, function, _ in asked:
-            print(getattr(import_module(path), function)(), end="")
+    elif args.messages:
+        from nuno.reference.messages import describe_messages
+
+        print(describe_messages(), end="")
+    elif args.fields:
+        from nuno.reference.fields import describe_fields
+
+        print(describe_fields(), end="")
+    elif args.commands:
+        from nuno.cli.reference import describe_commands
+
+        print(describe_commands(), end="")
     else:
         from nuno.scene.json_schema import scene_schema
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 from collections.abc import Iterator
 
 from nuno import cli
@@ -25,10 +24,8 @@ def describe_commands() -> str:
         module, parser = cli.parser_of(name)
         parts += _command(f"nuno {name}", parser, "##")
         # Commands that have kinds, each with arguments of its own: `nuno bench`.
-        for kind, (path, summary) in getattr(module, "COMMANDS", {}).items():
-            own = argparse.ArgumentParser(description=f"{summary[0].upper()}{summary[1:]}.")
-            importlib.import_module(path).add_arguments(own)
-            parts += _command(f"nuno {name} {kind}", own, "###")
+        for kind in getattr(module, "COMMANDS", ()):
+            parts += _command(f"nuno {name} {kind}", module.parser_of(kind)[1], "###")
     return "\n".join(parts) + "\n"
 
 

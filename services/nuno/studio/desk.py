@@ -64,6 +64,7 @@ class Desk:
             "flat": self._dyed_cloth.tell,
             "frames": self.screen.frames,
             "shape": self.screen.shape,
+            "dyed": self.screen.dyed,
         }
         return Server("nuno.studio", self.act, told)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import threading
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import NO_SURFACES, Surfaces
 from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
+from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
 from nuno.exports.paint import PLAIN
 from nuno.exports.shapes import sample
 from nuno.recording.gaps import shortcoming
@@ -26,9 +28,9 @@ from nuno.wire.arrays import BadMessage, decode_points, origin_of
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.messages import BODIES, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
+from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
 
-DYED = "This cloth is dyed and does not move, so that there is nothing to replay in 3-D: see its last frame."
+DYED = "This cloth is dyed and does not move: it is shown from above, as its pictures have it."
 NOTHING = "It holds no positions of cloth that could be shown."
 NET = "This cloth has no triangles: its links are shown as lines."
 DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
@@ -118,6 +120,7 @@ class Film:
         self._changes = [time for time in changes if self.times and time <= self.times[-1]]
         self._shapes: dict[int, Shape] = {}
         self._bodies: Surfaces = NO_SURFACES
+        self._dyed: DyedPictures | None = None
         self.origin = np.zeros(3)
         if self.moves and self.times:
             x = self.stills(self.times[:1])[0].x
@@ -134,12 +137,17 @@ class Film:
         with self._lock:
             said = [self.problem or shortcoming(self.recording)]
             if not self.times or not self.moves:
-                said.append(DYED if self.recording.dyed_alone else NOTHING)
+                said.append(DYED if self.dyed else NOTHING)
             elif any(not len(piece.faces) for piece in self.shape(0).pieces):
                 said.append(NET)
             if self.moves and self.recording.scene.get("dye"):
                 said.append(DYE)
         return [text for text in said if text]
+
+    @property
+    def dyed(self) -> bool:
+        """Whether it is of cloth that is dyed alone, and has pictures."""
+        return not self.moves and self.recording.dyed_alone and CONCENTRATION.name in self.recording.counts
 
     def close(self) -> None:
         with self._lock:
@@ -149,6 +157,24 @@ class Film:
         """Columns over the frames that can be read: see `nuno.recording.reader.read_series`."""
         with self._lock:
             return self.recording.series(self.end)
+
+    def picture(self, number: int) -> bytes:
+        """The PNG of cloth that is dyed alone, at a frame by its place among `times`, or at the last one before it
+        whose amounts were recorded. Raises BadInput where it cannot be drawn, IndexError where there is no such frame.
+        """
+        from PIL import Image
+
+        with self._lock:
+            if self._dyed is None:
+                with dyed_pictures(self.recording) as found:
+                    self._dyed = found
+            message = self.recording.last(CONCENTRATION.name, self.times[number] / 1e9)
+            if message is None:
+                raise BadInput("no amounts of dye were recorded until then", str(self.recording.path))
+            picture = self._dyed.draw(message)
+        data = io.BytesIO()
+        Image.fromarray(picture).save(data, "PNG", compress_level=1)
+        return data.getvalue()
 
     @property
     def body_faces(self) -> Int:

@@ -22,6 +22,7 @@ class Pair:
     very time, and where it has none at it, interpolated linearly between its nearest two.
 
     times  log times [ns] of the clock
+    exact  at which of them both have a frame
 
     Raises BadInput for films that cannot be compared.
     """
@@ -38,8 +39,8 @@ class Pair:
             raise BadInput("the recordings have no time in common", limit=spans)
         shared = [[time for time in film.times if start <= time <= end] for film in self.films]
         self.times: list[int] = min(shared, key=len)
-        self.interpolated = len(set(self.times) - set(shared[0])) + len(set(self.times) - set(shared[1]))
-        """Frames of the clock that one of the two has no frame at."""
+        known = [set(times) for times in shared]
+        self.exact = [all(time in times for times in known) for time in self.times]
         self._far: list[tuple[float | None, float | None]] = []
         self._problem = ""
         self._closed = threading.Event()

@@ -75,7 +75,7 @@ class Recordings:
         child = self._drawing.get(path.name)
         if child is None:
             child = self._drawing[path.name] = Child(["export", str(path), "--png", str(self.picture_of(path))])
-        return {"drawing": child.code is None, "problem": child.said if child.code else ""}
+        return {"drawing": child.code is None, "problem": (child.said or "it was ended") if child.code else ""}
 
     def verify(self, name: object) -> dict[str, Any]:
         """Begin to simulate it again and compare. Raises BadInput."""

@@ -48,6 +48,7 @@ class Screen:
             "times": [time / 1e9 for time in film.times],
             "numbers": film.numbers,
             "moves": film.moves and bool(film.times),
+            "dyed": film.dyed,
             "shapes": shapes,
             "says": film.says,
         }
@@ -66,7 +67,7 @@ class Screen:
         return {
             "times": [time / 1e9 for time in pair.times],
             "spans": [[film.times[0] / 1e9, film.times[-1] / 1e9] for film in pair.films],
-            "interpolated": pair.interpolated,
+            "exact": pair.exact,
         } | pair.tell()
 
     def frames(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
@@ -101,6 +102,14 @@ class Screen:
         if shape.colours is not None:
             arrays["colours"] = shape.colours
         return BYTES, pack({"pieces": [{name: getattr(p, name) for name in SAID} for p in shape.pieces]}, arrays)
+
+    def dyed(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """A picture of dyed cloth, by a film and the number of a frame. Raises Refused."""
+        try:
+            film = self._film(query.get("film", [""])[0])
+            return "image/png", film.picture(max(whole(query, "frame"), 0))
+        except (BadInput, IndexError) as error:
+            raise Refused(NOT_FOUND, str(error)) from None
 
     def forget(self, name: str) -> None:
         """Close the films of a recording."""

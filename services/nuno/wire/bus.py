@@ -248,11 +248,13 @@ class Bus:
                 reply = None
             if reply is not None and reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-            problem = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
-            if problem != TIMEOUT:
-                raise RunFailed(f"{name}: {problem.decode(errors='replace')}")
-            waited = min(timeout, time.monotonic() - begin)
-            raise RunFailed(f"no answer from {name} within {waited:.3g} s", peer=name.split("/")[0])
+            said = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
+            if said != TIMEOUT:
+                raise RunFailed(f"{name}: {said.decode(errors='replace')}")
+            if time.monotonic() - begin < 0.5 * timeout:
+                problem = "its service is not there, or not yet, or the certificate here does not allow to ask it"
+                raise RunFailed(f"nobody answers {name}: {problem}", peer=name.split("/")[0])
+            raise RunFailed(f"no answer from {name} within {timeout:.3g} s", peer=name.split("/")[0])
 
         return answer
 

@@ -7,6 +7,8 @@ const CLOTH = [0.9, 0.87, 0.82], BODY = [0.66, 0.69, 0.73];
 
 const empty = () => new Surface(new Float32Array(0), new Uint32Array(0));
 
+// Not taken: rerun's web viewer in a frame. Without a graphics card it draws less than one picture a second of a dancer in
+// a skirt, where this keeps up with the solver; and it asks other hosts for files, which no page here may.
 /** The cloth and the bodies as they are, seen by a camera, which several stages may share. */
 export class Stage {
   /** aside: pixels of the canvas that lie under panels. */

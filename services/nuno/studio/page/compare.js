@@ -27,7 +27,7 @@ export class Compare {
     this.said = make("div", { id: "film-said", role: "status" });
     view.replaceChildren(heading, make("p", { className: "soft" }, ...names.flatMap((name, i) => [i ? " and " : "", make("a", { href: `#run=${encodeURIComponent(name)}`, textContent: name })])), this.said);
     if (!films.every(taken)) return;
-    this.keys_ = films.map((one) => one.film);
+    this.films = films.map((one) => one.film);
     const answer = await this.ask();
     if (!answer) return;
     films.forEach(({ says }, i) => says.forEach((text) => this.say(`${"AB"[i]}: ${text}`)));
@@ -42,7 +42,7 @@ export class Compare {
   }
 
   async ask() {
-    const answer = await ask("compare", { first: this.keys_[0], second: this.keys_[1] });
+    const answer = await ask("compare", { first: this.films[0], second: this.films[1] });
     if (answer.ok) return answer;
     this.say(answer.words ?? answer.problem);
     return null;
@@ -51,15 +51,17 @@ export class Compare {
   say(text) { this.said.append(make("p", { className: "soft", textContent: sentence(text) })); }
 
   /** What of the two is compared, and how. */
-  tell({ times, spans, interpolated }) {
+  tell({ times, spans, exact }) {
+    const both = exact.filter(Boolean).length, end = times.at(-1);
     this.times = times;
-    const end = times.at(-1);
+    /** At which frames a distance has no error of an interpolation in it: at all, where both never have one. */
+    this.plain = both > 1 ? exact : times.map(() => true);
     spans.forEach(([, last], i) => { if (last > end + 1e-9) this.say(`${"AB"[i]} goes on until ${figure(last)} s; both have frames until ${figure(end)} s`); });
-    if (interpolated) this.say(`At ${interpolated} of ${times.length} frames only one of the two has a frame: the other's positions are interpolated linearly between its nearest two`);
+    if (both < times.length) this.say(`At ${times.length - both} of ${times.length} frames only one of the two has a frame: the other's positions are interpolated linearly between its nearest two. ${both > 1 ? "The plot of distances has those of the other frames alone" : "Distances have the error of that in them"}`);
   }
 
   see({ times }) {
-    const camera = new Camera(), both = this.keys_.map((film, i) => new Reel(film, times.length, this.keys_[1 - i]));
+    const camera = new Camera(), both = this.films.map((film, i) => new Reel(film, times.length, this.films[1 - i]));
     this.screens = both.map((reel, i) => new Screen(reel, { name: `${"AB"[i]}  ${this.names[i]}`, camera, id: `film-${i}` }));
     this.player = new Player(times, both, (i) => this.show(i));
     this.player.onlost = (text) => this.say(text);
@@ -95,13 +97,13 @@ export class Compare {
   }
 
   lines() {
-    const t = this.times.slice(0, this.far.largest.length);
-    return [{ name: "largest", t, values: this.far.largest.map(mm) }, { name: "RMS", t, values: this.far.rms.map(mm) }];
+    const plain = (values) => values.filter((_, i) => this.plain[i]), t = plain(this.times.slice(0, this.far.largest.length));
+    return [["largest", this.far.largest], ["RMS", this.far.rms]].map(([name, values]) => ({ name, t, values: plain(values).map(mm) }));
   }
 
   async plot(answer) {
     this.far = answer;
-    const sheets = await Promise.all(this.keys_.map((film) => ask("plots", { film })));
+    const sheets = await Promise.all(this.films.map((film) => ask("plots", { film })));
     if (this.closed) return;
     const box = make("div", { className: "plots", id: "plots" }), seek = (t) => this.player.seek(t);
     this.apart = new Plot({ title: "Distance of the same vertices", unit: "mm", lines: this.lines() }, seek);
@@ -120,7 +122,7 @@ export class Compare {
   async measure(answer) {
     for (let now = answer; now && !this.closed; now = await this.ask()) {
       this.far = now;
-      const most = now.largest.reduce((a, b) => Math.max(a, b ?? 0), 0);
+      const most = now.largest.reduce((a, b, i) => Math.max(a, this.plain[i] ? (b ?? 0) : 0), 0);
       this.bar.high.textContent = `${figure(mm(most))} mm`;
       this.apart.box.hidden = now.measured && now.largest.every((value) => value === null);
       this.apart.renew(this.lines());

@@ -1,7 +1,7 @@
 import { make } from "./dom.js";
 
-/** How many times as fast as real time. */
-const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
+/** How many times as fast as real time, and how long [s] a replay takes at most unless it is asked for. */
+const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4, 10, 30, 100, 300, 1000, 3000, 10000], LONGEST = 60;
 
 /** A clock over frames: play, pause, step, speed, and a time line. Frames are shown as they are; one that is not there
   yet is waited for. */
@@ -9,13 +9,15 @@ export class Player {
   /** times [s] of the frames; reels of the frames; show(i) is called with each that is shown. */
   constructor(times, reels, show) {
     Object.assign(this, { times, reels, show, index: -1, playing: false });
+    const long = times.length ? times.at(-1) - times[0] : 0, usual = SPEEDS.find((speed) => speed >= 1 && long / speed <= LONGEST) ?? SPEEDS.at(-1);
+    this.digits = Math.max(0, Math.min(4, 1 - Math.floor(Math.log10(long / times.length || 1))));
     const button = (id, textContent, title, does) => make("button", { type: "button", id, textContent, title, onclick: does });
     this.play = button("play", "Play", "Space", () => this.toggle());
     this.line = make("input", { type: "range", id: "time-line", min: 0, max: Math.max(0, times.length - 1), step: 1, value: 0, ariaLabel: "Time" });
     this.line.addEventListener("input", () => { this.pause(); this.go(Number(this.line.value)); });
     this.said = make("output", { id: "time-said", htmlFor: "time-line" });
     this.speed = make("select", { id: "speed", ariaLabel: "Speed", title: "Of the replay, against real time" },
-      ...SPEEDS.map((value) => make("option", { value, textContent: `${value} ×`, selected: value === 1 })));
+      ...SPEEDS.filter((speed) => speed <= 4 * usual).map((value) => make("option", { value, textContent: `${value} ×`, selected: value === usual })));
     this.back = button("back", "‹", "One frame back (key ,)", () => { this.pause(); this.go(this.index - 1); });
     this.on = button("on", "›", "One frame on (key .)", () => { this.pause(); this.go(this.index + 1); });
     this.box = make("div", { className: "player" }, this.play, this.back, this.on, this.line, this.said, this.speed);
@@ -43,7 +45,7 @@ export class Player {
   tell(index) {
     this.index = index;
     this.line.value = index;
-    this.said.textContent = `${this.times[index].toFixed(3)} of ${this.times.at(-1).toFixed(3)} s`;
+    this.said.textContent = `${[this.times[index], this.times.at(-1)].map((t) => t.toFixed(this.digits)).join(" of ")} s`;
     this.line.setAttribute("aria-valuetext", this.said.textContent);
     this.back.disabled = index === 0;
     this.on.disabled = index === this.times.length - 1;

@@ -3,7 +3,7 @@ import { make, sentence } from "./dom.js";
 import { Player } from "./player.js";
 import { Plot } from "./plot.js";
 import { Reel } from "./reel.js";
-import { Bar, Screen } from "./screen.js";
+import { Bar, Picture, Screen } from "./screen.js";
 
 /** A text as a switch that a button is. */
 export const press = (id, textContent, title, does) => make("button", { type: "button", id, textContent, title, onclick: does });
@@ -30,6 +30,7 @@ export class Replay {
     try { if (answer.moves) this.see(answer); } catch (error) {
       this.say(`This browser cannot show the cloth: ${error.message}. A present Firefox, Chrome, Edge or Safari can.`);
     }
+    if (answer.dyed) { this.screen = new Picture(answer.film); this.theater.append(this.screen.box); }
     this.player ??= new Player(answer.times, [], (i) => this.show(i));
     this.player.onlost = (text) => this.say(text);
     this.theater.append(this.player.box);

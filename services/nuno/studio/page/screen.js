@@ -42,6 +42,28 @@ export class Screen {
   close() { this.stage.close(); }
 }
 
+/** Pictures of cloth that is dyed and does not move, one after the other: the newest that is wanted, once one has come. */
+export class Picture {
+  constructor(film) {
+    Object.assign(this, { film, index: -1, wanted: -1, busy: false });
+    this.image = make("img", { id: "dyed", alt: "The dyed cloth" });
+    const then = (words) => () => { this.said.textContent = words; this.busy = false; this.load(); };
+    Object.assign(this.image, { onload: then(""), onerror: then("This picture cannot be drawn.") });
+    this.said = make("span", { className: "soft", textContent: "Drawing the cloth …" });
+    this.box = make("div", { className: "screen dyed" }, this.said, this.image);
+  }
+
+  show(index) { this.wanted = index; if (!this.busy) this.load(); }
+
+  load() {
+    if (this.index === this.wanted) return;
+    Object.assign(this, { busy: true, index: this.wanted });
+    this.image.src = `dyed?film=${encodeURIComponent(this.film)}&frame=${this.index}`;
+  }
+
+  close() { this.wanted = this.index; }
+}
+
 /** A bar with the scale's colours between what its ends stand for. */
 export class Bar {
   constructor(id, low, high) {
