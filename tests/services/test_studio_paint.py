@@ -17,7 +17,7 @@ from PIL import Image
 from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
-from nuno.studio.dyed import at_start
+from nuno.studio.dyed import Dyed, at_start
 from nuno.studio.paint import simplified
 from nuno_schemas.errors import BadInput
 
@@ -197,3 +197,24 @@ def test_a_line_is_told_by_fewer_points_none_far_from_it() -> None:
             nearest = np.minimum(nearest, np.hypot(x - ax - share * (bx - ax), y - ay - share * (by - ay)))
         assert len(points) == 1 or nearest.max() <= 0.5 + 1e-12
     assert len(simplified(np.array(shaken(LINE)), 0.25 * CELL)) <= 5
+
+
+def test_a_picture_is_that_of_its_cloth_whatever_was_drawn_before(desk: Desk) -> None:
+    """What pictures of like cloth have in common is kept: another cloth, dye or stroke gives what it gives alone."""
+    small = SCENE.replace("[120, 80]", "[24, 16]")
+    texts = [
+        small,
+        painted(desk, small, tool="paste", points=[[1e-3, 1e-3]], width=5e-4),
+        small.replace("width: 4", "width: 6"),
+        small.replace("weld]", "madder]"),
+        small + "  picture: {ground: tan}\n",
+        small,
+    ]
+    kept, alone = [], []
+    for text in texts:
+        number = desk.act({"do": "dyed", "scene": "cloth.yaml", "text": text})["number"]
+        kept.append(desk._dyed_cloth.tell({"number": [str(number)]})[1])
+        fresh = Dyed()
+        alone.append(fresh.tell({"number": [str(fresh.see(scenes.load(text, Path("cloth.yaml")))["number"])]})[1])
+    assert kept == alone
+    assert kept[0] == kept[-1] and len(set(kept)) == 4  # a dye that is not on the cloth yet changes nothing

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import itertools
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from nuno.dye.run import build_cloth
@@ -37,12 +38,13 @@ class Dyed:
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
         self._kept: dict[int, bytes] = {}
+        self._painter: _Painter | None = None
 
     def see(self, loaded: Loaded) -> dict[str, Any]:
         """Build a scene's cloth: the number of its picture, its size [m], its cells, and the dyes. Raises BadInput."""
         cells, phi, fixed = at_start(loaded)
         number = next(self._numbers)
-        self._kept[number] = png_of(draw(loaded, cells, phi, fixed))
+        self._kept[number] = png_of(self._draw(loaded, cells, phi, fixed))
         for old in sorted(self._kept)[:-MOST]:
             self._kept.pop(old, None)
         _, ny, nx = cells.fibre.shape
@@ -54,6 +56,21 @@ class Dyed:
             "dyes": dyes,
             "object": loaded.dyed.said.object,
         }
+
+    def _draw(self, loaded: Loaded, cells: Cells, phi: Float, fixed: Float) -> Picture:
+        """All of the cloth, with what keeps dye out over it."""
+        _, ny, nx = cells.fibre.shape
+        scale = min(MOST_SCALE, max(1, round(SIDE / max(ny, nx))))
+        colours = tuple(one.colour for one in loaded.dyed.said.dyes)
+        plugin, config = loaded.dyed.picture.plugin, loaded.dyed.picture.config
+        painter, of = self._painter, (plugin.name, config, colours)
+        if painter is None or not painter.draws(of, cells):
+            prepared = plugin.prepare(config, loaded.files, cells, colours, Window(0, ny, 0, nx), scale)
+            painter = self._painter = _Painter(of, cells, prepared)
+        below: Picture = plugin.draw(painter.prepared, amount_seen(phi, fixed))
+        over = SHOWN * cells.resist.mean(axis=0).repeat(scale, 0).repeat(scale, 1)[:, :, None]
+        picture: Picture = np.rint((1.0 - over) * below + over * PASTE).astype(np.uint8)
+        return picture
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """One of the pictures. Raises Refused."""
@@ -98,21 +115,27 @@ def at_start(loaded: Loaded) -> tuple[Cells, Float, Float]:
     return cells, state.phi, state.fixed
 
 
-def draw(loaded: Loaded, cells: Cells, phi: Float, fixed: Float) -> Picture:
-    """All of the cloth, with what keeps dye out over it."""
-    _, ny, nx = cells.fibre.shape
-    scale = min(MOST_SCALE, max(1, round(SIDE / max(ny, nx))))
-    colours = tuple(one.colour for one in loaded.dyed.said.dyes)
-    chosen = loaded.dyed.picture
-    prepared = chosen.plugin.prepare(chosen.config, loaded.files, cells, colours, Window(0, ny, 0, nx), scale)
-    below: Picture = chosen.plugin.draw(prepared, amount_seen(phi, fixed))
-    over = SHOWN * cells.resist.mean(axis=0).repeat(scale, 0).repeat(scale, 1)[:, :, None]
-    picture: Picture = np.rint((1.0 - over) * below + over * PASTE).astype(np.uint8)
-    return picture
+class _Painter(NamedTuple):
+    """What pictures of one cloth have in common, which takes most of their time: a stroke changes none of it."""
+
+    of: tuple[Any, ...]
+    cells: Cells
+    prepared: Any
+
+    def draws(self, of: tuple[Any, ...], cells: Cells) -> bool:
+        before, now = _looks(self.cells), _looks(cells)
+        alike = len(before) == len(now) and all(map(np.array_equal, before, now))
+        return self.of == of and self.cells.v_max == cells.v_max and alike
+
+
+def _looks(cells: Cells) -> list[NDArray[Any]]:
+    """What of a cloth without dye is seen."""
+    photograph = (cells.photograph.light, cells.photograph.warp) if cells.photograph is not None else ()
+    return [cells.fibre, cells.up, *(cells.yarns or ()), *(cells.ground or ()), *photograph]
 
 
 def png_of(picture: Picture) -> bytes:
-    """A picture as a PNG file."""
+    """A picture as a PNG file, made fast: it goes no further than this machine."""
     out = io.BytesIO()
-    Image.fromarray(picture).save(out, "PNG")
+    Image.fromarray(picture).save(out, "PNG", compress_level=1)
     return out.getvalue()
