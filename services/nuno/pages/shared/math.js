@@ -64,13 +64,20 @@ export class Camera {
   /** Length of a pixel at a distance. */
   pixel(z) { return 2 * this.slope * z / this.height; }
 
-  /** Look at all points of x from where the cloth faces, with some pixels of room left for panels. */
-  fit(x, normal, aside = 0) {
+  /** Look at all points of x from where the cloth faces, with some pixels of room left for panels; and at those of
+    `beside` that are no farther from x than it is large, as a dancer is and a floor's corners are not. */
+  fit(x, normal, aside = 0, beside = []) {
     const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    for (let i = 0; i < x.length; i++) if (isFinite(x[i])) {
-      low[i % 3] = Math.min(low[i % 3], x[i]);
-      high[i % 3] = Math.max(high[i % 3], x[i]);
-    }
+    const take = (p, i) => {
+      for (let k = 0; k < 3; k++) {
+        low[k] = Math.min(low[k], p[i + k]);
+        high[k] = Math.max(high[k], p[i + k]);
+      }
+    };
+    for (let i = 0; i < x.length; i += 3) if (isFinite(x[i] + x[i + 1] + x[i + 2])) take(x, i);
+    const reach = length(add(high, low, -1)), least = low.map((v) => v - reach), most = high.map((v) => v + reach);
+    for (let i = 0; i < beside.length; i += 3)
+      if ([0, 1, 2].every((k) => least[k] <= beside[i + k] && beside[i + k] <= most[k])) take(beside, i);
     if (!isFinite(low[0])) return;
     this.target = [0, 1, 2].map((k) => (low[k] + high[k]) / 2);
     this.size = length(add(high, low, -1)) || 1;

@@ -63,7 +63,7 @@ export class Stage {
     if (frame.body) this.body = new Surface(frame.body, changed ? frame.bodyFaces : this.body.faces);
     this.pieces = frame.pieces;
     if (changed) this.setTopology(frame.edges ?? new Uint32Array(0));
-    if (first) this.fit();
+    if (first) this.fit(this.body.x);
     this.shape = frame.shape ?? 0;
     this.normals = this.cloth.normals();
     this.painter.move("cloth", frame.x, this.normals);
@@ -97,7 +97,8 @@ export class Stage {
   /** Colour the cloth by 3 n numbers from 0 to 1, or as the scene has it. It holds until triangles change. */
   colour(colours = this.ownColours()) { this.painter.colour("cloth", colours); this.dirty(); }
 
-  fit() { this.size(); this.camera.fit(this.cloth.x, this.cloth.facing(), this.aside); this.camera.changed(); }
+  /** Look at the whole cloth, and at points beside it that are near. */
+  fit(beside = []) { this.size(); this.camera.fit(this.cloth.x, this.cloth.facing(), this.aside, beside); this.camera.changed(); }
 
   /** The place on the cloth that a pixel shows, null where it shows something else. */
   pick(px, py) {
