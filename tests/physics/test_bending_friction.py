@@ -202,6 +202,7 @@ def test_all_solvers_come_to_the_same_and_remember_it(monkeypatch: pytest.Monkey
     assert fine < 0.04 and fine < 0.4 * coarse
 
 
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "leapfrog", "rk4", "dopri5"])
 def test_friction_that_is_held_does_not_feed_a_swing(solver: str) -> None:
     """Far below its slip a piece rings on and gains nothing."""

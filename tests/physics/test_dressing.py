@@ -118,6 +118,7 @@ def test_a_tube_closes_round_a_column_that_its_panels_start_far_from(
     assert np.quantile(np.abs(length / rest - 1.0), 0.95) < 0.15
 
 
+@pytest.mark.full
 def test_a_panel_that_reaches_into_the_body_is_named(tmp_path: Path) -> None:
     """A tube in the middle of a column three metres wide: it is not put outside of that."""
     (tmp_path / "tube.json").write_text(json.dumps(tube()))

@@ -115,6 +115,7 @@ def test_edges_that_the_body_is_not_in_are_no_place_for_an_elastic(tmp_path: Pat
     assert told.value.field == "elastics.0.along"
 
 
+@pytest.mark.full
 def test_a_band_is_not_shown_as_the_cloth_s_stretch(tmp_path: Path) -> None:
     held = put_on(tmp_path, labelled(), elastics=[{"along": "waist", "girth": 0.5}])
     plain = put_on(tmp_path, labelled(), elastics=[])

@@ -85,6 +85,7 @@ def test_a_finer_sheet_hangs_the_same(preset: str) -> None:
     assert np.ptp(drops) < 0.003 * drops.min()
 
 
+@pytest.mark.quick(n=[24])
 @pytest.mark.parametrize("n", [24, 96])
 def test_a_simulation_settles_where_statics_say(n: int) -> None:
     """Started unstretched and damped near critically, the sheet comes to rest at the static drop.

@@ -49,6 +49,7 @@ FABRICS = {
 }
 
 
+@pytest.mark.quick(build=[FABRICS["hinges"], FABRICS["far"]])
 @pytest.mark.parametrize("build", FABRICS.values(), ids=FABRICS)
 def test_the_factor_gives_the_dense_solution(build, monkeypatch):
     monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)

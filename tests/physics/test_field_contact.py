@@ -79,6 +79,7 @@ def test_an_impact_goes_as_deep_into_a_field_as_into_the_ball() -> None:
     assert np.abs(deepest[0] - deepest[1]).max() < tolerance
 
 
+@pytest.mark.full
 def test_nothing_rests_inside_of_a_body_by_more_than_the_tolerance() -> None:
     """A net laid over a leg on its side: by the exact distance to the mesh, not by the field."""
     x, faces = leg_mesh(48)

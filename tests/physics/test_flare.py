@@ -40,6 +40,7 @@ def with_arms() -> Body:
     return together(column((0.14, 0.1), (0.85, 1.4)), *legs, *arms)
 
 
+@pytest.mark.full
 @pytest.mark.quick(half=[160.0])
 @pytest.mark.parametrize("half", [95.0, 120.0, 160.0])
 def test_a_circle_skirt_goes_round_trunk_and_legs_and_no_arm(tmp_path: Path, half: float) -> None:

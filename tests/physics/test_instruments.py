@@ -175,6 +175,7 @@ def test_drapes_depend_on_weight_over_rigidity_alone(rigidity: float | None, mon
     assert (found.error <= found.allowed) == (rigidity is None)
 
 
+@pytest.mark.full
 def test_the_command_fills_in_a_sheet(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("fabric: {preset: denim, hysteresis_warp: 0.4 mN}\n")

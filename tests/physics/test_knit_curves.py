@@ -189,6 +189,7 @@ def test_no_sample_lies_in_a_real_leg(name: str, shared_data: Path) -> None:
     assert off_skin(smooth(knit("tube", 30, 59), points, Surface(x, faces)), x, faces) < DEEPEST
 
 
+@pytest.mark.full
 def test_no_sample_lies_in_the_leg_by_brute_force() -> None:
     x, faces = leg_mesh(12)
     points = wrapped(x, faces, 4, 4, 0.1, 0.7, 0.13)

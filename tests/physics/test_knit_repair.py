@@ -67,6 +67,7 @@ def test_no_sample_lies_in_a_real_leg(name: str, shared_data: Path) -> None:
     assert closest_points(tree, samples(found.points, found.ptr, CHECKED)).distance.min() > -DEEPEST
 
 
+@pytest.mark.full
 def test_no_sample_lies_in_the_leg_by_brute_force() -> None:
     """Distances to every triangle and winding numbers, for a coarse leg whose links cut deep; its own vertices, too."""
     x, faces = leg_mesh(12)

@@ -47,6 +47,7 @@ def test_the_force_is_the_two_lines(load: float) -> None:
     assert np.abs(accelerations(system, x, 0.0 * x)).max() < 1e-13 * load
 
 
+@pytest.mark.quick(plugin=["symplectic_euler", "tr_bdf2"])
 @pytest.mark.parametrize("plugin", [SymplecticEuler(), ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
 def test_a_loaded_yarn_comes_to_the_closed_forms_rest(plugin: Any) -> None:
     system = hanging()
@@ -97,6 +98,7 @@ def rows_of_runs() -> Fabric:
 BUILDS = {"lists": lambda: flat(50, 1), "runs": rows_of_runs}
 
 
+@pytest.mark.quick(build=[rows_of_runs])
 @pytest.mark.parametrize("build", BUILDS.values(), ids=BUILDS)
 def test_force_is_minus_the_gradient_of_energy(build: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)

@@ -226,6 +226,7 @@ def test_rates_are_told_apart() -> None:
     assert abs(softer[1][0] / slow[0] - 0.5) < 0.02
 
 
+@pytest.mark.quick(name=["symplectic_euler", "respa", "tr_bdf2"])
 @pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nuno.integrators")))
 def test_no_solver_moves_otherwise_where_its_loop_is_interpreted(name: str) -> None:
     """As a force in Python has it: what compiled code alone can call would do nothing."""

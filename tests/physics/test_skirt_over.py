@@ -134,6 +134,7 @@ def test_it_stands_by_itself_if_that_is_said(tmp_path: Path) -> None:
     assert build.build_fabric(loaded)[0].bindings == ()
 
 
+@pytest.mark.full
 def test_the_ease_that_is_told_is_enough_and_no_less_is(torso: Body) -> None:
     with pytest.raises(BadInput, match="too narrow") as caught:
         skirt(torso, cut="quarter")

@@ -92,6 +92,7 @@ def test_a_sleeve_goes_round_its_arm_and_a_leg_round_its_own(tmp_path: Path, ang
     require_round(cloth, body, [0.25, 1.2, 0.0], turn @ [0, 1, 0])
 
 
+@pytest.mark.full
 def test_a_skirt_of_one_piece_goes_round_both_legs_and_no_arm(tmp_path: Path) -> None:
     legs = (moved(column((0.06, 0.06), (0.0, 0.9)), np.eye(3), [x, 0, 0]) for x in (-0.08, 0.08))
     arms = (moved(column((0.04, 0.04), (0.6, 1.3)), np.eye(3), [x, 0, 0]) for x in (-0.35, 0.35))

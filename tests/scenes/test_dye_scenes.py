@@ -16,6 +16,7 @@ NAMES = ("drops", "folded", "halo", "ikat", "photograph")
 SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in NAMES]
 
 
+@pytest.mark.quick(path=[path for path in SCENES if path.stem in ("drops", "folded", "photograph")])
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_a_scene_of_dye_runs_and_shows_its_dye(path: Path) -> None:
     loaded = scene_file.read(path)

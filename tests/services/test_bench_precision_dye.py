@@ -124,6 +124,7 @@ def test_errors_fall_at_the_order_of_each_solver(tmp_path: Path) -> None:
     assert nominal["extrapolated"] == "2" and nominal["explicit"] in ("1", "not stated")
 
 
+@pytest.mark.full
 def test_errors_are_those_against_the_closed_form(tmp_path: Path) -> None:
     path = write_wave(tmp_path)
     found, problem = swept(path, "--solvers", "explicit"), problem_of(path)
@@ -152,6 +153,7 @@ def test_spread_grows_as_a_drop_s_second_moment(tmp_path: Path) -> None:
     assert grown == pytest.approx(expected, rel=1e-2, abs=1e-16)
 
 
+@pytest.mark.full
 def test_a_step_beyond_the_limit_is_tried_and_marked(tmp_path: Path) -> None:
     found = swept(write_wave(tmp_path), "--solvers", "explicit")
     (beyond,) = [point for point in found.points if point.beyond]

@@ -96,6 +96,7 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
     assert [point.solver for point in sweep.points] == sorted(order, reverse=True)
 
 
+@pytest.mark.full
 def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Findings) -> None:
     small = swept(write_net(tmp_path), "--budget", "0.02", "--solvers", SOLVERS)
     dropped = {(one.solver, one.setting) for one in small.sweep.omitted}

@@ -41,6 +41,7 @@ def test_the_own_step_and_twice_it_are_swept_and_the_sentence_is_that_of_their_r
     assert f"with a step twice as large ({coarser.setting}): error in positions {errors[1]:.2e}" in said
 
 
+@pytest.mark.full
 def test_the_command_and_its_files_begin_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_net(tmp_path, solver={"plugin": "rk4", "dt": 0.002})
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4", "--out", str(tmp_path)]) == 0
@@ -53,6 +54,7 @@ def test_the_command_and_its_files_begin_with_it(tmp_path: Path, capsys: pytest.
     assert set(first) == {content["own"]["setting"], content["own"]["coarser"]}, "run before all others"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
@@ -85,6 +87,7 @@ def test_an_adaptive_solver_is_swept_at_its_own_tolerance(tmp_path: Path) -> Non
     assert "with 10 times the tolerance (tolerance 3e-06)" in found.own_sentence
 
 
+@pytest.mark.full
 def test_an_implicit_solver_keeps_its_own_residual(tmp_path: Path) -> None:
     """A loose one, which the sweep's own settings would tighten."""
     fields = {"solver": {"plugin": "implicit_euler", "dt": 0.0025, "residual": 5e-3}}
@@ -98,6 +101,7 @@ def test_an_implicit_solver_keeps_its_own_residual(tmp_path: Path) -> None:
     assert orders(found).rows[0][3] == f"{slope:.2f}", "what the own residual leaves is no error of the step"
 
 
+@pytest.mark.full
 def test_a_solver_that_the_scene_leaves_open_is_the_one_that_is_chosen(tmp_path: Path) -> None:
     path = write_net(tmp_path, solver="auto", accuracy="normal")
     found = swept(path, "--solvers", "symplectic_euler,leapfrog,rk4")

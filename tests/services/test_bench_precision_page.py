@@ -41,6 +41,7 @@ def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, 
     assert set(measure_errors(run, run, problem.scales(run), 1)) == {"energy", "centre", "drop", "strain"}
 
 
+@pytest.mark.full
 def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     report(found).write_beside(tmp_path / "line")
     content = json.loads((tmp_path / "line.json").read_text())
@@ -53,6 +54,7 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
 
 
+@pytest.mark.full
 def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
     from nuno_bench.report import rerun
 

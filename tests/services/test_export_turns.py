@@ -107,6 +107,7 @@ def test_sides_and_turns_are_of_what_is_drawn(
     assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
+@pytest.mark.full
 def test_a_run_is_animated_at_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

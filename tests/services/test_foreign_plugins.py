@@ -200,7 +200,7 @@ ENDS = {
 }
 
 
-@pytest.mark.quick(way=["python", "compiled"])
+@pytest.mark.quick(way=["compiled"])
 @pytest.mark.parametrize("way", ENDS)
 def test_one_that_ends_the_process_does_not_end_it_as_done(packages: Packages, tmp_path: Path, way: str) -> None:
     """Exit code 0 says that there is a recording, whoever asks for it."""

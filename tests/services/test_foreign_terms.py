@@ -39,6 +39,7 @@ def run(folder: Path, force: str, solver: str, **changed: object) -> nuno.Result
     return nuno.run(write_scene(folder, **fields))
 
 
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler"])
 def test_it_does_what_the_same_force_does_in_python(packages: Packages, tmp_path: Path, solver: str) -> None:
     packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")

@@ -168,8 +168,8 @@ def test_a_number_too_long_to_be_read_is_no_field_that_can_change(tmp_path: Path
 )
 def test_strokes_of_the_page_that_are_none(face: str, height: str, words: str, tmp_path: Path) -> None:
     line = f'{{"points": [[0, 0.3, 0], [{face}, 0.3, 0.3]], "height": {height}}}'
-    for act in ("check", "export"):
-        request = f'{{"do": "{act}", "shape": 0, "lines": [{line}]}}'
+    for does in ("check", "export"):
+        request = f'{{"do": "draw", "does": "{does}", "start": 1, "lines": [{line}]}}'
         assert words in _refused("page request", request.encode(), tmp_path)
 
 

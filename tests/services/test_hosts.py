@@ -79,6 +79,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Digests:
     return digests(record)
 
 
+@pytest.mark.quick(cut=["collision"])
 @pytest.mark.parametrize("cut", ["collision", "recorder"])
 def test_a_short_cut_changes_nothing(cut: str, alone: Digests, tmp_path: Path) -> None:
     remote = Remote(tmp_path, cut, 0.3)

@@ -153,6 +153,7 @@ def test_long_values_are_cut_short(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 600
 
 
+@pytest.mark.full
 def test_every_scene_that_comes_along_is_the_same_for_all() -> None:
     """Whatever its plugins were given crosses the bus, and is read alike twice."""
     scenes = shipped.scenes()

@@ -75,6 +75,7 @@ def test_pauses_are_none_of_the_clocks(tmp_path: Path) -> None:
     assert outcome.summary["paused_seconds"] > 0.9 * PAUSE and outcome.summary["clock"]["most"] < 0.9 * PAUSE
 
 
+@pytest.mark.full
 def test_accuracy_is_dropped_for_the_clock_only_where_the_scene_leaves_it_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

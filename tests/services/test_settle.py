@@ -116,6 +116,7 @@ def test_a_recording_has_what_came_to_rest(
     assert "came to rest" in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.quick(coarse=["1 cm"])
 @pytest.mark.parametrize("coarse", ["1.6 cm", "1 cm"])
 def test_triangles_that_are_no_coarser_change_nothing(tmp_path: Path, coarse: str) -> None:
@@ -144,6 +145,7 @@ def test_what_is_wrong_with_the_coarser_triangles_is_told_by_their_field(tmp_pat
     assert (told.value.field, told.value.value) == ("objects[0].model.coarse", "15 cm")
 
 
+@pytest.mark.full
 def test_what_cuts_the_body_between_coarser_triangles_is_untangled_from_it(tmp_path: Path) -> None:
     """A column with six sharp edges."""
     run = begin(write(tmp_path, {"coarse": "5 cm"}, around=6))
@@ -154,6 +156,7 @@ def test_what_cuts_the_body_between_coarser_triangles_is_untangled_from_it(tmp_p
     assert "plugin: untangle" in str(refused.value.remedy)
 
 
+@pytest.mark.full
 def test_objects_that_change_keep_where_they_came_to_rest(tmp_path: Path) -> None:
     """Also after a change of the scene, from which their fabrics are built again."""
     run = begin(write(tmp_path, {}, SHEET))
@@ -189,6 +192,7 @@ def test_a_step_that_fails_on_coarser_triangles_ends_the_run(tmp_path: Path, mon
         begin(write(tmp_path, {}))
 
 
+@pytest.mark.full
 def test_what_is_wrong_on_any_triangles_is_told_as_without_coarser_ones(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="the pattern has no such panel") as told:
         begin(write(tmp_path, {"fabrics": {"frnot": "denim"}}))
