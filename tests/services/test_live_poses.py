@@ -53,10 +53,10 @@ def poses(number: int = 20) -> list[tuple[list[float], list[float]]]:
 
 
 def drive(folder: Path, scene: Path, sent: Sequence[tuple[list[float], list[float]]], name: str = "run") -> Run:
-    """A run, over, whose ball was sent these poses."""
+    """A run, over, whose ball was sent these poses by who has waited for it."""
     run = Run(scene, folder / f"{name}.mcap", paused=True)
-    run.wait_until_paused()
-    with nuno.drive(run.run, "hand") as ball:
+    with nuno.drive(run.run, "hand", wait=LONG) as ball:
+        run.wait_until_paused()
         for position, rotation in sent:
             ball.send(position, rotation)
         run.control("resume")
@@ -216,11 +216,13 @@ def test_bodies_are_not_asked_ahead_of_what_they_are_told(tmp_path: Path) -> Non
     assert places(run.record)[1:].tolist() == [position for position, _ in poses()]
 
 
-def test_a_body_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_run_or_a_body_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="no such run is going on"):
+        nuno.drive("nobody", "hand", wait=0.2)
     run = Run(hand(tmp_path, silence=0.01), tmp_path / "run.mcap", paused=True)
     run.wait_until_paused()
     with pytest.raises(BadInput, match=r"no such body(.|\n)*did you mean 'hand'"):
-        nuno.drive(run.run, "hnad")
+        nuno.drive(run.run, "hnad", wait=LONG)
     with nuno.drive(run.run, "hand") as ball:
         with pytest.raises(BadInput, match="position: not finite"):
             ball.send([np.nan, 0.0, 0.0])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 import zenoh
@@ -16,17 +18,20 @@ from nuno.supervision import runs
 from nuno.supervision.supervisor import CONTROL_TIMEOUT
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import spoke
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput, RunFailed, nearest
 from nuno_schemas.live import BodyPoses
 from nuno_schemas.messages import POSES
 
 STILL = (1.0, 0.0, 0.0, 0.0)
+LOOK = 0.1
+"""How often a run that is waited for is looked for [s]."""
+T = TypeVar("T")
 
 
 class Driving:
     """What moves one body, and takes hold of cloth with it; it can be closed, and used with `with`."""
 
-    def __init__(self, run: str, body: str, endpoint: str, key: str | None, config: str | None) -> None:
+    def __init__(self, run: str, body: str, endpoint: str, key: str | None, config: str | None, end: float) -> None:
         self._stack = contextlib.ExitStack()
         with in_python():
             session = self._stack.enter_context(spoke(endpoint, config))
@@ -37,7 +42,8 @@ class Driving:
             reliability=zenoh.Reliability.RELIABLE,
         )
         with in_python():
-            known = decode_geometry(self._bus.ask(GEOMETRY_QUESTION, timeout=CONTROL_TIMEOUT)).bodies
+            answer = _asked_until(end, lambda: self._bus.ask(GEOMETRY_QUESTION, timeout=CONTROL_TIMEOUT), RunFailed)
+            known = decode_geometry(answer).bodies
             if body not in known:
                 self.close()
                 raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, known))
@@ -79,15 +85,33 @@ class Driving:
 
 
 def drive(
-    run: str, body: str, *, key: str | None = None, connect: str | None = None, config: str | None = None
+    run: str,
+    body: str,
+    *,
+    wait: float = 0.0,
+    key: str | None = None,
+    connect: str | None = None,
+    config: str | None = None,
 ) -> Driving:
     """Move a body of a run whose motion is `{plugin: topic}`: with nuno.drive("last", "hand") as hand: hand.send(...).
 
-    run: its id, the beginning of that, or "last"; body: its name in the scene; key: that of its motion, where that has
-    one; connect and config: endpoint and zenoh configuration, for a run on another host, whose id is then needed in
-    full. Raises BadInput for a run that does not go on and a body that it has not, RunFailed where it cannot be
-    reached.
+    run: its id, the beginning of that, or "last"; body: its name in the scene; wait: how long the run may take to be
+    there, and ready [s]; key: that of its motion, where that has one; connect and config: endpoint and zenoh
+    configuration, for a run on another host, whose id is then needed in full. Raises BadInput for a run that does not
+    go on and a body that it has not, RunFailed where it cannot be reached.
     """
+    end = time.monotonic() + wait
     with in_python():
-        name, endpoint = (run, connect) if connect else runs.find(run)
-    return Driving(name, body, endpoint, key, config)
+        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run), BadInput)
+    return Driving(name, body, endpoint, key, config, end)
+
+
+def _asked_until(end: float, ask: Callable[[], T], refusal: type[Exception]) -> T:
+    """What is asked for, as soon as it is there; refused as it is at the end of the time."""
+    while True:
+        try:
+            return ask()
+        except refusal:
+            if time.monotonic() >= end:
+                raise
+        time.sleep(LOOK)
