@@ -121,6 +121,10 @@ def test_a_scene_is_saved_in_the_folder_and_nowhere_else(desk: Desk) -> None:
     about(desk, "save", text, before=SHEET, name=FILE)
     about(desk, "save", text, before=SHEET, name="new.yaml")
     assert Path(FILE).read_text() == Path("new.yaml").read_text() == text
+    own = "my skirt (1).yaml"
+    Path(own).write_text(SHEET)
+    ask(desk, "save", scene=own, text=text, before=SHEET, name=own)
+    assert Path(own).read_text() == text
 
 
 def test_a_run_has_the_same_bits_as_from_the_command_line_and_is_of_the_text(desk: Desk) -> None:
@@ -163,6 +167,17 @@ def test_a_run_is_stepped_paused_and_stopped(desk: Desk) -> None:
 def test_what_ends_a_run_before_it_begins_is_told(desk: Desk) -> None:
     now = run_to_end(desk, SHEET.replace("dt: auto", "dt: 20 ms"))
     assert now["state"] == "refused" and "stab" in now["said"] and not list(Path("recordings").glob("*.mcap*"))
+
+
+def test_what_lies_beside_stays_while_another_recording_of_its_run_is_there(desk: Desk) -> None:
+    folder = Path("recordings")
+    folder.mkdir()
+    for name in ("a.mcap", "a.mcap.part", "a.png"):
+        (folder / name).write_bytes(b"")
+    ask(desk, "delete", recording="a.mcap.part")
+    assert sorted(path.name for path in folder.iterdir()) == ["a.mcap", "a.png"]
+    ask(desk, "delete", recording="a.mcap")
+    assert not list(folder.iterdir())
 
 
 def test_a_recording_is_verified_and_deleted_with_what_lies_beside(desk: Desk) -> None:

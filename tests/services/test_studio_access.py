@@ -104,6 +104,24 @@ def test_a_file_is_taken_as_the_page_sends_it_and_no_other_way(
     assert Path("a.npz").is_file() == (status == 200)
 
 
+def test_what_was_not_read_is_no_other_request(served: tuple[Desk, Server]) -> None:
+    """The bytes of a file that is refused before it is read are not taken for what is asked next."""
+    server = served[1]
+    host = f"127.0.0.1:{server.guard.port}"
+    connection = http.client.HTTPConnection("127.0.0.1", server.guard.port, timeout=10)
+    headers = {"Host": host, "Origin": f"http://{host}", "Content-Type": BYTES}
+    connection.request("POST", f"/{server.guard.token}/file?name=a.exe", b"DELETE /all HTTP/1.1\r\n\r\n", headers)
+    answer = connection.getresponse()
+    assert json.loads(answer.read())["ok"] is False and answer.getheader("Connection") == "close"
+
+
+def test_a_fault_is_told_without_the_address(served: tuple[Desk, Server], caplog: pytest.LogCaptureFixture) -> None:
+    server = served[1]
+    server.act = lambda request: {"half": 1 / int(request["by"])}
+    assert ask(server, "do", b'{"by": 0}') == 500
+    assert "ZeroDivisionError" in caplog.text and server.guard.token not in caplog.text
+
+
 def test_words_are_as_short_as_ever_and_files_are_taken_at_one_place(served: tuple[Desk, Server]) -> None:
     assert ask(served[1], "do", b"", Content_Length=str(MOST_BYTES + 1)) == 413
     assert ask(served[1], "do", NET, Content_Type=BYTES) == 415

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,17 @@ def test_pictures_animations_and_meshes_are_of_their_kinds_and_tell_how_far(desk
         assert told["share"] == (1.0 if kind == "mp4" else None)
         if kind == "png":
             assert Image.open(io.BytesIO(data)).size[0] > 100
+
+
+def test_of_a_recording_that_grows_one_file_of_a_kind_is_made_at_once(desk: Desk, recording: str) -> None:
+    asked = {"do": "export", "recording": recording, "kind": "glb"}
+    desk.act(asked)
+    _, child = desk.exports._made[recording, "glb"]
+    os.utime(Path("recordings") / recording)
+    assert child.code is None and desk.act(asked)["making"]
+    assert desk.exports._made[recording, "glb"][1] is child
+    desk.act({"do": "delete", "recording": recording})
+    assert child.code is not None and not desk.exports._made
 
 
 def test_what_cannot_be_made_is_told_in_words(desk: Desk, recording: str) -> None:

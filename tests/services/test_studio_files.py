@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from recorded_sheet import Sheet, write
 
 from nuno.cli import main
 from nuno.scene import shipped
@@ -196,6 +197,14 @@ def test_what_is_too_large_or_breaks_off_is_refused(desk: Desk, monkeypatch: pyt
         desk.act({"do": "expect", "name": "a.npz", "bytes": 11})
     assert desk.act({"do": "expect", "name": "a.npz", "bytes": 10})["name"] == "a.npz"
     assert desk.act({"do": "files"})["files"] == [] and not list(Path().iterdir())
+
+
+def test_a_recording_is_told_and_lies_where_recordings_do(desk: Desk, tmp_path: Path) -> None:
+    write(tmp_path / "wave.mcap", Sheet())
+    data = (tmp_path / "wave.mcap").read_bytes()
+    told = drop(desk, "wave.mcap", data)
+    assert told["kind"] == "recording" and rows(told)["scene"] == "waving" and told["offers"] == told["mistakes"] == []
+    assert Path("recordings/wave.mcap").read_bytes() == data
 
 
 def test_a_sheet_of_a_laboratory_becomes_the_cloth_of_a_scene(desk: Desk) -> None:

@@ -137,7 +137,7 @@ def test_a_stencil_keeps_dye_out_where_it_was_put_and_as_large(desk: Desk, inver
     place, width = (4.03e-3, 3.5e-3), 6e-3
     said = {"image": png(grey.astype(np.uint8), "L"), "invert": invert, "place": place, "width": width}
     text = painted(desk, tool="stencil", **said | {"place": list(place)})
-    assert "{kind: image, file: cloth-stencil-1.png}" in text and Path("cloth-stencil-1.png").is_file()
+    assert "{kind: image, file: cloth-stencil.png}" in text and Path("cloth-stencil.png").is_file()
     resist = start_of(text)[0].resist
     assert np.array_equal(resist[0], resist[1])
     x, y = middles()
@@ -150,6 +150,14 @@ def test_a_stencil_keeps_dye_out_where_it_was_put_and_as_large(desk: Desk, inver
 
 
 def test_what_cannot_be_painted_is_said(desk: Desk) -> None:
+    white = {"image": png(np.full((9, 9), 255, np.uint8), "L"), "width": 1e-3}
+    for more, problem in (
+        ({"place": [4e-3, 4e-3], "live": True}, "takes no new image"),
+        ({"place": [1.0, 1.0]}, "beside"),
+    ):
+        with pytest.raises(BadInput, match=problem):
+            desk.act({"do": "paint", "scene": "cloth.yaml", "text": SCENE, "tool": "stencil"} | white | more)
+    assert not list(Path().glob("*.png"))
     for said, problem in [
         ({"tool": "paste", "points": [[0.1, 0.1]], "width": 1e-3}, "the part holds no cell"),
         ({"tool": "dye", "dye": "madder", "amount": 1, "points": LINE, "width": 1e-3}, "madder"),

@@ -157,7 +157,7 @@ def test_a_stencil_is_put_by_a_click(page: Page, painting: Server) -> None:
         'mine.png', {{ type: 'image/png' }}))""")
     ((x, y),) = pixels(page, (8.0, 5.0))
     page.drag([(x, y)])
-    page.wait(f"/drops-stencil-1.png/.test(nuno.scene.text.value) && {DONE}")
+    page.wait(f"/drops-stencil.png/.test(nuno.scene.text.value) && {DONE}")
     resist = begin(page)[0].resist[0]
     rows, columns = np.nonzero(resist > 0.5)
     near = 2  # cells: a pixel of the screen, and a rim

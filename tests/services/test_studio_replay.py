@@ -23,6 +23,7 @@ from nuno.pages.guard import Refused
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.studio.desk import Desk
+from nuno.studio.screen import MOST_FILMS
 from nuno.wire.arrays import encode_points
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FABRIC, STATE
@@ -69,14 +70,21 @@ def both(desk: Desk, one: str, two: str) -> tuple[list[str], dict[str, Any]]:
     return films, ask(desk, "compare", first=films[0], second=films[1])
 
 
-def waving(path: Path, rate: float = 50.0, size: float = 1.0, sheet: Sheet | None = None, frames: int = 20) -> None:
-    """A sheet that waves `size` times as far, recorded at a rate."""
+def waving(
+    path: Path, rate: float = 50.0, size: float = 1.0, sheet: Sheet | None = None, frames: int = 20, at: float = 0.0,
+    begin: float = 0.0, told: bool = True,
+) -> None:  # fmt: skip
+    """A sheet that waves `size` times as far, recorded at a rate from a time [s] on, `at` [m] along x; whether the
+    recording tells what its cloth is.
+    """
     sheet = sheet or Sheet()
     writer = RecordingWriter(path, metadata(), {})
     for topic, header, payload in items(sheet, frames):
         t = header.t * 50.0 / rate
         if topic == STATE.name:
-            payload = encode_points(sheet.rest + size * (sheet.x(t) - sheet.rest), t)
+            payload = encode_points(sheet.rest + size * (sheet.x(t) - sheet.rest) + [at, 0.0, 0.0], t)
+        if (topic == STATE.name and t < begin) or (topic == FABRIC.name and not told):
+            continue
         writer.write(topic, header.model_copy(update={"t": t}), payload)
     writer.finish({END: {"state": "done", "complete": "true", "missing": "{}"}})
 
@@ -98,7 +106,14 @@ def test_frames_are_the_bytes_that_were_recorded(desk: Desk) -> None:
     assert [one["frame"] for one in head["frames"]] == [3, 4, 5, 6, 7]
     told, shape = unpack(desk.screen.shape({"film": [found["film"]], "shape": ["0"]}))
     assert np.array_equal(shape["faces"].reshape(-1, 3), Sheet().faces) and told["pieces"][0]["name"] == "cloth"
-    for wrong in ({"first": "20"}, {"first": "-1"}, {"count": "0"}, {"count": "65"}, {"film": "1-2:wave.mcap"}):
+    for wrong in (
+        {"first": "20"},
+        {"first": "-1"},
+        {"count": "0"},
+        {"count": "65"},
+        {"first": "--5"},
+        {"film": "1-2:wave.mcap"},
+    ):
         query = {"film": found["film"], "first": "0", "count": "1"} | wrong
         with pytest.raises(Refused):
             desk.screen.frames({name: [value] for name, value in query.items()})
@@ -219,6 +234,45 @@ def test_what_cannot_be_compared_is_refused_or_left_out(desk: Desk) -> None:
     desk.screen.forget("a.mcap")
     with pytest.raises(BadInput, match="has changed since"):
         ask(desk, "plots", film=films[0])
+
+
+def test_two_runs_are_shown_about_one_place(desk: Desk) -> None:
+    """Positions are float32 about a whole metre near each film's own first vertex, but one camera sees both."""
+    waving(FOLDER / "a.mcap", at=0.499)
+    waving(FOLDER / "b.mcap", at=0.501)
+    films, _ = both(desk, "a.mcap", "b.mcap")
+    alone = [frames(desk, film, 0, 1)[0]["origin"] for film in films]
+    assert alone[0] != alone[1]
+    (one, a), (two, b) = (frames(desk, film, 0, 1, other) for film, other in (films, films[::-1]))
+    assert one["origin"] == two["origin"]
+    assert (b["x0"] - a["x0"]).reshape(-1, 3) == pytest.approx(
+        np.tile([0.002, 0.0, 0.0], (len(a["x0"]) // 3, 1)), abs=1e-6
+    )
+
+
+def test_runs_without_a_frame_in_common_time_and_cloth_that_is_not_told_are_refused(desk: Desk) -> None:
+    waving(FOLDER / "rare.mcap", 1.0, frames=4)
+    waving(FOLDER / "short.mcap", begin=0.3)
+    _, found = both(desk, "rare.mcap", "short.mcap")
+    assert len(found["times"]) == 5 and not any(found["exact"])  # the one that has frames there is the clock
+    waving(FOLDER / "untold.mcap", told=False)
+    with pytest.raises(BadInput, match="does not describe its cloth"):
+        ask(desk, "replay", recording="untold.mcap")
+
+
+def test_those_that_were_wanted_last_stay_open(desk: Desk) -> None:
+    for i in range(MOST_FILMS + 2):
+        waving(FOLDER / f"{i}.mcap", frames=3)
+    films = [ask(desk, "replay", recording=f"{i}.mcap")["film"] for i in range(MOST_FILMS)]
+    first = desk.screen._film(films[0])
+    ask(desk, "replay", recording=f"{MOST_FILMS}.mcap")
+    assert list(desk.screen._films)[:-1] == [*films[2:], films[0]]
+    desk.screen.forget("0.mcap")
+    with pytest.raises(BadInput, match="closed meanwhile"):
+        first.stills(first.times)
+    # Opening the second of two closes another one than the first.
+    pair, _ = both(desk, "2.mcap", f"{MOST_FILMS + 1}.mcap")
+    assert set(pair) <= set(desk.screen._films)
 
 
 def test_a_recording_without_a_scene_is_not_gone_on_with(desk: Desk) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import re
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
@@ -21,12 +23,13 @@ from nuno.pages.guard import FILE, HEADERS, Guard, Refused
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
+LOGGER = logging.getLogger("nuno.pages")
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 MOST_CONNECTIONS = 32
 IDLE = 30.0
 """Silence after which a connection ends [s]: longer than a page waits for what it is told of."""
 SHARED = files("nuno.pages") / "shared"
-NOT_FOUND, BAD_REQUEST, BUSY = 404, 400, 503
+NOT_FOUND, BAD_REQUEST, FAULT = 404, 400, 500
 
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
 Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
@@ -122,6 +125,13 @@ class Handler(BaseHTTPRequestHandler):
         except Refused as refused:
             self.close_connection = True  # what is left of the request is not read
             self._send(refused.status, "text/plain; charset=utf-8", f"{refused.status}: {refused.why}\n".encode())
+        except OSError:  # the browser has gone
+            raise
+        except Exception:
+            # Not the address, which is a secret.
+            LOGGER.exception("a request of the page failed: this is a fault of nuno's")
+            self.close_connection = True
+            self._send(FAULT, "text/plain; charset=utf-8", b"500: nuno failed; its terminal says where\n")
 
     def _get(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         if name in self.server.told:
@@ -136,7 +146,7 @@ class Handler(BaseHTTPRequestHandler):
         if name == "file" and take is not None:
             length = self.server.guard.length(self.headers, take.most, FILE)
             keep = partial(take.keep, query.get("name", [""])[0], self.rfile, length)
-            return self._carry_out(keep)
+            return self._carry_out(keep, read=False)
         length = self.server.guard.length(self.headers)
         body = self.rfile.read(length)
         if name != "do":
@@ -149,11 +159,13 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(BAD_REQUEST, "a request is a JSON object")
         return self._carry_out(partial(self.server.act, request))
 
-    def _carry_out(self, act: Callable[[], dict[str, Any]]) -> tuple[str, bytes]:
+    def _carry_out(self, act: Callable[[], dict[str, Any]], read: bool = True) -> tuple[str, bytes]:
+        """read: whether all of the request has been read, whatever becomes of it."""
         try:
             answer = {"ok": True} | act()
         except BadInput as error:
             answer = {"ok": False} | describe(error)
+            self.close_connection |= not read
         return "application/json", json.dumps(answer).encode()
 
     def _send(self, status: int, kind: str, body: bytes) -> None:
@@ -162,6 +174,8 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header(key, value)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
+        if self.close_connection:
+            self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 
@@ -172,7 +186,7 @@ class Handler(BaseHTTPRequestHandler):
 def whole(query: Mapping[str, list[str]], key: str) -> int:
     """A whole number of a query, -1 where it is not given. Raises Refused."""
     text = query.get(key, ["-1"])[0]
-    if not text.lstrip("-").isdecimal() or len(text) > 12:
+    if not re.fullmatch(r"-?[0-9]{1,12}", text):
         raise Refused(BAD_REQUEST, f"{key} is a whole number")
     return int(text)
 

@@ -82,6 +82,11 @@ class Follower:
         """Whether the run can still be asked for something."""
         return not (self._ended or self._lost)
 
+    @property
+    def lost(self) -> bool:
+        """Whether the run did not answer."""
+        return self._lost
+
     def control(self, **request: object) -> dict[str, Any]:
         """A request, as of `nuno control`; what the run answers. Raises BadInput where it refuses."""
         return order(self._bus, request)

@@ -21,6 +21,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.seen.follow import Follower
 from nuno.seen.shown import see_scene
 from nuno.seen.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
@@ -55,16 +56,16 @@ class Starts:
         self._numbers = itertools.count(1)
         self.kept: dict[int, Start] = {}
         self._building = threading.Lock()
-        self._asked = 0
+        self._asked: dict[str, int] = {}
 
-    def see(self, loaded: Loaded) -> dict[str, Any]:
+    def see(self, loaded: Loaded, page: str) -> dict[str, Any]:
         """Build a scene's cloth: the number that it is told by, and what is not shown of it, in words. Raises BadInput.
 
-        While one is built, of those that are asked for meanwhile only the last is.
+        While one is built, of those that a page asks for meanwhile only the last is.
         """
-        number = self._asked = next(self._numbers)
+        number = self._asked[page] = next(self._numbers)
         with self._building:
-            if number != self._asked:
+            if number != self._asked[page]:
                 raise BadInput("another start has been asked for meanwhile")
             build.check_memory(loaded)
             sight, fabric = see_scene(loaded)
@@ -105,6 +106,8 @@ class Live:
     def _looked(self) -> Iterator[None]:
         with self._lock:
             self._looking += 1
+            if self.follower is not None and self.follower.lost and self.run in runs.running():
+                self.follower = None  # it did not answer for a while
             if self.follower is None and not self._closed.is_set():
                 self._begin()
         try:
@@ -132,6 +135,8 @@ class Live:
         """Follow no more once nobody has looked for a while."""
         while not self._closed.wait(LEAVE / 4):
             with self._lock:
+                if self.follower is not follower:
+                    break
                 if not self._looking and time.monotonic() - self._last > LEAVE:
                     self.follower = None
                     break

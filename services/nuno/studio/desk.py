@@ -80,6 +80,7 @@ class Desk:
         name = str(request.get("do"))
         if name == "delete":
             self.screen.forget(str(request.get("recording")))
+            self.exports.forget(str(request.get("recording")))
         if name in OF_RECORDINGS:
             found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
         elif name == "recordings":
@@ -219,7 +220,7 @@ class Desk:
 
     def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
-        return self._starts.see(self._loaded(request))
+        return self._starts.see(self._loaded(request), str(request.get("page"))[:40])
 
     def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
@@ -237,12 +238,17 @@ class Desk:
         """Put a stroke or a stencil into the text; or a stroke into the run that goes on. Raises BadInput."""
         text, path = self._text(request)
         cells, _, _ = cloth_of(self._loaded(request))
-        item = paint.item_of(request, cells, path, self._own_file(path))
         if request.get("live"):
-            return self._control({"action": "add", "item": item})
-        after = paint.put(text, item, path.name)
-        # What lies beside the cloth is refused before it is in the text.
-        cloth_of(scenes.load(after, path, self.scenes.roots))
+            return self._control({"action": "add", "item": paint.live_item_of(request, cells)})
+        item, picture = paint.item_of(request, cells, path, self._own_file(path))
+        try:
+            after = paint.put(text, item, path.name)
+            # What lies beside the cloth is refused before it is in the text.
+            cloth_of(scenes.load(after, path, self.scenes.roots))
+        except BadInput:
+            if picture is not None:
+                picture.unlink()
+            raise
         return {"text": after} | self._checked(after, path)
 
     def _live(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:

@@ -12,7 +12,7 @@ from nuno.pages.child import Child
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND
 from nuno.scene.files import stamp_of
-from nuno.studio.recordings import Recordings
+from nuno.studio.recordings import Recordings, run_of
 from nuno_schemas.errors import BadInput, nearest
 
 KINDS = {
@@ -45,7 +45,8 @@ class Exports:
             raise BadInput("no such file can be made", value=kind, remedy=nearest(kind, KINDS))
         stamp = stamp_of(path)
         before = self._made.get((path.name, kind))
-        if before is None or before[0] != stamp or (before[1].code and request.get("again")):
+        going = before is not None and before[1].code is None  # of a file that grows, what it was when it began
+        if before is None or (not going and (before[0] != stamp or (before[1].code and request.get("again")))):
             child = Child(["export", str(path), f"--{kind}", str(self._file(path.name, kind)), "--progress"])
             before = self._made[path.name, kind] = (stamp, child)
         child = before[1]
@@ -67,7 +68,17 @@ class Exports:
         return KINDS[kind][1], self._file(name, kind).read_bytes()
 
     def _file(self, recording: str, kind: str) -> Path:
-        return self.folder / f"{recording.partition('.mcap')[0]}{KINDS[kind][0]}"
+        folder = self.folder / recording
+        folder.mkdir(exist_ok=True)
+        return folder / f"{run_of(recording)}{KINDS[kind][0]}"
+
+    def forget(self, name: str) -> None:
+        """End what is being made of a recording, and remove what was."""
+        for key in [key for key in self._made if key[0] == name]:
+            _, child = self._made.pop(key)
+            if child.code is None:
+                child.end()
+            self._file(*key).unlink(missing_ok=True)
 
     def close(self) -> None:
         """End what was begun here, and remove what was made."""

@@ -33,7 +33,7 @@ class Files:
 
     def take(self, name: str, stream: BufferedIOBase, length: int) -> dict[str, Any]:
         """A file that is dropped on the page; what it is and what can be done with it. Raises BadInput."""
-        path, seen = self._arrivals.receive(name, stream, length, look)
+        path, seen = self._arrivals.receive(name, stream, length, self._look_alone)
         if seen.kind != "scene":  # whose other files lie beside its place
             self._seen[path] = (stamp_of(path), seen)
         return self._told(path)
@@ -74,6 +74,11 @@ class Files:
             raise BadInput("no such file here", value=name, remedy="load the list again")
         return path
 
+    def _look_alone(self, path: Path) -> Seen:
+        """One after the other: what is read whole may be large."""
+        with self._looking:
+            return look(path)
+
     def _look(self, path: Path) -> Seen:
         """Once for as long as the file is the same: a mesh takes seconds."""
         with self._looking:
@@ -83,8 +88,6 @@ class Files:
             return self._seen[path][1]
 
     def _told(self, path: Path) -> dict[str, Any]:
-        if path.suffix == ".mcap":
-            return {"file": path.name, "kind": "recording"}
         seen = self._look(path)
         return {
             "file": path.name, "kind": seen.kind, "title": seen.title, "rows": seen.rows, "mistakes": seen.mistakes,

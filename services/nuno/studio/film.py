@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import threading
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,8 @@ from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEO
 
 DYED = "This cloth is dyed and does not move: it is shown from above, as its pictures have it."
 NOTHING = "It holds no positions of cloth that could be shown."
+MOST_SHAPES = 8
+"""That are kept: of cloth whose triangles change often, others are read again."""
 NET = "This cloth has no triangles: its links are shown as lines."
 DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
 
@@ -90,7 +93,7 @@ class Film:
 
     def __init__(self, path: Path) -> None:
         self.recording = open_recording(path)
-        self._lock = threading.RLock()
+        self._lock, self._closed = threading.RLock(), False
         try:
             self._read()
         except BaseException:
@@ -134,7 +137,7 @@ class Film:
     @property
     def says(self) -> list[str]:
         """What a person is told beside it."""
-        with self._lock:
+        with self._open():
             said = [self.problem or shortcoming(self.recording)]
             if not self.times or not self.moves:
                 said.append(DYED if self.dyed else NOTHING)
@@ -149,13 +152,23 @@ class Film:
         """Whether it is of cloth that is dyed alone, and has pictures."""
         return not self.moves and self.recording.dyed_alone and CONCENTRATION.name in self.recording.counts
 
+    @contextmanager
+    def _open(self) -> Iterator[None]:
+        """Raises BadInput where it was closed meanwhile, for others that are looked at."""
+        with self._lock:
+            if self._closed:
+                remedy = "load the page again"
+                raise BadInput("the recording was closed meanwhile", str(self.recording.path), remedy=remedy)
+            yield
+
     def close(self) -> None:
         with self._lock:
+            self._closed = True
             self.recording.close()
 
     def series(self) -> dict[str, NDArray[Any]]:
         """Columns over the frames that can be read: see `nuno.recording.reader.read_series`."""
-        with self._lock:
+        with self._open():
             return self.recording.series(self.end)
 
     def picture(self, number: int) -> bytes:
@@ -164,7 +177,7 @@ class Film:
         """
         from PIL import Image
 
-        with self._lock:
+        with self._open():
             if self._dyed is None:
                 with dyed_pictures(self.recording) as found:
                     self._dyed = found
@@ -187,12 +200,17 @@ class Film:
 
     def shape(self, number: int) -> Shape:
         """Raises BadInput where it is damaged, IndexError where there is none."""
-        with self._lock:
+        with self._open():
+            if not self._changes:
+                raise BadInput("the recording does not describe its cloth", str(self.recording.path))
             if not 0 <= number < len(self._changes):
                 raise IndexError("there is no such shape")
             if number not in self._shapes:
                 self._shapes[number] = self._read_shape(self._changes[number])
-            return self._shapes[number]
+            self._shapes[number] = shape = self._shapes.pop(number)
+            for old in list(self._shapes)[:-MOST_SHAPES]:
+                del self._shapes[old]
+            return shape
 
     def _read_shape(self, time: int) -> Shape:
         recording = self.recording
@@ -220,7 +238,7 @@ class Film:
         wanted = {time for pair in around for time in pair}
         if not wanted:
             return []
-        with self._lock:
+        with self._open():
             states, poses = dict[int, Float](), dict[int, Float]()
             window = min(wanted) / 1e9, max(wanted) / 1e9 + 1e-9
             for message in self.recording.messages([STATE.name, BODIES.name], *window):

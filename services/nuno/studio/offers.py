@@ -115,9 +115,8 @@ def _beside(folder: Path, chosen: str, place: Path) -> str:
     if not chosen.startswith(OWN):
         return chosen
     source = place / chosen.removeprefix(OWN)
-    there = folder / source.name
-    if not there.is_file() or there.read_bytes() != source.read_bytes():
-        there = reserve(folder, source.name)
+    there = reserve(folder, source.name, source)
+    if not there.stat().st_size:
         shutil.copyfile(source, there)
     return there.name
 
@@ -180,7 +179,7 @@ def _fall(task: Task) -> Path:
     low, high = task.seen.low, task.seen.high
     model: dict[str, Any] = {"plugin": "mesh", "file": task.path.name, "fabric": task.chosen["fabric"]}
     model |= {"scale": task.seen.scale} if task.seen.scale else {}
-    model |= {"merge": True} if task.path.suffix == ".obj" else {}
+    model |= {"merge": True} if task.path.suffix.lower() == ".obj" else {}
     if task.chosen["body"]:
         told = f"{task.path.name}, as cloth, on {task.chosen['body']}."
         return task.write("sewn/shirt", task.new(task.path.stem, "worn"), told,

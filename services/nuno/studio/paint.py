@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import binascii
 import io
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,10 +23,13 @@ from nuno.draw.append import flow
 from nuno.dye.add import parse
 from nuno.scene import yaml_lines
 from nuno.studio import edit
+from nuno.studio.arrivals import reserve
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
+UNREADABLE = (binascii.Error, UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError, SyntaxError)
+"""What is raised for data that are no picture, or one too large to be taken apart."""
 OFF = 0.25
 """Of a cell: how far a line that is written may be off the one that was drawn."""
 FINENESS, MOST_PIXELS = 4, 2**25
@@ -36,13 +38,22 @@ MOST_IMAGE = 4000
 """Pixels of a stencil's side."""
 
 
-def item_of(said: Mapping[str, Any], cells: Cells, scene: Path, own: bool) -> str:
-    """The item that a stroke or a stencil of the page is, as `nuno control add` takes it. Raises BadInput.
+def live_item_of(said: Mapping[str, Any], cells: Cells) -> str:
+    """The item that a stroke of the page is for a run that goes on. Raises BadInput."""
+    if said.get("tool") == "stencil":
+        problem, remedy = "a run takes no new image, which its recording would lack", "stop it, and put it in the text"
+        raise BadInput(problem, field="tool", remedy=remedy)
+    return stroke_of(said, cells.size)
+
+
+def item_of(said: Mapping[str, Any], cells: Cells, scene: Path, own: bool) -> tuple[str, Path | None]:
+    """The item that a stroke or a stencil of the page is, as `nuno control add` takes it, and the picture that was
+    written for it. Raises BadInput.
 
     own  whether the scene lies in the page's folder, into which pictures are written
     """
     if said.get("tool") != "stencil":
-        return stroke_of(said, cells.size)
+        return stroke_of(said, cells.size), None
     if not own:
         remedy = "save the scene under a name of yours first"
         raise BadInput("a stencil's picture is written beside the scene, which comes with nuno", remedy=remedy)
@@ -117,8 +128,8 @@ def put(text: str, item: str, file: str) -> str:
     return edit.put(text, ("dye", "cloth", place, len(there)), fields, file, written)
 
 
-def stencil_of(said: Mapping[str, Any], shape: Sequence[int], cell: float, scene: Path) -> str:
-    """The item that a stencil of the page is; its picture is written beside the scene. Raises BadInput.
+def stencil_of(said: Mapping[str, Any], shape: Sequence[int], cell: float, scene: Path) -> tuple[str, Path]:
+    """The item that a stencil of the page is, and its picture, which is written beside the scene. Raises BadInput.
 
     said   `image`, a PNG in base64 of which white keeps dye out, black where it is to be `invert`ed; its middle `place`
            [m] and its `width` [m]
@@ -131,10 +142,12 @@ def stencil_of(said: Mapping[str, Any], shape: Sequence[int], cell: float, scene
     if not mask.any():
         raise BadInput("the stencil lies beside the cloth, or keeps nothing out", field="place", value=[x, y],
                        remedy="put it on the cloth; white keeps dye out, black with invert")  # fmt: skip
-    names = (f"{scene.stem}-stencil-{k}.png" for k in itertools.count(1))
-    path = next(path for path in map(scene.parent.joinpath, names) if not path.exists())
-    Image.fromarray(mask, "L").save(path)
-    return f"resist: {{kind: image, file: {flow(path.name)}}}"
+    try:
+        path = reserve(scene.parent, f"{scene.stem}-stencil.png")
+        Image.fromarray(mask, "L").save(path)
+    except OSError as error:
+        raise BadInput(f"the stencil's picture cannot be written: {error.strerror}", str(scene.parent)) from None
+    return f"resist: {{kind: image, file: {flow(path.name)}}}", path
 
 
 def _read(data: object) -> Image.Image:
@@ -144,7 +157,7 @@ def _read(data: object) -> Image.Image:
         if max(image.size) > MOST_IMAGE:
             raise BadInput("the stencil is too large", field="image", value=image.size, limit=f"{MOST_IMAGE} pixels")
         return image.convert("LA")
-    except (binascii.Error, UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+    except UNREADABLE as error:
         raise BadInput(f"this stencil cannot be read: {error}", field="image", remedy="a PNG") from None
 
 

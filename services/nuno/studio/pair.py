@@ -21,8 +21,9 @@ class Pair:
     The clock is the frames of the one that has fewer there. The other one's positions are those of its frame at that
     very time, and where it has none at it, interpolated linearly between its nearest two.
 
-    times  log times [ns] of the clock
-    exact  at which of them both have a frame
+    times   log times [ns] of the clock
+    exact   at which of them both have a frame
+    origin  (3,) [m] about which positions of both are shown
 
     Raises BadInput for films that cannot be compared.
     """
@@ -38,7 +39,11 @@ class Pair:
             spans = ", ".join(f"{film.times[0] / 1e9:g} to {film.times[-1] / 1e9:g} s" for film in self.films)
             raise BadInput("the recordings have no time in common", limit=spans)
         shared = [[time for time in film.times if start <= time <= end] for film in self.films]
-        self.times: list[int] = min(shared, key=len)
+        self.times: list[int] = min(filter(None, shared), key=len, default=[])
+        if not self.times:
+            limit = f"{start / 1e9:g} to {end / 1e9:g} s"
+            raise BadInput("neither recording has a frame in the time that both have", limit=limit)
+        self.origin: Float = min((film.origin for film in self.films), key=tuple)  # of both the same, whoever is first
         known = [set(times) for times in shared]
         self.exact = [all(time in times for times in known) for time in self.times]
         self._far: list[tuple[float | None, float | None]] = []
@@ -74,8 +79,10 @@ class Pair:
                     self._far.append(measure(self.distances(one, two)))
                 if self._closed.is_set():
                     return
-        except BadInput as error:
-            self._problem = str(error)
+        except Exception as error:  # whatever it is, the page waits for an end
+            self._problem = str(error) or type(error).__name__
+            if not isinstance(error, BadInput):
+                raise
 
     def distances(self, one: Still, two: Still) -> Float | None:
         """(n,) [m] between a vertex of the first film's cloth and the same vertex of the second's; None where their

@@ -51,7 +51,7 @@ class Recordings:
 
     def picture_of(self, path: Path) -> Path:
         """Where `nuno run` puts the picture of its last frame."""
-        return path.with_name(_run_of(path) + PICTURE)
+        return path.with_name(run_of(path.name) + PICTURE)
 
     def pictures(self) -> dict[str, str]:
         """Of each scene that has been recorded with a picture the last recording's name."""
@@ -101,13 +101,18 @@ class Recordings:
     def delete(self, name: object) -> dict[str, Any]:
         """Remove a recording with its log and its picture. Raises BadInput."""
         path = self.find(name)
-        run = _run_of(path)
+        run = run_of(path.name)
         if run in runs.running():
             raise BadInput("its run goes on", value=path.name, remedy="stop it before")
+        for children in (self._drawing, self._verifying):
+            child = children.pop(path.name, None)
+            if child is not None and child.code is None:
+                child.end()
         try:
             path.unlink()
-            for beside in (self.picture_of(path), path.with_name(run + log.SUFFIX)):
-                beside.unlink(missing_ok=True)
+            if not any(path.with_name(run + ending).exists() for ending in (WHOLE, PART)):  # whose they are, too
+                for beside in (self.picture_of(path), path.with_name(run + log.SUFFIX)):
+                    beside.unlink(missing_ok=True)
         except OSError as error:
             raise BadInput(f"cannot be removed: {error.strerror}", str(path)) from None
         return {}
@@ -119,8 +124,9 @@ class Recordings:
                 child.end()
 
 
-def _run_of(path: Path) -> str:
-    return path.name.removesuffix(PART).removesuffix(WHOLE)
+def run_of(name: str) -> str:
+    """The run that a recording of this name is of."""
+    return name.removesuffix(PART).removesuffix(WHOLE)
 
 
 def _facts(path: Path) -> dict[str, Any]:

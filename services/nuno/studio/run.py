@@ -52,6 +52,7 @@ class Run:
         self._child, self._config = child, config
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.state, self.frame, self.t = "preparing", -1, 0.0
+        self._unheard = ""
         self._heard: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
         self.live: Live | None = None
@@ -122,7 +123,7 @@ class Run:
             "t": self.t,
             "end": self.end,
             "factor": self._factor() if self.state == "running" and code is None else None,
-            "said": self._child.said[-20_000:] if self._child is not None else "",
+            "said": (self._child.said if self._child is not None else "") + self._unheard,
         }
 
     def _factor(self) -> float | None:
@@ -168,7 +169,14 @@ class Run:
             endpoint = runs.running().get(self.name)
         if endpoint is None:
             return
-        with contextlib.suppress(RunFailed, zenoh.ZError), spoke(endpoint, self._config, 1.0) as session:
+        try:
+            self._hear_all(endpoint)
+        except (RunFailed, zenoh.ZError) as error:
+            if self.going:
+                self._unheard = f"\nWARNING this page does not hear the run: {error}"
+
+    def _hear_all(self, endpoint: str) -> None:
+        with spoke(endpoint, self._config, 1.0) as session:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
             self._ask(bus)

@@ -142,7 +142,8 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
 
     `before` is what the file said when the page read it: one that was changed since is left alone.
     """
-    if not isinstance(name, str) or not NEW.fullmatch(name):
+    own = path.is_file() and name == path.name and path.resolve().parent == folder.resolve()
+    if not isinstance(name, str) or not (own or NEW.fullmatch(name)):
         limit = "letters, digits, - _ . and then .yaml"
         raise BadInput("not the name of a scene's file", field="name", value=name, limit=limit)
     target = folder / name

@@ -76,19 +76,21 @@ class Screen:
         """
         first, count = whole(query, "first"), whole(query, "count")
         key, beside = (query.get(name, [""])[0] for name in ("film", "beside"))
-        far: list[Float | None] = [None] * count
         try:
+            if not 0 < count <= MOST_FRAMES:
+                raise Refused(BAD_REQUEST, f"at most {MOST_FRAMES} frames are asked for at once")
+            far: list[Float | None] = [None] * count
             film = self._film(key)
             pair = self._pair_of(key, beside) if beside else None
             times = (pair.times if pair else film.times)[first : first + count] if first >= 0 else []
-            if not 0 < count <= MOST_FRAMES or not times:
+            if not times:
                 raise Refused(BAD_REQUEST, "there are no such frames")
             stills = film.stills(times)
             if pair is not None:
                 far = _far(pair, film, stills, times)
         except BadInput as error:
             raise Refused(GONE, str(error)) from None
-        return BYTES, _encode(film, stills, far)
+        return BYTES, _encode(stills, far, pair.origin if pair is not None else film.origin)
 
     def shape(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """What the cloth of a film consists of, by a shape's number, and its bodies' triangles. Raises Refused."""
@@ -130,31 +132,36 @@ class Screen:
 
     def _open(self, name: object) -> tuple[str, Film]:
         path = self.recordings.find(name)
+        key = _key(path)
+        made = Film(path) if key not in self._films else None  # which takes long: others are looked at meanwhile
         with self._lock:
-            key = _key(path)
-            if key not in self._films:
-                for old in list(self._films)[: len(self._films) + 1 - MOST_FILMS]:
-                    self._close(old)
-                self._films[key] = Film(path)
-            self._films[key] = self._films.pop(key)  # the last of those that are wanted
-            return key, self._films[key]
+            film = self._films.pop(key, None) or made or Film(path)
+            if made is not None and made is not film:
+                made.close()
+            self._films[key] = film  # the last of those that are wanted
+            for old in list(self._films)[:-MOST_FILMS]:
+                self._close(old)
+            return key, film
 
     def _film(self, key: object) -> Film:
         """Raises BadInput where it was closed meanwhile, and the file is another one now."""
-        film = self._films.get(str(key))
-        if film is None:
-            now, film = self._open(str(key).partition(":")[2])
-            if now != key:
-                raise BadInput("the recording has changed since", value=key, remedy="load the page again")
+        with self._lock:
+            film = self._films.pop(str(key), None)
+            if film is not None:
+                self._films[str(key)] = film  # the last of those that are wanted
+                return film
+        now, film = self._open(str(key).partition(":")[2])
+        if now != key:
+            raise BadInput("the recording has changed since", value=key, remedy="load the page again")
         return film
 
     def _pair(self, first: str, second: str) -> Pair:
+        one, two = self._film(first), self._film(second)
         with self._lock:
             if (first, second) not in self._pairs:
-                one, two = self._film(first), self._film(second)
-                for old in list(self._pairs)[: len(self._pairs) + 1 - MOST_PAIRS]:
-                    self._pairs.pop(old).close()
                 self._pairs[first, second] = Pair(one, two)
+                for old in list(self._pairs)[:-MOST_PAIRS]:
+                    self._pairs.pop(old).close()
             return self._pairs[first, second]
 
     def _pair_of(self, key: str, beside: str) -> Pair:
@@ -178,14 +185,14 @@ def _far(pair: Pair, film: Film, stills: list[Still], times: list[int]) -> list[
     return [pair.distances(one, two) for one, two in zip(*ordered, strict=True)]
 
 
-def _encode(film: Film, stills: list[Still], far: list[Float | None]) -> bytes:
+def _encode(stills: list[Still], far: list[Float | None], origin: Float) -> bytes:
     """x, body and far of each frame with its place behind the name; bodies only where they have moved since."""
     arrays, heads = {}, []
     for i, (still, apart) in enumerate(zip(stills, far, strict=False)):
-        arrays[f"x{i}"] = about(still.x, film.origin)
+        arrays[f"x{i}"] = about(still.x, origin)
         if i == 0 or not np.array_equal(still.body, stills[i - 1].body):
-            arrays[f"body{i}"] = about(still.body, film.origin)
+            arrays[f"body{i}"] = about(still.body, origin)
         if apart is not None:
             arrays[f"far{i}"] = apart.astype("<f4")
         heads.append({"t": still.t, "frame": still.frame, "shape": still.shape, "between": still.between})
-    return pack({"origin": film.origin.tolist(), "frames": heads}, arrays)
+    return pack({"origin": origin.tolist(), "frames": heads}, arrays)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -253,5 +254,9 @@ KINDS: Mapping[str, Callable[[Path], Seen]] = {
 
 def files_of(folder: Path, kinds: Sequence[str]) -> list[Path]:
     """Files of a folder with such endings, the newest first."""
-    found = [path for path in folder.glob("*") if path.suffix.lower() in kinds and path.is_file()]
-    return sorted(found, key=lambda path: (-path.stat().st_mtime_ns, path.name))
+    found = []
+    for path in folder.glob("*"):
+        if path.suffix.lower() in kinds and path.is_file():
+            with contextlib.suppress(OSError):  # it was removed meanwhile
+                found.append((-path.stat().st_mtime_ns, path.name, path))
+    return [path for *_, path in sorted(found)]

@@ -203,7 +203,7 @@ def _poses(context: Context) -> Callable[[Question], None]:
 def _page(folder: Path) -> Read:
     """What the page asks for: anything but an answer or BadInput would end a request without one."""
     desk = Desk()
-    desk._starts.see(_loaded(CLOTH))
+    desk._starts.see(_loaded(CLOTH), "")
 
     def read(data: bytes) -> None:
         try:

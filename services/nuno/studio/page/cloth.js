@@ -13,6 +13,8 @@ import { factor } from "./words.js";
 
 /** How long a text stays as it is [ms] until its cloth is built. */
 const STAYS = 700;
+/** What tells this page from others. */
+const PAGE = crypto.randomUUID();
 /** Wall time that pictures are counted in [ms]. */
 const SPAN = 2000;
 
@@ -26,17 +28,18 @@ export class Cloth {
     this.draw = new Draw(this);
     this.paint = new Paint(this);
     this.box = this.build();
+    this.over = new AbortController();
     try {
       this.stage = new Drawing(this.canvas, this.lines);
     } catch (error) {
       this.say(`This browser cannot show the cloth: ${error.message}. A present Firefox, Chrome, Edge or Safari can.`);
+      this.box.querySelector(".tools").hidden = true;
       return;
     }
     this.hand = new Hand(this.stage, () => (this.draw.on ? { kind: this.draw.kind, height: this.draw.height } : this.paint.pen), (pieces, places) => (this.draw.on ? this.draw.drawn(pieces) : this.paint.drawn(places)));
     this.canvas.addEventListener("keydown", (e) => this.keys(e));
     this.seen = new IntersectionObserver(([{ isIntersecting }]) => { this.visible = isIntersecting; this.update(); });
     this.seen.observe(this.canvas);
-    this.over = new AbortController();
     document.addEventListener("visibilitychange", () => this.update(), { signal: this.over.signal });
     dock.hearers.add(this.hear = () => this.update());
   }
@@ -68,7 +71,7 @@ export class Cloth {
 
   /** Show what is to be seen now, or nothing more. */
   update() {
-    if (this.over.signal.aborted) return;
+    if (this.over.signal.aborted || !this.stage) return;
     this.back.hidden = !this.live || this.running;
     const text = this.scene.text?.value;
     if (this.running) this.ran = text;
@@ -111,7 +114,7 @@ export class Cloth {
     if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst) || !this.scene.good) return;
     this.wanted = value;
     if (this.built === null) this.say("Building the cloth …");
-    const answer = await ask("see", { scene: this.scene.name, text: value });
+    const answer = await ask("see", { scene: this.scene.name, text: value, page: PAGE });
     if (this.over.signal.aborted || this.wanted !== value) return;
     if (answer.ok) {
       const frame = await frameOf(`start?number=${answer.number}`).catch(() => null);

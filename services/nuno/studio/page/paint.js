@@ -8,6 +8,8 @@ import { Worn } from "./worn.js";
 
 const TOOLS = { dye: ["Dye", "1"], paste: ["Paste", "2"], stencil: ["Stencil", "3"] };
 const PASTE = "#c9963e";
+/** Of a stencil's file [bytes]: a request holds 4 MB, in which it takes a third more. */
+const MOST = 2.8e6;
 const $ = (id) => document.getElementById(`paint-${id}`);
 
 /** The mode of the cloth's view in which dye, paste and stencils are put on cloth to dye, which lies flat. */
@@ -151,6 +153,7 @@ export class Paint {
   async load(file) {
     this.image = null;
     if (!file) return;
+    if (file.size > MOST) { toast("This stencil is too large", `A PNG of at most ${MOST / 1e6} MB: one pixel a cell of the cloth is enough.`, true); return; }
     let shown;
     try {
       shown = await createImageBitmap(file);

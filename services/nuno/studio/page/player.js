@@ -39,7 +39,7 @@ export class Player {
   /** What cannot be read is told, and the frame before it stays. */
   lost() {
     this.pause();
-    this.onlost?.(this.reels.map((reel) => reel.problem).find(Boolean) ?? "This frame cannot be read.");
+    this.onlost?.(this.reels.map((reel) => reel.problem(this.index)).find(Boolean) ?? "This frame cannot be read.");
   }
 
   tell(index) {
@@ -83,7 +83,7 @@ export class Player {
       this.t = t;
       if (index !== this.index) { this.tell(index); this.show(index); }
       if (index === this.times.length - 1) { this.pause(); return; }
-    } else if (this.reels.some((reel) => reel.problem)) { this.lost(); return; }
+    } else if (this.reels.some((reel) => reel.problem(index))) { this.tell(index); this.lost(); return; }
     requestAnimationFrame((later) => this.tick(later));
   }
 

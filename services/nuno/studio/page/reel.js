@@ -2,12 +2,14 @@ import { frameOf } from "./link.js";
 
 /** Frames that are asked for at once, and how many of these the page holds at most [bytes]. */
 const CHUNK = 16, MOST = 256e6;
+/** How long what could not be read is not asked for again [ms], unless it is wanted. */
+const AGAIN = 3000;
 
 /** A recording's frames, fetched some at a time, those that come next before they are wanted. */
 export class Reel {
   /** film: what the server calls it; count: of its frames; beside: another film, where frames are those of the clock of both. */
   constructor(film, count, beside = "") {
-    Object.assign(this, { film, count, beside, chunks: new Map(), shapes: new Map(), over: new AbortController(), end: Infinity, problem: "" });
+    Object.assign(this, { film, count, beside, chunks: new Map(), shapes: new Map(), over: new AbortController() });
   }
 
   /** A frame that is there already, with what its cloth consists of; else undefined. */
@@ -19,10 +21,12 @@ export class Reel {
 
   /** A frame, once it is there; null where it cannot be read. */
   async need(i) {
-    const chunk = await this.load(Math.floor(i / CHUNK));
+    const k = Math.floor(i / CHUNK);
+    if (this.chunks.get(k)?.failed) this.chunks.delete(k);
+    const chunk = await this.load(k);
     const frame = chunk?.[i % CHUNK];
     if (!frame) return null;
-    return (await this.shape(frame.shape)) ? this.at(i) : null;
+    return this.at(i) ?? null;
   }
 
   /** Fetch what follows on a frame, ahead of time. */
@@ -32,8 +36,12 @@ export class Reel {
     this.forget(k);
   }
 
+  /** Why a frame cannot be read; empty where it can, or is not known yet. */
+  problem(i) { return this.chunks.get(Math.floor(i / CHUNK))?.problem ?? ""; }
+
   load(k) {
-    if (!this.chunks.has(k)) {
+    const before = this.chunks.get(k);
+    if (!before || (before.failed && performance.now() - before.failed > AGAIN)) {
       const chunk = { bytes: 0 };
       this.chunks.set(k, chunk);
       chunk.coming = this.fetch(k, chunk);
@@ -44,14 +52,16 @@ export class Reel {
   async fetch(k, chunk) {
     const more = this.beside ? `&beside=${encodeURIComponent(this.beside)}` : "";
     const found = await this.ask(`frames?film=${encodeURIComponent(this.film)}${more}&first=${k * CHUNK}&count=${Math.min(CHUNK, this.count - k * CHUNK)}`);
-    if (!found) { this.chunks.delete(k); return null; }
+    if (typeof found === "string") { Object.assign(chunk, { failed: performance.now(), problem: found }); return null; }
     let body = null;
     const frames = found.frames.map((head, i) => {
       body = found[`body${i}`] ?? body;
       return { ...head, origin: found.origin, x: found[`x${i}`], body, far: found[`far${i}`] };
     });
-    chunk.bytes = frames.reduce((sum, { x, far }) => sum + x.byteLength + (far?.byteLength ?? 0), 0);
-    await Promise.all([...new Set(frames.map((frame) => frame.shape))].map((shape) => this.shape(shape)));
+    chunk.bytes = frames.reduce((sum, { x, far }, i) => sum + x.byteLength + (far?.byteLength ?? 0) + (found[`body${i}`]?.byteLength ?? 0), 0);
+    const shapes = await Promise.all([...new Set(frames.map((frame) => frame.shape))].map((shape) => this.shape(shape)));
+    const wrong = shapes.find((shape) => typeof shape === "string");
+    if (wrong !== undefined) { Object.assign(chunk, { failed: performance.now(), problem: wrong }); return null; }
     chunk.frames = frames;
     return frames;
   }
@@ -60,17 +70,21 @@ export class Reel {
     if (!this.shapes.has(number)) {
       const one = {};
       this.shapes.set(number, one);
-      one.coming = this.ask(`shape?film=${encodeURIComponent(this.film)}&shape=${number}`).then((value) => (one.value = value));
+      one.coming = this.ask(`shape?film=${encodeURIComponent(this.film)}&shape=${number}`).then((value) => {
+        if (typeof value === "string") this.shapes.delete(number);
+        else one.value = value;
+        return value;
+      });
     }
     return this.shapes.get(number).coming;
   }
 
+  /** What is there, or why it is not, in words. */
   async ask(address) {
     try {
       return await frameOf(address, this.over.signal);
     } catch (error) {
-      if (!this.over.signal.aborted) this.problem = error.message.replace(/^\d+: /, "").trim();
-      return null;
+      return error.message.replace(/^\d+: /, "").trim() || "nuno does not answer";
     }
   }
 
