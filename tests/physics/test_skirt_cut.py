@@ -58,7 +58,7 @@ def rest_sides(fabric: Fabric, down: float) -> Float:
     return np.array(list(found.values()))
 
 
-@pytest.mark.quick(over=[True])
+@pytest.mark.quick(over=[True], cut=["circle"])
 @pytest.mark.parametrize("over", [False, True])
 @pytest.mark.parametrize("cut", SHARES)
 def test_lengths_at_rest_are_those_in_the_plane(cut: str, over: bool) -> None:

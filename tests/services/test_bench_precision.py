@@ -32,6 +32,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     return swept(write_net(tmp_path_factory.mktemp("line")))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("solver", "order"),
     [("symplectic_euler", 1), ("leapfrog", 2), ("rk4", 4), ("implicit_euler", 1), ("tr_bdf2", 2)],
@@ -41,6 +42,7 @@ def test_errors_fall_at_the_nominal_order(found: Findings, solver: str, order: i
     assert seen == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.full
 def test_the_floor_is_below_every_error_and_all_are_judged(found: Findings) -> None:
     errors = [error for point in found.points if (error := point.error(POSITIONS)) is not None]
     assert len(errors) > 30
@@ -49,6 +51,7 @@ def test_the_floor_is_below_every_error_and_all_are_judged(found: Findings) -> N
     assert {judgement.verdict for judgement in judge(found.points, found.floors)} == {"judged"}
 
 
+@pytest.mark.full
 def test_every_installed_solver_is_run_or_named(found: Findings) -> None:
     run = {point.solver for point in found.points}
     assert run | {one.solver for one in found.sweep.omitted} == set(registry.installed(GROUP))
@@ -87,6 +90,7 @@ def test_solvers_of_other_packages_take_part(tmp_path: Path, monkeypatch: pytest
     assert whole / half == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.full
 def test_short_runs_are_repeated_more_often(found: Findings) -> None:
     repeats = {len(point.seconds) for point in found.points if point.done and max(point.seconds) < 0.005}
     assert repeats == {MORE}

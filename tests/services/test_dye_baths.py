@@ -80,6 +80,7 @@ def test_a_finite_bath_is_exhausted_as_a_slab_takes_it_up(tmp_path: Path) -> Non
     assert errors[0] / errors[1] == pytest.approx((20.5 / 10.5) ** 2, rel=0.1)
 
 
+@pytest.mark.quick(solver=["rkl2"])
 @pytest.mark.parametrize("solver", sorted(registry.installed("nuno.dye_solvers")))
 def test_exchange_is_of_the_first_order_in_the_step(solver: str, tmp_path: Path) -> None:
     """Held against short explicit steps. What cells hand on within a step the bath makes good only after it."""

@@ -39,6 +39,7 @@ def cloth(folder: Path, **fields: Any) -> dict[str, Any]:
     return {"name": "piece", "model": model | fields}
 
 
+@pytest.mark.full
 @pytest.mark.quick(solver=["xpbd"])
 @pytest.mark.parametrize("solver", ["leapfrog", "implicit_euler", "xpbd"])
 def test_it_hangs_by_its_side_and_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, solver: str) -> None:

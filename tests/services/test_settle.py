@@ -85,6 +85,7 @@ def test_what_has_settled_begins_near_its_rest_and_meets_nothing(tmp_path: Path)
     assert told["rested"] == 1.0 and told["vertices"] < 0.5 * run.fabric.number
 
 
+@pytest.mark.full
 def test_it_has_the_same_bits_on_any_threads_and_when_it_goes_on(tmp_path: Path) -> None:
     scene = write(tmp_path, {})
     one, two, again = begin(scene), begin(scene, threads=2), begin(scene)

@@ -180,6 +180,7 @@ def test_what_lies_beside_stays_while_another_recording_of_its_run_is_there(desk
     assert not list(folder.iterdir())
 
 
+@pytest.mark.full
 def test_a_recording_is_verified_and_deleted_with_what_lies_beside(desk: Desk) -> None:
     name = run_to_end(desk)["recording"]
     path, other = Path("recordings") / name, Path("recordings/other.mcap")

@@ -49,6 +49,7 @@ def left_of(scene: Path) -> float:
     return simulation.heights(0)["height"] / begin
 
 
+@pytest.mark.full
 @pytest.mark.quick(line=["level"])
 @pytest.mark.parametrize("line", LINES)
 def test_a_kept_wrinkle_holds_four_fifths_of_its_height_and_others_fade_more(line: str, tmp_path: Path) -> None:
