@@ -30,7 +30,9 @@ test_smallest = contract(
 test_narrow = contract("nuno.models", sheet={"resolution": [2, 4], "size": [0.1, 0.3], "pin": ["all-rim"]})
 test_ring = contract("nuno.models", skirt={"cut": "half", "edge": 0.04})
 test_poncho = contract("nuno.models", swatch={"radius": 0.4, "hole": 0.11, "edge": 0.04, "over": {"body": "b"}})
-test_worn = contract("nuno.models", skirt={"over": {"body": "b"}, "columns": 48, "rows": 12, "pleats": 6})
+test_worn = pytest.mark.full(
+    contract("nuno.models", skirt={"over": {"body": "b"}, "columns": 48, "rows": 12, "pleats": 6})
+)
 test_worn_ring = pytest.mark.full(contract("nuno.models", skirt={"over": {"body": "b"}, "cut": "circle", "edge": 0.04}))
 test_small = contract("nuno.models", sheet={"resolution": [3, 3]})
 

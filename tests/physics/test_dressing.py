@@ -126,6 +126,7 @@ def test_a_panel_that_reaches_into_the_body_is_named(tmp_path: Path) -> None:
         put_on(tmp_path, "tube.json", column((1.5, 1.5), (-0.5, 2.5)), 0.02)
 
 
+@pytest.mark.full
 @pytest.mark.quick(name=["shirt"], edge=[0.03])
 @pytest.mark.parametrize("edge", [0.02, 0.03])
 @pytest.mark.parametrize("name", REAL)

@@ -157,6 +157,7 @@ cloth_contact: {{plugin: offset, thickness: 2 mm, bodies: [wearer]}}
 """
 
 
+@pytest.mark.full
 @pytest.mark.quick(solver=["respa"])
 @pytest.mark.parametrize(("solver", "warp"), [("respa", "100 N/m"), ("symplectic_euler", "400 N/m")])
 def test_a_band_bears_two_pi_mu_times_its_pull(tmp_path: Path, solver: str, warp: str) -> None:

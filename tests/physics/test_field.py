@@ -104,6 +104,7 @@ def test_threads_change_no_bit() -> None:
     assert sample_field(one, p, threads=1).tobytes() == sample_field(one, p, threads=2).tobytes()
 
 
+@pytest.mark.full
 def test_a_surface_with_a_hole_has_the_signs_of_its_winding_number() -> None:
     x, faces = meshes.sphere(24)
     top = x[faces].mean(axis=1)[:, 1] > 0.97

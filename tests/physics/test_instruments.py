@@ -27,6 +27,7 @@ SOLVER = registry.load("nuno.integrators", "implicit_euler")
 PEIRCE = (RIGIDITY / (DENSITY * 9.81)) ** (1.0 / 3.0)
 
 
+@pytest.mark.full
 def test_the_elastica_is_the_published_one() -> None:
     for gamma, expected in STEEPNESS.items():
         assert elastica.steepness(gamma) == pytest.approx(expected, rel=1e-4)
@@ -60,7 +61,8 @@ def test_a_strip_that_hangs_almost_straight_does_too(layout: str) -> None:
     assert errors[1] < 0.01 and errors[1] < errors[0]
 
 
-@pytest.mark.parametrize("name", ["bias", *(pytest.param(name, marks=pytest.mark.full) for name in ("warp", "weft"))])
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["bias", "warp", "weft"])
 def test_the_cantilever_of_astm_finds_the_bending_length(name: str) -> None:
     """Of orthotropic cloth, within 1 % of Peirce's; along the bias of the rigidity that follows from both."""
     fabric = FABRIC | {"bend_warp": 2e-5}

@@ -120,6 +120,7 @@ def test_a_shirt_is_a_tube_with_four_holes(body: Body) -> None:
     assert (outwards > 0.0).mean() > 0.98
 
 
+@pytest.mark.quick(around=[40])
 @pytest.mark.parametrize("around", [40, 64])
 def test_it_does_not_start_in_itself(body: Body, around: int) -> None:
     """Below the arms, where there is more cloth than room, it folds: no edge goes through a triangle, by ipctk."""

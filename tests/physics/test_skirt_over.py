@@ -73,7 +73,7 @@ def load(folder: Path, model: dict[str, object], collider: dict[str, object]) ->
     return scene_file.load(data, {}, "worn", SceneFiles(folder))
 
 
-@pytest.mark.quick(ease=[0.01, 0.03])
+@pytest.mark.quick(ease=[0.01])
 @pytest.mark.parametrize("fields", [{"rows": 24}, {"fullness": 1.6, "rows": 24}, {"cut": "half", "edge": 0.03}])
 @pytest.mark.parametrize(("at", "ease"), [("waist", 0.01), ("waist", 0.04), ("hips", 0.02), (1.0, 0.03)])
 def test_the_waist_is_a_tape_and_the_ease(at: str | float, ease: float, fields: dict[str, object], torso: Body) -> None:
@@ -120,6 +120,7 @@ def test_it_starts_outside_of_a_mannequin_and_goes_with_it(fields: dict[str, obj
     starts_outside(load(tmp_path, {"over": {"body": "b"}, **fields}, PERSON))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("fields", CUTS, ids=str)
 def test_it_starts_outside_of_a_measured_body(fields: dict[str, object], shared_data: Path) -> None:
     loaded = load(shared_data, {"over": {"body": "b"}, **fields}, {"plugin": "mesh", "file": "body-mean.obj"})

@@ -168,6 +168,7 @@ def digest() -> str:
     return hashlib.sha256(np.concatenate(found).tobytes()).hexdigest()
 
 
+@pytest.mark.full
 def test_the_same_bits_whatever_the_threads() -> None:
     """In another process with one thread, and in this one twice."""
     one = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

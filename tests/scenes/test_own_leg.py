@@ -47,6 +47,7 @@ def built_in() -> Fabric:
     return fabric()
 
 
+@pytest.mark.quick(kind=["stl"])
 @pytest.mark.parametrize("kind", ["obj", "ply", "stl", "glb"])
 def test_a_leg_from_any_file_is_fitted_as_the_one_that_comes_along(
     kind: str, built_in: Fabric, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -156,6 +156,7 @@ def test_stitches_lie_the_same_at_any_step_and_otherwise_with_other_friction() -
     assert by_step < 0.01 and by_friction > 5 * by_step, (by_step, by_friction)
 
 
+@pytest.mark.full
 def test_a_fit_that_does_not_settle_says_what_still_moves() -> None:
     simulation, poses = prepare("duration=0.3 s")
     reports = [simulation.advance(poses, poses).report for _ in range(3)]

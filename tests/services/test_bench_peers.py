@@ -177,6 +177,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     return code, out.getvalue(), folder
 
 
+@pytest.mark.full
 def test_absent_engine_is_named_with_its_install_command_and_no_error(run: tuple[int, str, Path]) -> None:
     code, out, folder = run
     told = "left out, fake-hang: no_such_engine is not installed (pip install 'no_such_engine')"
@@ -186,6 +187,7 @@ def test_absent_engine_is_named_with_its_install_command_and_no_error(run: tuple
     assert told in html.unescape((folder / "peers.html").read_text())
 
 
+@pytest.mark.full
 def test_page_and_table_hold_what_the_json_holds(run: tuple[int, str, Path]) -> None:
     _, out, folder = run
     data = json.loads((folder / "peers.json").read_text())

@@ -106,6 +106,7 @@ def test_an_automatic_step_is_short_enough_for_a_finite_bath(tmp_path: Path) -> 
         assert (DyeRun(scene_file.read(scene), 1).dt <= CELL**2 / (2.0 * D0)) == limited
 
 
+@pytest.mark.quick(solver=["rkl2"])
 @pytest.mark.parametrize("solver", sorted(registry.installed("nuno.dye_solvers")))
 def test_a_finite_bath_ends_at_its_share(solver: str, tmp_path: Path) -> None:
     """a L V_bath / (L V_bath + V_all): the cells that it reaches hand dye on to those that it does not."""

@@ -99,6 +99,7 @@ def test_a_run_that_goes_on_does_not_say_again_how_it_began(tmp_path: Path, caps
     assert "start in a body" not in told(capsys, *on)
 
 
+@pytest.mark.full
 def test_a_body_through_a_waistband_is_said(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Hips of a captured walk are higher than those that the shipped skirt is cut for."""
     small = (
