@@ -59,6 +59,7 @@ export class Paint {
     if (this.on) this.onGarment = on;
     this.cloth.box.classList.toggle("worn", on);
     $("garment").setAttribute("aria-pressed", String(on));
+    if (on) requestAnimationFrame(() => this.cloth.stage.fit());  // the garment alone, as large as it can be
     this.say();
     this.cloth.update();
     this.dress();
