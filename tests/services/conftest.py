@@ -10,8 +10,13 @@ import pytest
 import zenoh
 from live_run import Run, start_long
 from refusals import Refused
+from studio_desk import served as desk_served
+from studio_desk import write_sheet
 
+from nuno.pages.server import Server
+from nuno.studio.desk import Desk
 from nuno.wire.sessions import spoke
+from nuno_bench.chromium import Page
 
 
 @pytest.fixture
@@ -36,3 +41,28 @@ def paused(tmp_path: Path) -> Iterator[tuple[Run, zenoh.Session]]:
         yield run, session
     if run.thread.is_alive():
         run.stop()
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    """The studio's, in a folder of its own with one scene in it."""
+    monkeypatch.chdir(tmp_path)
+    write_sheet(tmp_path)
+    one = Desk()
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def served(desk: Desk) -> Iterator[tuple[Desk, Server]]:
+    """The desk and its page."""
+    with desk_served(desk) as server:
+        yield desk, server
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Of a browser; no script of it may fail, and nothing may be refused to it."""
+    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
+        yield one
+        assert one.said == []

@@ -1,4 +1,4 @@
-"""A folder with a scene, and the studio in it, for tests."""
+"""A folder with a scene, the studio in it, and its page in a browser, for tests."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
+from nuno_bench.chromium import Page, find_browser
+
+NEEDS_BROWSER = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
 
 SHEET = """\
 # a sheet of silk
@@ -33,6 +39,27 @@ def write_sheet(folder: Path) -> Path:
     path = folder / FILE
     path.write_text(SHEET)
     return path
+
+
+def ask(desk: Desk, name: str, /, **more: object) -> dict[str, Any]:
+    """What the page asks for."""
+    return desk.act({"do": name} | more)
+
+
+def look(page: Page, server: Server, place: str, ready: str) -> None:
+    """Open a place of the studio, such as `#scene=NAME`, anew, until an expression holds; what is not saved is lost."""
+    page.value(
+        "if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value"
+    )  # else it asks whether to leave
+    page.open("about:blank")
+    page.open(server.guard.address + place)
+    page.wait(f"window.nuno !== undefined && Boolean({ready})")
+
+
+def look_at_scene(page: Page, server: Server, name: str = FILE) -> None:
+    """Open a scene, until it is checked."""
+    place = f"#scene={name.replace('/', '%2F')}"
+    look(page, server, place, f"nuno.scene?.name === '{name}' && document.getElementById('verdict')?.textContent")
 
 
 @contextmanager

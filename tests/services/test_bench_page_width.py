@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from studio_desk import NEEDS_BROWSER
 
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_bench.report import page
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 
 POINTS = page.Table(
     ("solver", "setting", "outcome", "time [s]", *(f"quantity {i}" for i in range(8))),

@@ -40,14 +40,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
             yield one
 
 
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """In a folder of its own, with a sheet to be drawn on."""
-    monkeypatch.chdir(tmp_path)
-    write_sheet(tmp_path)
-    one = Desk()
-    yield one
-    one.close()
+@pytest.fixture(autouse=True)
+def sheet(desk: Desk) -> None:
+    """To be drawn on, in the desk's folder."""
+    write_sheet(Path())
 
 
 def ask(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 from draw_desk import FILE, SHEET, write_sheet
 from live_run import Run
 from numpy.typing import NDArray
-from studio_desk import served
+from studio_desk import NEEDS_BROWSER, served
 
 import nuno
 from nuno.cli.draw import open_desk
@@ -22,22 +21,16 @@ from nuno.scene import scene_file
 from nuno.seen.sight import Sight
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.fabric import Float
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 
 PATH = [(560 + 14 * i, 400 + 40 * np.sin(i / 2.5)) for i in range(13)]
 VIEW = "nuno.scene.cloth"
 BOX = "(({x, y}) => [x, y])(document.getElementById('cloth').getBoundingClientRect())"
 TEXT = "nuno.scene.text.value"
 RIDGE = np.array([217, 72, 28])
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1280, 800) as one:
-        yield one
 
 
 def look(page: Page, address: str) -> None:

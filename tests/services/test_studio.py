@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from live_run import PATIENCE, wait_until
-from studio_desk import FILE, SHEET, write_sheet
+from studio_desk import FILE, SHEET, ask
 
 import nuno
 from nuno.api.plan import describe
@@ -18,20 +17,6 @@ from nuno.recording.writer import part_of
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
-
-
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """In a folder of its own, with one scene in it."""
-    monkeypatch.chdir(tmp_path)
-    write_sheet(tmp_path)
-    one = Desk()
-    yield one
-    one.close()
-
-
-def ask(desk: Desk, name: str, /, **more: object) -> dict[str, Any]:
-    return desk.act({"do": name} | more)
 
 
 def about(desk: Desk, does: str, /, text: str = SHEET, **more: object) -> dict[str, Any]:

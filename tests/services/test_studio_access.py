@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 import pytest
 from live_run import PATIENCE, wait_until
-from studio_desk import FILE, studio, write_sheet
+from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
 from nuno.pages.guard import FILE as BYTES
 from nuno.pages.guard import JSON, MOST_BYTES
@@ -29,7 +29,7 @@ from nuno.pages.server import Server, door
 from nuno.scene import shipped
 from nuno.studio import arrivals
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 
 NET = (shipped.folder() / "pendulum.npz").read_bytes()
 READ = ("", "main.js", "schema", "drawn?name=net", "shown?file=a.png", "picture?recording=a.mcap",
@@ -209,7 +209,7 @@ def attack(browser: Page, address: str) -> set[str]:
 
 
 @pytest.mark.full
-@pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+@NEEDS_BROWSER
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_a_page_of_another_origin_that_even_knows_the_address_gets_nothing_done(
     browser: Page, served: tuple[Desk, Server], elsewhere: int, host: str, monkeypatch: pytest.MonkeyPatch
@@ -237,7 +237,7 @@ def test_a_page_of_another_origin_that_even_knows_the_address_gets_nothing_done(
 
 
 @pytest.mark.full
-@pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+@NEEDS_BROWSER
 def test_a_name_that_is_made_to_point_here_gets_nothing(browser: Page, served: tuple[Desk, Server]) -> None:
     server = served[1]
     address = server.guard.address.replace("127.0.0.1", "evil.example")
@@ -253,7 +253,7 @@ def test_a_name_that_is_made_to_point_here_gets_nothing(browser: Page, served: t
 
 
 @pytest.mark.full
-@pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+@NEEDS_BROWSER
 def test_the_file_that_starts_a_browser_leads_to_the_page(browser: Page, served: tuple[Desk, Server]) -> None:
     with door(served[1].guard.address) as uri:
         browser.open(uri)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_run import PATIENCE, wait_until
-from studio_desk import FILE, SHEET, write_sheet
+from studio_desk import FILE, SHEET
 
 import nuno
 from nuno.cli.control import NEEDS
@@ -27,16 +26,6 @@ from nuno_schemas.colour import CONTROL
 from nuno_schemas.errors import BadInput
 
 LONG = SHEET.replace("0.4 s", "400 s")
-
-
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """In a folder of its own, with one scene in it."""
-    monkeypatch.chdir(tmp_path)
-    write_sheet(tmp_path)
-    one = Desk()
-    yield one
-    one.close()
 
 
 def read(message: tuple[str, bytes]) -> dict[str, Any]:

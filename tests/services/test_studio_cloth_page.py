@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_run import wait_until
-from studio_desk import FILE, SHEET, studio, write_sheet
+from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
 from nuno.pages.server import Server
 from nuno.scene import scene_file
 from nuno.seen.shown import see_scene
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 VIEW = "nuno.scene.cloth"
@@ -26,27 +25,15 @@ BOX = "(({x, y, width, height}) => [x, y, width, height])(document.getElementByI
 CAMERA = f"(({{azimuth, elevation, distance}}) => [azimuth, elevation, distance])({VIEW}.stage.camera)"
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What nobody looks at any more is left soon."""
     monkeypatch.setattr(cloth, "LEAVE", 0.3)
-    write_sheet(tmp_path)
-    with studio() as both:
-        yield both
 
 
-def look(page: Page, server: Server, name: str = FILE) -> None:
-    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-    page.open("about:blank")
-    page.open(server.guard.address + f"#scene={name.replace('/', '%2F')}")
-    page.wait(f"window.nuno?.scene?.name === '{name}' && {VIEW}?.frame")
+def look_at_cloth(page: Page, server: Server, name: str = FILE) -> None:
+    look_at_scene(page, server, name)
+    page.wait(f"Boolean({VIEW}?.frame)")
 
 
 def shown(page: Page) -> np.ndarray[Any, Any]:
@@ -70,7 +57,7 @@ def painted(page: Page) -> int:
 def test_the_start_of_the_text_is_shown_without_a_run_and_changes_with_it(
     page: Page, served: tuple[Desk, Server]
 ) -> None:
-    look(page, served[1])
+    look_at_cloth(page, served[1])
     sight, _ = see_scene(scene_file.read(Path(FILE)))
     assert np.allclose(shown(page), sight.x, atol=1e-6) and painted(page) > 5000
     number = page.value(f"{VIEW}.built.length")
@@ -85,7 +72,7 @@ def test_the_start_of_the_text_is_shown_without_a_run_and_changes_with_it(
 
 
 def test_the_view_is_turned_by_mouse_and_keys_and_coloured_by_stretch(page: Page, served: tuple[Desk, Server]) -> None:
-    look(page, served[1])
+    look_at_cloth(page, served[1])
     first = page.value(CAMERA)
     x, y, _, _ = page.value(BOX)
     x, y = x + 60, y + 300
@@ -112,7 +99,7 @@ def test_a_run_is_shown_while_it_is_on_the_screen_and_not_followed_else(
 ) -> None:
     desk = served[0]
     Path(FILE).write_text(SHEET.replace("0.4 s", "400 s"))
-    look(page, served[1])
+    look_at_cloth(page, served[1])
     start = shown(page)
     page.click("run")
     page.wait(f"{VIEW}.frame.frame > 5", PATIENCE)
@@ -157,10 +144,10 @@ def check_set(page: Page) -> None:
 def test_cloth_of_yarns_is_shown_as_lines_and_what_is_not_shown_is_said(
     page: Page, served: tuple[Desk, Server]
 ) -> None:
-    look(page, served[1], "knit/stitch-10x10")
+    look_at_cloth(page, served[1], "knit/stitch-10x10")
     page.wait("document.getElementById('cloth-said').textContent.includes('links are shown as lines')")
     assert painted(page) > 300
-    look(page, served[1], "skirt-dyed")
+    look_at_cloth(page, served[1], "skirt-dyed")
     page.wait("document.getElementById('cloth-said').textContent.includes('Dye')")
     page.value("location.hash = '#scene=dye%2Fdrops'")
     page.wait("document.getElementById('cloth-said')?.textContent.includes('lies flat and does not move')")

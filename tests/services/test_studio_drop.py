@@ -3,38 +3,25 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from studio_desk import studio
+from studio_desk import NEEDS_BROWSER, look
 
 from nuno.pages.server import Server
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 MOST_CLICKS = 5
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
-@pytest.fixture
-def served(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
-    monkeypatch.chdir(tmp_path)
-    with studio() as both:
-        page.open("about:blank")
-        page.open(both[1].guard.address)
-        page.wait("document.querySelectorAll('.cards li').length > 5")
-        yield both
+@pytest.fixture(autouse=True)
+def opened(page: Page, served: tuple[Desk, Server]) -> None:
+    look(page, served[1], "", "document.querySelectorAll('.cards li').length > 5")
 
 
 def dropped(page: Page, *paths: Path) -> None:

@@ -12,13 +12,13 @@ import pytest
 import yaml
 from live_run import PATIENCE, wait_until
 from PIL import Image
-from studio_desk import studio, write_sheet
+from studio_desk import NEEDS_BROWSER, studio, write_sheet
 
 import nuno
 from nuno.pages.guard import Refused
 from nuno.studio.desk import Desk
 from nuno.studio.exports import KINDS
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
 
@@ -103,7 +103,7 @@ def test_what_cannot_be_made_is_told_in_words(desk: Desk, recording: str) -> Non
 
 
 @pytest.mark.full
-@pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+@NEEDS_BROWSER
 def test_a_button_saves_a_file(tmp_path_factory: pytest.TempPathFactory, recording: str) -> None:
     down = tmp_path_factory.mktemp("down")
     with Page(tmp_path_factory.mktemp("browser")) as page, studio() as (_, server):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +37,6 @@ pattern:
     - [{panel: front, edge: 1}, {panel: back, edge: 2}]
     - [{panel: front, edge: 3}, {panel: back, edge: 0}]
 """
-
-
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    monkeypatch.chdir(tmp_path)
-    one = Desk()
-    yield one
-    one.close()
 
 
 def drop(desk: Desk, name: str, data: bytes) -> dict[str, Any]:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from studio_desk import FILE, SHEET, studio, write_sheet
+from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
 from nuno import registry
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
 from nuno.studio.swatches import swatches
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.dye_presets import PRESETS
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 BALL = """\
 bodies:
   - {name: ball, collider: {plugin: sphere, centre: [0, -1, 0], radius: 10 cm}, friction: 0.3}
@@ -26,27 +25,9 @@ TEXT = SHEET.replace("# the end\n", BALL).replace("name: cloth ", "name: cloth\n
 SKIRT = "{plugin: skirt, waist_radius: 13 cm, hem_radius: 31 cm, length: 45 cm, pleats: 12, fabric: silk}"
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
-    monkeypatch.chdir(tmp_path)
-    with studio() as both:
-        yield both
-
-
-def look(page: Page, server: Server, text: str) -> None:
-    path = write_sheet(Path())
-    path.write_text(text)
-    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-    page.open("about:blank")
-    page.open(f"{server.guard.address}#scene={FILE}")
-    page.wait(f"window.nuno?.scene?.name === '{FILE}' && document.getElementById('verdict')?.textContent")
+def look_at(page: Page, server: Server, text: str) -> None:
+    Path(FILE).write_text(text)
+    look_at_scene(page, server)
     assert page.value("document.getElementById('verdict').textContent") == "No mistakes"
 
 
@@ -70,7 +51,7 @@ def value_at(page: Page, name: str) -> float:
 def test_a_slider_goes_from_limit_to_limit_with_what_is_usual_in_the_middle(
     page: Page, served: tuple[Desk, Server]
 ) -> None:
-    look(page, served[1], TEXT)
+    look_at(page, served[1], TEXT)
     name = "bodies[0].friction"
     assert value_at(page, name) == pytest.approx(0.5, abs=0.01)  # as by default, though the limits are 0 and 100
     for share, written in ((1.0, "friction: 100}"), (0.0, "friction: 0}")):
@@ -87,14 +68,14 @@ def test_a_slider_goes_from_limit_to_limit_with_what_is_usual_in_the_middle(
 
 
 def test_whole_numbers_go_by_one_on_the_keyboard_and_units_stay(page: Page, served: tuple[Desk, Server]) -> None:
-    look(page, served[1], SHEET.replace(SHEET[SHEET.index("{plugin: sheet,") : SHEET.index("\n# the end")], SKIRT))
+    look_at(page, served[1], SHEET.replace(SHEET[SHEET.index("{plugin: sheet,") : SHEET.index("\n# the end")], SKIRT))
     page.value("document.getElementById('slide:field:objects[0].model.pleats').focus()")
     for key, written in (("ArrowRight", "pleats: 13"), ("ArrowRight", "pleats: 14"), ("ArrowLeft", "pleats: 13")):
         page.press(key)
         wait_text(page, written)
     # An angle that is written in degrees goes on in degrees, and not beyond the limit, 0.5 rad.
     dancer = "bodies:\n  - {name: a, collider: {plugin: skeleton}, motion: {plugin: hula, sway: 9 deg}}\n"
-    look(page, served[1], SHEET.replace("# the end\n", dancer))
+    look_at(page, served[1], SHEET.replace("# the end\n", dancer))
     slide(page, "bodies[0].motion.sway", 1.0)
     wait_text(page, "sway: 28.6 deg}")
     page.wait("document.querySelector('.section [data-path=\"bodies[0].motion.sway\"]') !== null")
@@ -102,7 +83,7 @@ def test_whole_numbers_go_by_one_on_the_keyboard_and_units_stay(page: Page, serv
 
 
 def test_a_fabric_is_chosen_by_how_it_hangs_and_a_colour_by_eye(page: Page, served: tuple[Desk, Server]) -> None:
-    look(page, served[1], TEXT)
+    look_at(page, served[1], TEXT)
     button = "swatch:field:objects[0].model.fabric"
     page.wait(f"document.getElementById('{button}:denim') !== null", 120.0)
     assert page.value(f"document.getElementById('{button}:silk').ariaPressed") == "true"
@@ -117,7 +98,7 @@ def test_a_fabric_is_chosen_by_how_it_hangs_and_a_colour_by_eye(page: Page, serv
 
 
 def test_strips_are_drawn_by_the_law_of_the_cantilever(page: Page, served: tuple[Desk, Server]) -> None:
-    look(page, served[1], TEXT)
+    look_at(page, served[1], TEXT)
     length, gravity = 0.04, 9.81
     module = f"import('{served[1].guard.address}swatches.js')"
     for name, feel in swatches()["fabrics"].items():
@@ -139,11 +120,8 @@ def test_swatches_are_those_of_all_presets() -> None:
 
 @pytest.mark.parametrize("name", [FILE, "skirt-dyed", "sewn/outfit"])
 def test_all_that_can_be_used_has_a_name_that_is_read_out(page: Page, served: tuple[Desk, Server], name: str) -> None:
-    write_sheet(Path()).write_text(TEXT)
-    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-    page.open("about:blank")
-    page.open(f"{served[1].guard.address}#scene={name.replace('/', '%2F')}")
-    page.wait(f"window.nuno?.scene?.name === '{name}' && document.getElementById('verdict')?.textContent")
+    Path(FILE).write_text(TEXT)
+    look_at_scene(page, served[1], name)
     page.call("Accessibility.enable")
     used = {"button", "textbox", "combobox", "slider", "link", "searchbox", "ColorWell", "menuitem", "spinbutton"}
     nodes = page.call("Accessibility.getFullAXTree")["nodes"]

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from studio_desk import FILE, studio, write_sheet
+from studio_desk import FILE, NEEDS_BROWSER, look
 
 from nuno.pages.server import Server, page_files
 from nuno.scene import shipped
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 
-BROWSER = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
 MOST = 2_000_000
 """Bytes of all that the page may load, but for the view in 3-D."""
 SOON = 2.0
 """How soon a warm studio shows its first picture [s]."""
 VIEWER = ("gl.js", "stage.js", "surface.js", "math.js", "orbit.js", "scale.js", "link.js", "cloth.js", "cloth.css")
 """Files of the view in 3-D."""
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
-    monkeypatch.chdir(tmp_path)
-    write_sheet(tmp_path)
-    with studio() as both:
-        yield both
 
 
 def test_all_that_the_page_can_load_is_light(served: tuple[Desk, Server]) -> None:
@@ -43,13 +32,6 @@ def test_all_that_the_page_can_load_is_light(served: tuple[Desk, Server]) -> Non
     assert sum(files.values()) + sum(told.values()) + sum(pictures.values()) <= MOST
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
 WEIGHT = """
 performance.getEntries().filter((one) => one.entryType === "resource" || one.entryType === "navigation")
   .map((one) => [one.name.split("/").at(-1), one.transferSize])
@@ -57,7 +39,7 @@ performance.getEntries().filter((one) => one.entryType === "resource" || one.ent
 
 
 @pytest.mark.full
-@BROWSER
+@NEEDS_BROWSER
 def test_what_the_page_loads_is_light_and_its_first_picture_comes_soon(page: Page, served: tuple[Desk, Server]) -> None:
     address = served[1].guard.address
     took = []
@@ -79,13 +61,11 @@ def test_what_the_page_loads_is_light_and_its_first_picture_comes_soon(page: Pag
 
 
 @pytest.mark.full
-@BROWSER
+@NEEDS_BROWSER
 def test_scenes_stand_under_headings_and_a_search_leaves_those_with_all_words(
     page: Page, served: tuple[Desk, Server]
 ) -> None:
-    page.open("about:blank")
-    page.open(served[1].guard.address)
-    page.wait("document.querySelectorAll('.cards li').length > 5")
+    look(page, served[1], "", "document.querySelectorAll('.cards li').length > 5")
     heads = page.value("[...document.querySelectorAll('section')].map((one) => one.querySelectorAll('li').length)")
     assert sum(heads) == len(shipped.scenes()) + 1 and len(heads) == len(shipped.FOLDERS) + 2
     page.tap("#search")

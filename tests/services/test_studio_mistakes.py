@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from seeded_mistakes import NUMBER, Mistake, draw, write
-from studio_desk import studio
+from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 
 import nuno
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.studio import scenes
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
 BUILT = ("file", "body")
@@ -95,13 +94,6 @@ def test_a_run_from_python_and_a_scene_as_an_object_refuse_them_too(
         assert str(read.value) == page["words"], mistake
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
 SEEN = """
 [...document.querySelectorAll('.mistake')].map((box) => [
   box.closest('[data-path]')?.dataset.path ?? '', [...box.querySelectorAll('p:not(.place)')].map((p) => p.textContent),
@@ -113,7 +105,7 @@ all that its field holds on one line."""
 
 
 @pytest.mark.full
-@pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+@NEEDS_BROWSER
 def test_the_page_shows_each_at_its_field(
     page: Page, mistakes: list[tuple[Mistake, Path]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,9 +114,7 @@ def test_the_page_shows_each_at_its_field(
     with studio() as (_, server):
         for mistake, path in mistakes:
             told = page_says(path)
-            page.open("about:blank")
-            page.open(f"{server.guard.address}#scene={path.name}")
-            page.wait(f"window.nuno?.scene?.name === '{path.name}' && document.getElementById('verdict')?.textContent")
+            look_at_scene(page, server, path.name)
             shown = page.value(SEEN)
             problem, *more = str(told["words"]).split("\n")
             words = [str(told["problem"]), *map(str.strip, more)]

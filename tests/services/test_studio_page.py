@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from studio_desk import FILE, SHEET, studio, write_sheet
+from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 import nuno
 from nuno.api.plan import describe
@@ -15,43 +15,15 @@ from nuno.pages.server import Server
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 SOME = ("skirt-hula", "skirt-dyed", "bloom-skirt", "towel", "contact/knot", "dye/drops", "knit/stocking-leg",
         "sewn/outfit", "extreme/far-away", "instruments/drapemeter")  # fmt: skip
 """Of each folder one, and those that have most to say."""
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Desk, Server]]:
-    monkeypatch.chdir(tmp_path)
-    write_sheet(tmp_path)
-    with studio() as both:
-        yield both
-
-
-def look(page: Page, server: Server, place: str, ready: str) -> None:
-    # A page with changes that are not saved asks whether to leave.
-    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-    page.open("about:blank")
-    page.open(server.guard.address + place)
-    page.wait(f"window.nuno !== undefined && ({ready})")
-
-
-def look_at_scene(page: Page, server: Server, name: str = FILE) -> None:
-    place = f"#scene={name.replace('/', '%2F')}"
-    look(page, server, place, f"nuno.scene?.name === '{name}' && document.getElementById('verdict')?.textContent")
 
 
 def text(page: Page) -> str:

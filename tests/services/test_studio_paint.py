@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -43,13 +42,10 @@ WIDTH = 1.47e-3
 LONG = 11.02e-3
 
 
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(autouse=True)
+def scene(desk: Desk) -> None:
+    """In the desk's folder."""
     Path("cloth.yaml").write_text(SCENE)
-    desk = Desk()
-    yield desk
-    desk.close()
 
 
 def painted(desk: Desk, text: str = SCENE, **said: Any) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from studio_desk import studio
+from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 
 import nuno
 from nuno.pages.server import Server
@@ -19,11 +19,11 @@ from nuno.scene import scene_file, shipped
 from nuno.seen.shown import see_scene
 from nuno.studio import scenes
 from nuno.studio.dyed import at_start
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 FILE = "drops.yaml"
@@ -31,19 +31,10 @@ CELL = 5e-5
 DONE = "nuno.scene.cloth.paint.flat.waiting.length === 0 && nuno.scene.cloth.paint.shown === nuno.scene.text.value"
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
-
-
 def paint(page: Page, server: Server, name: str) -> None:
     """Open a scene in the mode for painting."""
-    page.value("if (window.nuno?.scene?.text) nuno.scene.saved = nuno.scene.text.value")
-    page.open("about:blank")
-    page.open(f"{server.guard.address}#scene={name}")
-    page.wait("window.nuno?.scene?.text && document.getElementById('verdict')?.textContent === 'No mistakes'")
+    look_at_scene(page, server, name)
+    assert page.value("document.getElementById('verdict').textContent") == "No mistakes"
     page.click("cloth-paint")
     page.wait("nuno.scene.cloth.paint.on && document.getElementById('paint').clientWidth > 400")
 

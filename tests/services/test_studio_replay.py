@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from live_run import PATIENCE, wait_until
 from numpy.typing import NDArray
 from PIL import Image
 from recorded_sheet import Sheet, items, metadata, write
-from studio_desk import FILE, write_sheet
+from studio_desk import FILE, ask, write_sheet
 
 import nuno
 from nuno.exports.cloth import body_vertices, read_bodies
@@ -31,18 +30,10 @@ from nuno_schemas.messages import FABRIC, STATE
 FOLDER = Path("recordings")
 
 
-@pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """In a folder of its own."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(autouse=True)
+def folder(desk: Desk) -> None:
+    """In the desk's."""
     FOLDER.mkdir()
-    one = Desk()
-    yield one
-    one.close()
-
-
-def ask(desk: Desk, name: str, /, **more: object) -> dict[str, Any]:
-    return desk.act({"do": name} | more)
 
 
 def unpack(answer: tuple[str, bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

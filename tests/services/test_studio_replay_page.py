@@ -12,25 +12,18 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
-from studio_desk import SHEET, studio, write_sheet
+from studio_desk import NEEDS_BROWSER, SHEET, look, studio, write_sheet
 
 import nuno
 from nuno.pages.server import Server
 from nuno.recording.reader import open_recording
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import Page
 
-pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
+pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 FOLDER = Path("recordings")
 RUN = "nuno.run"
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("browser"), 1300, 820) as one:
-        yield one
-        assert one.said == []
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +49,6 @@ def server(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     monkeypatch.chdir(folder)
     with studio() as (_, one):
         yield one
-
-
-def look(page: Page, server: Server, place: str, ready: str) -> None:
-    page.open("about:blank")
-    page.open(server.guard.address + place)
-    page.wait(f"window.nuno !== undefined && Boolean({ready})")
 
 
 def look_at(page: Page, server: Server, name: str) -> None:
