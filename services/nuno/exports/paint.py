@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from pathlib import Path
@@ -40,6 +41,15 @@ def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
                 return np.asarray(image.convert("RGB"))
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise ValueError(str(error)) from None
+
+
+def as_png(picture: NDArray[np.uint8]) -> bytes:
+    """The file of a picture (h, w, 3), made quickly rather than small."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "PNG", compress_level=1)
+    return out.getvalue()
 
 
 def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:

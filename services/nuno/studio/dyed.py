@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from nuno.dye.run import build_cloth
 from nuno.dye.supply import Supplies
+from nuno.exports.paint import as_png
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
 from nuno.scene.scene_file import Loaded
@@ -44,7 +43,7 @@ class Dyed:
         """Build a scene's cloth: the number of its picture, its size [m], its cells, and the dyes. Raises BadInput."""
         cells, phi, fixed = at_start(loaded)
         number = next(self._numbers)
-        self._kept[number] = png_of(self._draw(loaded, cells, phi, fixed))
+        self._kept[number] = as_png(self._draw(loaded, cells, phi, fixed))
         for old in sorted(self._kept)[:-MOST]:
             self._kept.pop(old, None)
         _, ny, nx = cells.fibre.shape
@@ -132,10 +131,3 @@ def _looks(cells: Cells) -> list[NDArray[Any]]:
     """What of a cloth without dye is seen."""
     photograph = (cells.photograph.light, cells.photograph.warp) if cells.photograph is not None else ()
     return [cells.fibre, cells.up, *(cells.yarns or ()), *(cells.ground or ()), *photograph]
-
-
-def png_of(picture: Picture) -> bytes:
-    """A picture as a PNG file, made fast: it goes no further than this machine."""
-    out = io.BytesIO()
-    Image.fromarray(picture).save(out, "PNG", compress_level=1)
-    return out.getvalue()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import threading
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,16 @@ from numpy.typing import NDArray
 
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import NO_SURFACES, Surfaces
-from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
+from nuno.exports.cloth import check_size
 from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
-from nuno.exports.paint import PLAIN
-from nuno.exports.shapes import sample
+from nuno.exports.paint import as_png
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Frame, Recorded
 from nuno.seen.shown import draw_bodies, size_of
-from nuno.seen.sight import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
+from nuno.seen.sight import NO_POINTS
+from nuno.studio.shape import Shape, read_shape
 from nuno.wire.arrays import BadMessage, decode_points, origin_of
-from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
@@ -53,30 +51,6 @@ class Still:
     x: Float
     body: Float
     between: bool = False
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What the cloth consists of until an operation changes it.
-
-    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] where an
-    image lies on it, else None.
-    """
-
-    pieces: tuple[ShownPiece, ...]
-    faces: Int
-    edges: Int
-    rest: NDArray[np.float32]
-    colours: NDArray[np.float32] | None
-
-    def same_as(self, other: Shape) -> bool:
-        """Whether each vertex is the same of the same cloth in both."""
-        return all(
-            (one.start, one.stop) == (two.start, two.stop)
-            and np.array_equal(one.faces, two.faces)
-            and np.array_equal(one.edges, two.edges)
-            for one, two in zip(self.pieces, other.pieces, strict=False)
-        ) and len(self.pieces) == len(other.pieces)
 
 
 class Film:
@@ -175,8 +149,6 @@ class Film:
         """The PNG of cloth that is dyed alone, at a frame by its place among `times`, or at the last one before it
         whose amounts were recorded. Raises BadInput where it cannot be drawn, IndexError where there is no such frame.
         """
-        from PIL import Image
-
         with self._open():
             if self._dyed is None:
                 with dyed_pictures(self.recording) as found:
@@ -185,9 +157,7 @@ class Film:
             if message is None:
                 raise BadInput("no amounts of dye were recorded until then", str(self.recording.path))
             picture = self._dyed.draw(message)
-        data = io.BytesIO()
-        Image.fromarray(picture).save(data, "PNG", compress_level=1)
-        return data.getvalue()
+        return as_png(picture)
 
     @property
     def body_faces(self) -> Int:
@@ -206,28 +176,11 @@ class Film:
             if not 0 <= number < len(self._changes):
                 raise IndexError("there is no such shape")
             if number not in self._shapes:
-                self._shapes[number] = self._read_shape(self._changes[number])
+                self._shapes[number] = read_shape(self.recording, self._changes[number] / 1e9)
             self._shapes[number] = shape = self._shapes.pop(number)
             for old in list(self._shapes)[:-MOST_SHAPES]:
                 del self._shapes[old]
             return shape
-
-    def _read_shape(self, time: int) -> Shape:
-        recording = self.recording
-        try:
-            cut = cut_pieces(*recording.fabric(time / 1e9))
-        except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
-            raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
-        pieces = [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in cut]
-        faces, edges, rest = (
-            np.concatenate([none, *rows])
-            for none, rows in (
-                (NO_FACES, (piece.faces + piece.start for piece in pieces)),
-                (NO_EDGES, (piece.edges + piece.start for piece in pieces)),
-                (NO_LENGTHS, (piece.rest for piece in pieces)),
-            )
-        )
-        return Shape(tuple(pieces), faces, edges, rest.astype(np.float32), _printed(pieces))
 
     def stills(self, times: Sequence[int]) -> list[Still]:
         """The cloth at log times [ns] that rise, none before the first frame or after the last.
@@ -287,16 +240,3 @@ class Film:
 
     def _damaged(self, message: Recorded, error: Exception) -> BadInput:
         return BadInput(f"{message.topic} at {message.t:g} s is damaged: {error}", str(self.recording.path))
-
-
-def _printed(pieces: Sequence[ShownPiece]) -> NDArray[np.float32] | None:
-    """(n, 3) sRGB of all vertices where an image lies on a piece, else None: each has the colour of its pixel."""
-    if all(piece.image is None for piece in pieces):
-        return None
-    colours = np.ones((max(piece.stop for piece in pieces), 3), np.float32)
-    for piece in pieces:
-        own = colours[piece.start : piece.stop]
-        own[:] = to_srgb(parse_hex(piece.colour or PLAIN))
-        if piece.image is not None and (laid := piece.laid_out) is not None:
-            own[laid.vertex] = sample(piece.image, laid.points) / 255.0
-    return colours

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from PIL import Image
 
 from nuno import registry
 from nuno.begin.sheet import import_sheet, in_units
+from nuno.exports.paint import as_png
 from nuno.pages.server import describe
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import open_recording
@@ -23,7 +23,6 @@ from nuno.scene.files import SceneFiles
 from nuno.studio import scenes
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS
 from nuno_schemas.draft import DrawnDraft
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.pattern import Checked
@@ -224,13 +223,6 @@ def _recording(path: Path) -> Seen:
         lacks = shortcoming(recording)
         rows: Rows = [("scene", str(recording.scene.get("name", ""))), ("lasts", f"{recording.span[1]:.4g} s")]
     return Seen("recording", "a recording", rows + ([("lacks", lacks)] if lacks else []))
-
-
-def as_png(picture: Picture) -> bytes:
-    """A picture (h, w, 3), as a file."""
-    out = io.BytesIO()
-    Image.fromarray(picture).save(out, "PNG", optimize=True)
-    return out.getvalue()
 
 
 def _told(error: BadInput, name: str) -> dict[str, Any]:
