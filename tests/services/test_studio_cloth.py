@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from studio_desk import FILE, SHEET
 
 import nuno
 from nuno.cli.control import NEEDS
+from nuno.exports.cloth import read_pieces
 from nuno.pages.guard import Refused
 from nuno.pages.server import page_files
 from nuno.scene import scene_file, shipped
@@ -63,6 +65,22 @@ def test_a_start_is_that_of_the_text_and_nothing_is_run_for_it(desk: Desk) -> No
         see(desk, SHEET)
     with pytest.raises(Refused, match="no longer"):
         start(desk, first["number"])
+
+
+def test_cloth_has_the_colours_of_its_recording_and_its_pictures(desk: Desk) -> None:
+    sheet = "{plugin: sheet, size: [40 cm, 40 cm], resolution: [5, 5], fabric: silk}"
+    net = "{plugin: net, file: pendulum.npz}"
+    shutil.copy(shipped.folder() / "pendulum.npz", ".")
+    more = "".join(f"  - {{name: {name}, model: {model}{colour}}}\n" for name, model, colour in (
+        ("plain", sheet, ""), ("red", sheet, ", colour: '#c03020'"), ("net", net, ""), ("last", sheet, "")
+    ))  # fmt: skip
+    Path(FILE).write_text(text := SHEET.replace("# the end\n", more))
+    told = start(desk, see(desk, text)["number"])["pieces"]
+    nuno.run(FILE, duration="40 ms", record=Path("all.mcap"))
+    with nuno.open(Path("all.mcap")) as recording:
+        kept = read_pieces(recording)
+    assert [one["colour"] for one in told] == [one.colour for one in kept]
+    assert len({one["colour"] for one in told}) == 5
 
 
 def test_what_is_not_shown_is_said_and_a_scene_without_cloth_is_refused(desk: Desk) -> None:

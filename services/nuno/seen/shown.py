@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,13 @@ from nuno.cloth import build
 from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface
-from nuno.exports.paint import INSET
+from nuno.exports.paint import CLOTHS, INSET
 from nuno.scene.scene_file import Loaded
 from nuno.seen.sight import NO_POINTS, Sight
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Int
 
 GROUND = 4.0
 """Edge of the patch that a plane is drawn as, in sizes of the cloth."""
@@ -48,7 +49,7 @@ def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
     sight = Sight(
         fabric.position,
         fabric.faces,
-        tuple(pieces),
+        _coloured(pieces, fabric.faces),
         drawn.at(poses) if poses is not None else NO_POINTS,
         drawn.faces,
         edges,
@@ -61,18 +62,26 @@ def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
     """A run's answer to where its cloth is, without its bodies. Raises BadMessage."""
     try:
-        pieces = tuple(
-            build.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]
-        )
+        pieces = [build.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]]
         x, faces, edges, rest = (arrays[name] for name in ("x", "faces", "edges", "edge_rest"))
-        sight = Sight(x, faces, pieces, edges=edges, rest=rest, frame=int(text["frame"]), t=float(text["t"]))
+        sight = Sight(x, faces, tuple(pieces), edges=edges, rest=rest, frame=int(text["frame"]), t=float(text["t"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadMessage(f"cloth without {error}") from None
     if x.shape[1:] != (3,) or not (
         _joins(faces, 3, len(x)) and _joins(edges, 2, len(x)) and rest.shape == edges.shape[:1]
     ):
         raise BadMessage(f"cloth of {x.shape} positions, {faces.shape} triangles and {edges.shape} links")
-    return sight
+    return replace(sight, pieces=_coloured(pieces, faces))
+
+
+def _coloured(pieces: Iterable[build.Piece], faces: Int) -> tuple[build.Piece, ...]:
+    """Objects of triangles (f, 3) that have no colour of their own get that of pictures: see `cut_pieces`."""
+    first = faces[:, 0] if faces.size else np.zeros(0, np.int32)
+    return tuple(
+        piece if piece.colour or not ((first >= piece.start) & (first < piece.stop)).any()
+        else replace(piece, colour=CLOTHS[i % len(CLOTHS)])
+        for i, piece in enumerate(pieces)
+    )  # fmt: skip
 
 
 def _joins(rows: NDArray[Any], corners: int, count: int) -> bool:
