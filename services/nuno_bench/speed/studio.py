@@ -66,7 +66,7 @@ def studio(repeats: int) -> list[Result]:
             for i in range(repeats):
                 for name in sorted(ways, reverse=bool(i % 2)):
                     found[name].append(ways[name]())
-            first = tuple(_first_picture(server, page) for _ in range(repeats)) if page is not None else ()
+            first = tuple(_open(server, page) for _ in range(repeats)) if page is not None else ()
     return _results(found, first)
 
 
@@ -187,10 +187,13 @@ def take_frames(port: int, token: str, run: str, connection: Connection) -> None
     connection.send((len(times) - 1, times[-1] - times[0]) if times else (0, 0.0))
 
 
-def _open(server: Server, page: Page) -> None:
+def _open(server: Server, page: Page) -> float:
+    """From opening the page of a scene until its cloth is painted [s]."""
     page.open("about:blank")
+    begin = time.monotonic()
     page.open(f"{server.guard.address}#scene={SCENE}")
     page.wait(f"window.nuno?.scene?.cloth?.frame && !{VIEW}.stage.asked", PATIENCE)
+    return time.monotonic() - begin
 
 
 def _measure_page(desk: Desk, server: Server, page: Page) -> tuple[float, float]:
@@ -202,12 +205,3 @@ def _measure_page(desk: Desk, server: Server, page: Page) -> tuple[float, float]
     count, milliseconds = page.value("[painted.length - 1, painted.at(-1) - painted[0]]")
     page.open("about:blank")
     return seconds, _rate(count, 1e-3 * milliseconds)
-
-
-def _first_picture(server: Server, page: Page) -> float:
-    """From opening the page of a scene until its cloth is painted [s]; the studio has opened it before."""
-    page.open("about:blank")
-    begin = time.monotonic()
-    page.open(f"{server.guard.address}#scene={SCENE}")
-    page.wait(f"window.nuno?.scene?.cloth?.frame && !{VIEW}.stage.asked", PATIENCE)
-    return time.monotonic() - begin
