@@ -242,6 +242,11 @@ def _check(recording: Recording, asked: Asked) -> None:
     if asked.style and (recording.dyed_alone or not asked.png):
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
+    _check_dye(recording, asked)
+
+
+def _check_dye(recording: Recording, asked: Asked) -> None:
+    """Raises BadInput where a recording of dyed cloth alone is asked for what moves, or one of cloth for dye."""
     if recording.dyed_alone:
         shapes = [name for name in (*SHAPED, *(m[1:] for m in MESHES)) if getattr(asked, name)]
         if shapes:
