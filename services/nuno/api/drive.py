@@ -32,21 +32,19 @@ class Driving:
     """What moves one body, and takes hold of cloth with it; it can be closed, and used with `with`."""
 
     def __init__(self, run: str, body: str, endpoint: str, key: str | None, config: str | None, end: float) -> None:
-        self._stack = contextlib.ExitStack()
-        with in_python():
-            session = self._stack.enter_context(spoke(endpoint, config))
-        self._bus = Bus(session, run, "drive")
-        self._publisher = session.declare_publisher(
-            key or self._bus.key(f"{POSES.name}/{body}"),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            reliability=zenoh.Reliability.RELIABLE,
-        )
-        with in_python():
+        with contextlib.ExitStack() as stack, in_python():
+            session = stack.enter_context(spoke(endpoint, config))
+            self._bus = Bus(session, run, "drive")
+            self._publisher = session.declare_publisher(
+                key or self._bus.key(f"{POSES.name}/{body}"),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+            )
             answer = _asked_until(end, lambda: self._bus.ask(GEOMETRY_QUESTION, timeout=CONTROL_TIMEOUT), RunFailed)
             known = decode_geometry(answer).bodies
             if body not in known:
-                self.close()
                 raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, known))
+            self._stack = stack.pop_all()
 
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
         """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
