@@ -15,7 +15,8 @@ from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
-from nuno.scene.scene_file import Chosen, Loaded
+from nuno.scene.chosen import Chosen
+from nuno.scene.scene_file import Loaded
 from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest

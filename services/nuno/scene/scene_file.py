@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from nuno import registry
 from nuno.scene import shipped, yaml_lines
+from nuno.scene.chosen import Chosen, choose_operation, choose_plugin
 from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
@@ -20,27 +20,11 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.operation import arranges
 from nuno_schemas.parts import Choice
-from nuno_schemas.scene import Applied, ClothContact, Scene
+from nuno_schemas.scene import ClothContact, Scene
 from nuno_schemas.solver import AUTO, Solver
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
 """The solvers that a choice starts from: the cheapest step."""
-
-
-@dataclass
-class Chosen:
-    """A plugin picked by a scene: the instance, its validated configuration, where it stands."""
-
-    group: str
-    plugin: Any
-    config: BaseModel
-    field: str
-    given: Mapping[str, Any]
-    """What the scene says of the configuration, as it is written there."""
-
-    @property
-    def name(self) -> str:
-        return str(self.plugin.name)
 
 
 @dataclass
@@ -208,44 +192,6 @@ def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path]
     if not scene.moves or not isinstance(scene.cloth_contact, ClothContact):
         return None
     return chosen("nuno.cloth_contacts", scene.cloth_contact, ("cloth_contact",))
-
-
-def choose_plugin(
-    group: str, choice: Choice, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int]
-) -> Chosen:
-    """The plugin that a scene names, with its configuration validated. Raises BadInput."""
-    try:
-        plugin = registry.load(group, choice.plugin, (AUTO,) if group == "nuno.integrators" else ())
-    except BadInput as error:
-        raise located(error, file, lines, dotted((*place, "plugin"))) from None
-    try:
-        return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place), choice.config)
-    except ValidationError as error:
-        beside = tuple(type(choice).model_fields)
-        raise explain(error, choice.config, place, file, lines, plugin.Config, beside) from None
-    except BadInput as error:
-        raise located(error, file, lines, dotted((*place, "plugin"))) from None
-    except Exception as error:  # of a validator of another distribution: pydantic lets most pass
-        problem = f"the configuration of {choice.plugin!r} cannot be read: {type(error).__name__}: {error}"
-        raise located(BadInput(problem), file, lines, dotted(place)) from error
-
-
-def choose_operation(
-    applied: Applied, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int], files: SceneFiles
-) -> Chosen:
-    """An operation that changes cloth, with what its files hold. Raises BadInput."""
-    chosen = choose_plugin("nuno.operations", applied, place, file, lines)
-    try:
-        if arranges(chosen.plugin):
-            if applied.at > 0.0:
-                value, remedy = f"{applied.at:g} s", "leave it out"
-                raise BadInput("this operation is for the start", field="at", value=value, remedy=remedy)
-            return chosen
-        if not hasattr(chosen.plugin, "resolve"):
-            raise BadInput("this operation does not change cloth that moves", field="plugin", value=chosen.name)
-        return replace(chosen, config=chosen.plugin.resolve(chosen.config, files))
-    except BadInput as error:
-        raise located(error, file, lines, dotted(place)) from None
 
 
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:

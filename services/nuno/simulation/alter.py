@@ -13,9 +13,10 @@ from pydantic import ValidationError
 
 from nuno import registry
 from nuno.scene import yaml_lines
+from nuno.scene.chosen import Chosen, choose_operation
 from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
-from nuno.scene.scene_file import Chosen, Loaded, choose_operation
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Int
 from nuno_schemas.operation import arranges

@@ -17,7 +17,7 @@ from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import beside
 from nuno.recording.recorded import Checkpoint
-from nuno.scene.scene_file import Chosen
+from nuno.scene.chosen import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.ordered import Ordered
 from nuno.simulation.relax import Stillness

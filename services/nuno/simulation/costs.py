@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno.recording.recorded import Arrays
-from nuno.scene.scene_file import Chosen
+from nuno.scene.chosen import Chosen
 from nuno.stepping.stepped import copy_into
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State
