@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from studio_desk import NEEDS_BROWSER, look
+from studio_desk import FILE, NEEDS_BROWSER, look
 
 from nuno.pages.server import Server
 from nuno.scene import scene_file, shipped
@@ -17,6 +17,12 @@ pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 MOST_CLICKS = 5
+
+
+@pytest.fixture(autouse=True)
+def empty(desk: Desk) -> None:
+    """The desk's folder."""
+    Path(FILE).unlink()
 
 
 @pytest.fixture(autouse=True)

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from PIL import Image
 from recorded_sheet import Sheet, write
+from studio_desk import FILE
 
 from nuno.cli import main
 from nuno.scene import shipped
@@ -37,6 +38,12 @@ pattern:
     - [{panel: front, edge: 1}, {panel: back, edge: 2}]
     - [{panel: front, edge: 3}, {panel: back, edge: 0}]
 """
+
+
+@pytest.fixture(autouse=True)
+def empty(desk: Desk) -> None:
+    """The desk's folder."""
+    Path(FILE).unlink()
 
 
 def drop(desk: Desk, name: str, data: bytes) -> dict[str, Any]:
