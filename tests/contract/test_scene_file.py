@@ -55,6 +55,22 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
         with_model(fabric={"density": 0.2, "structural": 8, "sheer": 1}),
         "objects[0].model.fabric.sheer", "no such field", "'shear'",
     ),
+    "field of the part around it": (
+        with_model(colour="red"), "objects[0].model.colour", "no such field", "a field of objects[0]: move it there",
+    ),
+    "field of a plugin inside": (
+        {"objects": [{"name": "sheet", "size": [1, 1], "model": {"plugin": "sheet"}}]},
+        "objects[0].size", "no such field", "a field of objects[0].model: move it there",
+    ),
+    "field of a part that is not there": ({"azimuth": 1}, "azimuth", "no such field", "a field of view: move it there"),
+    "field of the scene": (
+        {"solver": {"plugin": "rk4", "duration": 1}}, "solver.duration", "no such field", "the scene itself: move",
+    ),
+    "field of a body": (
+        {"friction": 1, "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0, 0, 0],
+                                                                 "radius": 1}}]},
+        "friction", "no such field", "a field of bodies[0]: move it there",
+    ),
     "unknown integrator": ({"solver": {"plugin": "rk5"}}, "solver.plugin", "no plugin 'rk5'", "'rk4'"),
     "mistyped auto": ({"solver": {"plugin": "atuo"}}, "solver.plugin", "no plugin 'atuo'", "did you mean 'auto'?"),
     "unknown model": (with_model(plugin="shet"), "objects[0].model.plugin", "no plugin 'shet'", "'sheet'"),

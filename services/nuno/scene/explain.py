@@ -24,6 +24,8 @@ GIVEN = "--set"
 UNNUMBERED = -1
 """Line of a field whose scene was never a file of the user's."""
 
+NO_FIELD = "no such field"
+
 ADD = "add it"
 """Remedy of what is missing."""
 
@@ -78,7 +80,7 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     place, first = min(found, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
     if first["type"] == "extra_forbidden":
         known = [*_fields_at(model, first["loc"][:-1]), *(beside if len(place) == 1 else ())]
-        words: Words = "no such field", None, None, nearest(str(place[-1]), known)
+        words: Words = NO_FIELD, None, None, nearest(str(place[-1]), known)
     else:
         words = _merged([e for where, e in found if where == place])
     context = first.get("ctx") or {}

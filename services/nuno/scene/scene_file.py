@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen import Chosen, choose_operation, choose_plugin
+from nuno.scene.elsewhere import told_where
 from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
@@ -196,6 +197,11 @@ def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path]
 
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
+    with told_where(data):
+        return _load(data, lines, file, files)
+
+
+def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     try:
         scene = Scene.model_validate(data)
     except ValidationError as error:
