@@ -25,7 +25,7 @@ def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Pa
     `overrides` (`key=value`) change it; the files that they name lie beside `file`. Raises BadInput for a scene that
     they make wrong, and where something else of a name is there already: nothing is written over.
     """
-    loaded = _load(name, file, overrides)
+    loaded = load_after(name, file, overrides)
     files = {file.parent / beside: place for beside, place in assets(loaded).items()}
     missing = {path: place for path, place in files.items() if not _same(path, place)}
     for path in (file, *missing):
@@ -42,7 +42,8 @@ def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Pa
     return [*missing, file]
 
 
-def _load(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
+def load_after(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
+    """The scene that `write_after` writes. Raises BadInput."""
     path = shipped.scenes()[name]
     titled = [as_override("name", name_garments([file.stem])[0]), *overrides]
     if not overrides:

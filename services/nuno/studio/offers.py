@@ -29,6 +29,7 @@ from nuno.studio.choices import (
     stencils,
 )
 from nuno.studio.seen import Seen
+from nuno.studio.weave import weave
 from nuno_schemas.errors import BadInput, nearest
 
 EDGE = "2 cm"
@@ -201,10 +202,7 @@ def _dance(task: Task) -> Path:
 
 
 def _weave(task: Task, draft: str, stencil: str, what: str) -> Path:
-    changes = [_as("dye.cloth.weave.file", draft)] if draft else []
-    changes += [_as("dye.cloth.resist.0.file", stencil) if stencil else _as("dye.cloth.resist", [])]
-    told = f"Cloth woven after {draft or 'a twill'}, dyed with indigo, which {stencil or 'nothing'} keeps out."
-    return task.write("dye/draft", task.new(task.path.stem, what), told, *changes)
+    return weave(task.new(task.path.stem, what), draft, stencil)
 
 
 def _change(scene: str, field: str, told: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
