@@ -119,6 +119,51 @@ def test_a_value_is_taken_out_and_nothing_else(path: Path, rows: list[str]) -> N
     assert changed(TEXT, drop(TEXT, path, "f")) == rows
 
 
+COMMENTED = """\
+nuno: 1
+dye:
+  cloth:
+    supply:                       # dye that is given
+      # a bath
+      - kind: bath
+        amount: 0.9               # of the room
+        # dye: 0
+      - {kind: drop}
+        # layers: both
+    resist:                       # what keeps dye out
+      - kind: paste
+        # width: 1 mm
+    # v_max: 1
+  # solver: auto
+# view: {}
+"""
+
+
+def test_a_value_takes_comments_along_that_are_about_what_it_holds_and_no_others() -> None:
+    one = drop(COMMENTED, ("dye", "cloth", "supply", 0), "f")
+    assert changed(COMMENTED, one) == ["-       - kind: bath", "-         amount: 0.9               # of the room",
+                                       "-         # dye: 0"]  # fmt: skip
+    none = drop(one, ("dye", "cloth", "supply", 0), "f")
+    assert [row for row in changed(one, none) if row[0] == "+"] == [
+        "+     supply: []                       # dye that is given"
+    ]
+    assert "bath" not in none and "layers" not in none
+    none = drop(none, ("dye", "cloth", "resist", 0), "f")
+    assert (
+        none
+        == """\
+nuno: 1
+dye:
+  cloth:
+    supply: []                       # dye that is given
+    resist: []                       # what keeps dye out
+    # v_max: 1
+  # solver: auto
+# view: {}
+"""
+    )
+
+
 def test_what_would_take_a_comment_along_is_refused() -> None:
     with pytest.raises(BadInput) as refused:
         drop(TEXT, ("objects", 0, "name"), "f")

@@ -7,6 +7,7 @@ read again: unless it gives what was there with that one change, it is refused.
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
@@ -121,10 +122,26 @@ def _nested(path: Path, shown: str) -> str:
 
 def _replace(text: str, node: yaml.Node, shown: str) -> str:
     start, end = node.start_mark.index, last_mark(text, node)
-    if isinstance(node, yaml.CollectionNode) and not node.flow_style:  # stands on lines of its own, below its name
-        end = len(text[: end_of(text, node)].rstrip("\n"))
-        return f"{text[:start].rstrip()} {shown}{text[end:]}"
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style:
+        named = NAMED.search(text, 0, start)
+        if named is None:  # behind a dash
+            return f"{text[:start].rstrip()} {shown}{text[len(text[: end_of(text, node)].rstrip(chr(10))) :]}"
+        # It stands on lines of its own, below its name, and comments between the two are about it.
+        end = _own_end(text, node, max(_column(node), len(named["before"]) + 1))
+        return f"{text[: named.end('name')]} {shown}{named['comment']}\n{text[end:]}"
     return text[:start] + shown + text[end:]
+
+
+NAMED = re.compile(r"(?m)^(?P<name>(?P<before>[ -]*)[^\s#-].*?:)(?P<comment>[ ]*(?: #.*)?)\n(?:[ ]*(?:#.*)?\n)*[ ]*\Z")
+"""The line of a name whose value begins on a later one, until there."""
+
+
+def _own_end(text: str, node: yaml.Node, column: int) -> int:
+    """Where the last line of a block ends, with the comments below it that stand as far in as what it holds."""
+    end, comment = end_of(text, node), re.compile(f" {{{column},}}#.*(?:\n|$)")
+    while found := comment.match(text, end):
+        end = found.end()
+    return end
 
 
 def _add(text: str, node: yaml.Node, part: str | int, shown: str, there: yaml.Node | None) -> str:
@@ -175,7 +192,8 @@ def _dropped(text: str, path: Path) -> Iterator[str]:
     else:
         begin = text.rfind("\n", 0, key.start_mark.index) + 1
         if text[begin : key.start_mark.index].strip(" ") == ("-" if isinstance(last, int) else ""):
-            yield text[:begin] + text[end_of(text, value) :]
+            inside = key.start_mark.column + (0 if isinstance(last, int) else 1)
+            yield text[:begin] + text[_own_end(text, value, inside) :]
         elif number + 1 < len(spans):  # the first field, behind a dash
             after = spans[number + 1][0].start_mark.index
             if "#" not in text[last_mark(text, value) : after]:
