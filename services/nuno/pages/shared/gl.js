@@ -192,7 +192,9 @@ export class Painter {
       use(this.lit, { right, up, sheet: name === "cloth" ? 1 : 0 });
       gl.bindVertexArray(mesh.vao);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.index);
-      gl.enable(gl.POLYGON_OFFSET_FILL); gl.polygonOffset(1, 1);
+      // Bodies are behind cloth that lies on them. Cloth itself is not pushed back: where it is steep, as in a fold, that
+      // would be by more than it is thick. What lies on it, lines and edges, is lifted.
+      if (name === "body") { gl.enable(gl.POLYGON_OFFSET_FILL); gl.polygonOffset(1, 1); }
       gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
       gl.disable(gl.POLYGON_OFFSET_FILL);
     }

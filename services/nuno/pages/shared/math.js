@@ -11,6 +11,9 @@ export function toward(azimuth, elevation) {
   return [Math.sin(azimuth) * c, Math.sin(elevation), Math.cos(azimuth) * c];
 }
 
+/** Of a picture's height and width, how much is filled: cloth moves, and is turned. */
+const FILLED = 0.78;
+
 export class Camera {
   constructor() {
     Object.assign(this, { target: [0, 0, 0], distance: 2, azimuth: 0.35, elevation: 0.2, width: 1, height: 1, size: 1 });
@@ -67,8 +70,9 @@ export class Camera {
   /** Look at all points of x from where the cloth faces, with some pixels of room left for panels; and at those of
     `beside` that are no farther from x than it is large, as a dancer is and a floor's corners are not. */
   fit(x, normal, aside = 0, beside = []) {
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity], points = [];
     const take = (p, i) => {
+      points.push([p[i], p[i + 1], p[i + 2]]);
       for (let k = 0; k < 3; k++) {
         low[k] = Math.min(low[k], p[i + k]);
         high[k] = Math.max(high[k], p[i + k]);
@@ -86,8 +90,14 @@ export class Camera {
       this.azimuth = (Math.hypot(normal[0], normal[2]) > 0.3 ? Math.atan2(normal[0], normal[2]) : 0) + 0.3;
       this.elevation = 0.7 * Math.asin(Math.max(-1, Math.min(1, normal[1]))) + 0.15;
     }
-    const room = Math.max(0.3, (this.width - aside) / this.width);
-    this.distance = 0.56 * this.size / this.slope / Math.min(0.86, room * this.width / this.height);
+    // So far that each point is within a share of the picture: d units nearer to the eye than the target, it is seen at
+    // |offset| / (slope (distance - d)) of half the picture.
+    const room = Math.max(0.3, (this.width - aside) / this.width), { right, up, back } = this.axes();
+    const tall = FILLED * this.slope, wide = tall * room * this.width / this.height;
+    this.distance = points.reduce((most, p) => {
+      const d = add(p, this.target, -1);
+      return Math.max(most, dot(d, back) + Math.max(Math.abs(dot(d, right)) / wide, Math.abs(dot(d, up)) / tall));
+    }, 0.1 * this.size);
   }
 
   turn(dx, dy) {
