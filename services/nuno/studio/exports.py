@@ -56,7 +56,7 @@ class Exports:
         return {
             "making": code is None, "share": share, "name": file.name,
             "bytes": file.stat().st_size if code == 0 else None,
-            "problem": FAR.sub("", child.said).removeprefix("error: ").strip() if code else "",
+            "problem": FAR.sub("", child.said).strip().removeprefix(f"error: {path}: ") if code else "",
         }  # fmt: skip
 
     def file(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:

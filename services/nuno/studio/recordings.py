@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +60,13 @@ class Recordings:
         return {facts["scene"]: facts["name"] for facts in newest}
 
     def open(self, name: object) -> dict[str, Any]:
-        """What one holds: the rows of its report, and what it lacks. Raises BadInput."""
+        """What one holds: the rows of its report, what it lacks, and whether it is of dye alone. Raises BadInput."""
         path = self.find(name)
         with open_recording(path) as recording:
             report, lacks = recording.report(), shortcoming(recording)
-            rows = lines(report) if report else []
+            rows, dyed = lines(report) if report else [], recording.dyed_alone
         (facts,) = (one for one in self.list() if one["name"] == name)
-        return facts | {"rows": rows, "lacks": lacks or ""}
+        return facts | {"rows": rows, "lacks": lacks or "", "dyed": dyed}
 
     def draw(self, name: object) -> dict[str, Any]:
         """Have its last frame drawn, by a process of its own; whether that goes on, and what it says where it fails."""
@@ -129,14 +130,27 @@ def run_of(name: str) -> str:
     return name.removesuffix(PART).removesuffix(WHOLE)
 
 
+def _solver(scene: Mapping[str, Any]) -> str:
+    """The name of a recorded scene's solver, of cloth that moves or of dye."""
+    said = (scene if scene.get("objects") else scene.get("dye") or {}).get("solver")
+    return str(said.get("plugin", "")) if isinstance(said, dict) else str(said or "")
+
+
 def _facts(path: Path) -> dict[str, Any]:
     """From the file's own summary; one that is being written has none yet."""
-    facts: dict[str, Any] = {"name": path.name, "scene": "", "seconds": None, "bytes": path.stat().st_size}
+    facts: dict[str, Any] = {
+        "name": path.name,
+        "scene": "",
+        "solver": "",
+        "seconds": None,
+        "bytes": path.stat().st_size,
+    }
     if path.name.endswith(PART):
         return facts | {"state": "not finished"}
     try:
         with open_recording(path) as recording:
             scene, state = recording.scene, recording.metadata.get(END, {}).get("state", "unknown")
-            return facts | {"scene": str(scene.get("name", "")), "seconds": recording.span[1], "state": state}
+            facts |= {"scene": str(scene.get("name", "")), "solver": _solver(scene), "seconds": recording.span[1]}
+            return facts | {"state": state}
     except BadInput as error:
         return facts | {"state": "cannot be read", "problem": str(error)}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nuno.draw.append import flow
 from nuno.pages.guard import Refused
 from nuno.pages.server import BAD_REQUEST, NOT_FOUND, whole
 from nuno.scene.files import stamp_of
@@ -19,9 +20,12 @@ from nuno.studio.plots import plots_of
 from nuno.studio.recordings import Recordings
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.written import Path as Place
+from nuno_schemas.written import dotted
 
 MOST_FILMS, MOST_PAIRS, MOST_FRAMES = 6, 2, 64
 """That are kept open for pages, and that are asked for at once."""
+MOST_DIFFERING = 12
 GONE = 410
 BYTES = "application/octet-stream"
 
@@ -68,6 +72,7 @@ class Screen:
             "times": [time / 1e9 for time in pair.times],
             "spans": [[film.times[0] / 1e9, film.times[-1] / 1e9] for film in pair.films],
             "exact": pair.exact,
+            "differs": _differing(pair.films[0].recording.scene, pair.films[1].recording.scene),
         } | pair.tell()
 
     def frames(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
@@ -168,6 +173,18 @@ class Screen:
         return next((self._pairs[names] for names in ((key, beside), (beside, key)) if names in self._pairs), None) or (
             self._pair(key, beside)
         )
+
+
+def _differing(one: Any, two: Any, path: Place = ()) -> list[tuple[str, str, str]]:
+    """The fields of two scenes that are not the same, and what each says, the first MOST_DIFFERING of them."""
+    if isinstance(one, dict) and isinstance(two, dict):
+        inside = [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two])]
+    elif isinstance(one, list) and isinstance(two, list) and len(one) == len(two):
+        inside = [(i, *both) for i, both in enumerate(zip(one, two, strict=True))]
+    else:
+        a, b = ("" if part is None else flow(part) for part in (one, two))
+        return [] if one == two else [(dotted(path), a, b)]
+    return [row for key, a, b in inside for row in _differing(a, b, (*path, key))][:MOST_DIFFERING]
 
 
 def _key(path: Path) -> str:

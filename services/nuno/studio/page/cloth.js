@@ -38,8 +38,13 @@ export class Cloth {
     }
     this.hand = new Hand(this.stage, () => (this.draw.on ? { kind: this.draw.kind, height: this.draw.height } : this.paint.pen), (pieces, places) => (this.draw.on ? this.draw.drawn(pieces) : this.paint.drawn(places)));
     this.canvas.addEventListener("keydown", (e) => this.keys(e));
-    this.seen = new IntersectionObserver(([{ isIntersecting }]) => { this.visible = isIntersecting; this.update(); });
-    this.seen.observe(this.canvas);
+    const seen = new Map();
+    this.seen = new IntersectionObserver((changes) => {
+      for (const { target, isIntersecting } of changes) seen.set(target, isIntersecting);
+      this.visible = [...seen.values()].some(Boolean);
+      this.update();
+    });
+    for (const one of [this.canvas, this.flat]) this.seen.observe(one);
     document.addEventListener("visibilitychange", () => this.update(), { signal: this.over.signal });
     dock.hearers.add(this.hear = () => this.update());
   }
@@ -47,12 +52,13 @@ export class Cloth {
   build() {
     const button = (id, textContent, title, does) => make("button", { type: "button", id: `cloth-${id}`, textContent, title, onclick: does });
     this.canvas = make("canvas", { id: "cloth", tabIndex: 0, ariaLabel: "The cloth. Drag or arrow keys turn it, with Shift they move it, the wheel or + and - come nearer." });
+    this.flat = make("img", { id: "cloth-flat", alt: "The cloth as it begins, from above" });
     this.said = make("p", { className: "said", id: "cloth-said", role: "status" });
     this.figures = make("span", { className: "figures", id: "cloth-figures" });
     this.back = button("back", "Back to start", "The cloth as the text has it", () => { this.live = ""; this.built = null; this.update(); });
     this.scale = make("div", { className: "scale", hidden: true }, make("span", { textContent: "stretch 0.1 %" }), make("i"), make("span", { textContent: "100 %" }));
     this.scale.querySelector("i").style.background = gradient;
-    return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas,
+    return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas, this.flat,
       make("div", { className: "tools" }, button("fit", "Fit", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
         button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
@@ -114,13 +120,17 @@ export class Cloth {
     if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst) || !this.scene.good) return;
     this.wanted = value;
     if (this.built === null) this.say("Building the cloth …");
-    const answer = await ask("see", { scene: this.scene.name, text: value, page: PAGE });
+    const flat = Boolean(this.scene.data?.dye && !this.scene.data.objects?.length);
+    const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE });
     if (this.over.signal.aborted || this.wanted !== value) return;
-    if (answer.ok) {
+    this.box.classList.toggle("flat", flat);
+    if (answer.ok && flat) {
+      this.flat.src = `flat?number=${answer.number}`;
+      this.say("The cloth as it begins: it lies flat and does not move. Paint puts dye, paste and stencils on it.");
+    } else if (answer.ok) {
       const frame = await frameOf(`start?number=${answer.number}`).catch(() => null);
       if (frame && !this.live && !this.over.signal.aborted) { this.number = answer.number; this.take(frame, answer.words); }
-    } else if (this.scene.data?.dye && !this.scene.data.objects?.length) this.say("This cloth lies flat and does not move. Paint shows it, and puts dye, paste and stencils on it.");
-    else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
+    } else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
     Object.assign(this, { built: value, wanted: null });
     this.update();
   }

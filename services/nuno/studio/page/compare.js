@@ -51,7 +51,10 @@ export class Compare {
   say(text) { this.said.append(make("p", { className: "soft", textContent: sentence(text) })); }
 
   /** What of the two is compared, and how. */
-  tell({ times, spans, exact }) {
+  tell({ times, spans, exact, differs }) {
+    const part = (text) => text || "not given";
+    if (differs.length) this.said.append(make("p", { id: "differs" }, ...differs.flatMap(([field, a, b], i) => [i ? " · " : "", make("b", { textContent: field }), ` ${part(a)} in A, ${part(b)} in B`])));
+    else this.say("A and B are runs of the same scene");
     const both = exact.filter(Boolean).length, end = times.at(-1);
     this.times = times;
     /** At which frames a distance has no error of an interpolation in it: at all, where both never have one. */

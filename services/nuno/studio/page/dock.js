@@ -4,7 +4,7 @@ import { wordsOf } from "./form.js";
 import { pictureOf } from "./gallery.js";
 import { rowsOf } from "./rows.js";
 import { taken } from "./say.js";
-import { factor } from "./words.js";
+import { factor, seconds } from "./words.js";
 
 /** How often a run is asked about [ms]; the server knows, and does not ask the run. */
 const OFTEN = 250;
@@ -65,8 +65,9 @@ class Dock {
     $("dock").dataset.state = now.state;
     $("run-state").textContent = SAID[now.state] ?? now.state;
     $("run-name").textContent = now.run ?? "";
-    $("run-progress").value = now.frames ? Math.max(0, now.frame) / now.frames : 0;
-    const far = now.frame >= 0 ? `${now.t.toFixed(2)} ${now.end ? `of ${Number(now.end.toPrecision(6))} ` : ""}s · frame ${now.frame} of ${now.frames}` : "";
+    const over = now.state === "over";  // at rest, it may be before its frames are all taken
+    $("run-progress").value = over ? 1 : now.frames ? Math.max(0, now.frame) / now.frames : 0;
+    const far = now.frame < 0 ? "" : over ? `${seconds(now.t)} in ${now.frame} frames` : `${seconds(now.t)}${now.end ? ` of ${seconds(now.end)}` : ""} · frame ${now.frame} of ${now.frames}`;
     $("run-time").textContent = [far, factor(now.factor)].filter(Boolean).join(" · ");
     $("pause").textContent = now.state === "paused" ? "Resume" : "Pause";
     $("pause").disabled = !["running", "paused"].includes(now.state);
@@ -80,6 +81,9 @@ class Dock {
     const pre = $("run-said").querySelector("pre");
     if (pre && pre.textContent !== now.said) pre.textContent = now.said;
   }
+
+  /** The report of a run that is over makes room for what is opened next. */
+  rest() { if (!this.going) this.fold(false); }
 
   fold(open) {
     $("run-said").hidden = !open;

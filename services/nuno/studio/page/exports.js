@@ -1,5 +1,5 @@
 import { ask } from "./ask.js";
-import { make, sentence } from "./dom.js";
+import { make } from "./dom.js";
 import { bytes } from "./words.js";
 
 /** How often a file that is being made is asked about [ms]. */
@@ -9,10 +9,10 @@ const KINDS = [
   ["csv", "Table", "Energy, stretch and more of every frame, CSV"], ["scene", "Scene", "As it was run, YAML"],
 ];
 
-/** Buttons for what can be had of a recording as a file; each is made by `nuno export`, and goes to the browser's downloads. */
-export function exporter(recording) {
+/** Buttons for what can be had of a recording as a file, but of cloth that is dyed alone its shape; each is made by `nuno export`, and goes to the browser's downloads. */
+export function exporter(recording, dyed) {
   const status = make("div", { id: "exported", role: "status" });
-  const buttons = KINDS.map(([kind, text, title]) => make("button", { type: "button", id: `export-${kind}`, textContent: text, title, onclick: (e) => save(recording, kind, e.currentTarget, status) }));
+  const buttons = KINDS.filter(([kind]) => !dyed || kind !== "glb").map(([kind, text, title]) => make("button", { type: "button", id: `export-${kind}`, textContent: text, title, onclick: (e) => save(recording, kind, e.currentTarget, status) }));
   return make("section", { className: "panel exports", ariaLabel: "Save as a file" }, make("span", { className: "soft", textContent: "Save as" }), make("span", { className: "group" }, ...buttons), status);
 }
 
@@ -23,7 +23,7 @@ async function save(recording, kind, button, status) {
   button.disabled = true;
   for (let again = true; ; again = false) {
     const answer = await ask("export", { recording, kind, again });
-    if (!answer.ok || answer.problem) { line.replaceChildren(make("pre", { className: "bad", textContent: answer.words ?? sentence(answer.problem) })); break; }
+    if (!answer.ok || answer.problem) { line.replaceChildren(make("pre", { className: "bad", textContent: answer.words ?? answer.problem })); break; }
     if (!answer.making) { finish(recording, kind, answer, line); break; }
     line.replaceChildren(`${answer.name} `, make("progress", { max: 1, ...(answer.share === null ? {} : { value: answer.share }), ariaLabel: `${answer.name}, made` }));
     await new Promise((later) => setTimeout(later, OFTEN));

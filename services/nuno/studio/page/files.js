@@ -14,6 +14,8 @@ const TOLD = "A mesh (OBJ, PLY, STL, GLB), a motion (BVH), a draft (WIF), a sten
 export async function files(view) {
   const answer = await ask("files");
   if (!taken(answer)) return;
+  // What can be done with one has the others to choose from.
+  await Promise.all([...dropped.keys()].map(async (file) => { const told = await ask("about", { file }); if (told.ok) dropped.set(file, told); else dropped.delete(file); }));
   const list = make("div", { id: "files" });
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: "Files" })),

@@ -1,6 +1,7 @@
 import { make } from "./dom.js";
 import { Entry } from "./entry.js";
 import { dotted, shown } from "./schema.js";
+import { placeOf } from "./words.js";
 
 const SECTIONS = ["group", "choice", "preset"];
 
@@ -50,7 +51,8 @@ export class Form {
     const required = node.required ?? [], key = dotted(path), all = this.whole.has(key);
     const needed = ([name]) => name in (value ?? {}) || required.includes(name);
     const rows = known.filter((one) => all || needed(one)).map(([name, one]) => this.field(name, one, value?.[name], [...path, name], required.includes(name)));
-    for (const name of Object.keys(value ?? {})) if (!(name in node.properties)) rows.push(this.unknown(name, value[name], [...path, name]));
+    // First, for what is missing below may be what was meant.
+    rows.unshift(...Object.keys(value ?? {}).filter((name) => !(name in node.properties)).map((name) => this.unknown(name, value[name], [...path, name])));
     const rest = known.filter((one) => !needed(one)).length;
     if (rest) rows.push(make("button", {
       type: "button", id: `all:${key}`, className: "link all", ariaExpanded: String(all), textContent: all ? "Only what is written" : `${rest} more field${rest === 1 ? "" : "s"}`,
@@ -128,6 +130,9 @@ export class Form {
     return row;
   }
 
+  /** Bring a mistake into sight. */
+  reveal(mistake) { this.box.querySelector(`#${CSS.escape(`mistake:${[...this.placed].indexOf(mistake)}`)}`)?.scrollIntoView({ block: "center" }); }
+
   /** Show each mistake at its field, or at the nearest one about it; `placed` are those that have one. */
   place() {
     this.placed = new Set();
@@ -151,10 +156,9 @@ export class Form {
 
 /** A mistake in the words of the command line: where, what is wrong, and lines of value, limit and remedy. */
 export function wordsOf({ problem, line, words }) {
-  const [first, ...rest] = words.split("\n"), place = first.slice(0, first.length - problem.length);
+  const rest = words.split("\n").slice(1), where = placeOf({ problem, words });
   const box = make("div", { className: "mistake", role: "alert" }, make("p", { textContent: problem }));
   for (const text of rest) box.append(make("p", { className: "more", textContent: text.trim() }));
-  const where = place.replace(/:\s*$/, "").replace(/^.*\/(?=[^/]+\.ya?ml)/, "");
   if (where) box.append(make("p", { className: "place" }, line ? make("button", { type: "button", className: "link", textContent: where, title: "Go to this line of the text", onclick: () => box.dispatchEvent(new CustomEvent("line", { bubbles: true, detail: line })) }) : where));
   return box;
 }

@@ -7,7 +7,7 @@ import { files, takeFiles } from "./files.js";
 import { gallery } from "./gallery.js";
 import { recording, recordings } from "./recordings.js";
 import { Replay } from "./replay.js";
-import { confirm } from "./say.js";
+import { confirm, quiet } from "./say.js";
 import { SceneView } from "./scene.js";
 
 const view = document.getElementById("view");
@@ -38,6 +38,8 @@ async function route() {
     return;
   }
   shown = hash;
+  quiet();
+  dock.rest();
   const [what, text = ""] = hash.slice(1).split("="), name = decodeURIComponent(text);
   scene?.close();
   run?.close();

@@ -26,10 +26,10 @@ export async function recordings(view) {
   for (const box of boxes) box.addEventListener("change", choose);
   button.addEventListener("click", () => { location.hash = addressOf(chosen()); });
   const rows = answer.recordings.map((one, i) => make("tr", {},
-    cell(boxes[i], "choose"), cell(make("a", { href: `#run=${encodeURIComponent(one.name)}`, textContent: one.name })), cell(one.scene, "spare"), cell(one.state), cell(seconds(one.seconds), "number"), cell(bytes(one.bytes), "number"), cell(moment(one.when), "spare")));
+    cell(boxes[i], "choose"), cell(make("a", { href: `#run=${encodeURIComponent(one.name)}`, textContent: one.name })), cell(one.scene, "spare"), cell(one.solver, "spare"), cell(one.state), cell(seconds(one.seconds), "number"), cell(bytes(one.bytes), "number"), cell(moment(one.when), "spare")));
   view.replaceChildren(make("div", { className: "head" }, make("h1", { textContent: "Runs" }), make("span", { className: "group", hidden: rows.length < 2 }, button)));
   if (!rows.length) { view.append(make("p", { className: "none", textContent: "No run has been recorded in this folder. Open a scene and press Run." })); return; }
-  const heads = [["", "choose"], ["recording"], ["scene", "spare"], ["state"], ["simulated"], ["size"], ["recorded", "spare"]];
+  const heads = [["", "choose"], ["recording"], ["scene", "spare"], ["solver", "spare"], ["state"], ["simulated"], ["size"], ["recorded", "spare"]];
   view.append(make("div", { className: "panel wide" }, make("table", {},
     make("thead", {}, make("tr", {}, ...heads.map(([textContent, className = ""]) => make("th", { textContent, className, scope: "col" })))), make("tbody", {}, ...rows))));
 }
@@ -47,7 +47,7 @@ export async function recording(view, name, replay) {
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, goingOn(name), verify, remover(name))),
     make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
-    exporter(name),
+    exporter(name, answer.dyed),
     verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows))));
   compare(name, verify, verdict, "verdict");
   await Promise.all([replay.open(), showPicture(picture, name)]);

@@ -1,4 +1,5 @@
 import { sentence } from "./dom.js";
+import { placeOf } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -13,10 +14,14 @@ export function toast(title, text = "", bad = false) {
   if (!bad) toast.timer = setTimeout(() => { box.hidden = true; }, 7000);
 }
 
+/** What went wrong in another place of the page stays there. */
+export function quiet() { if ($("toast").className === "bad") $("toast").hidden = true; }
+
 /** Say why the server refused something, in the words of the command line; whether it did not. */
 export function taken(answer) {
   if (answer.ok) return true;
-  toast(sentence(answer.problem), answer.words ? answer.words.split("\n").slice(1).join("\n") : (answer.remedy ?? ""), true);
+  const more = answer.words ? [placeOf(answer), ...answer.words.split("\n").slice(1)] : [answer.remedy];
+  toast(sentence(answer.problem), more.filter(Boolean).join("\n"), true);
   return false;
 }
 

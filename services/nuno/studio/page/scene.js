@@ -104,7 +104,8 @@ export class SceneView {
     this.form.show(data, mistakes, keep);
     const verdict = document.getElementById("verdict"), first = mistakes.find(({ line }) => line);
     verdict.replaceChildren(make("span", { className: mistakes.length ? "bad" : "good", textContent: mistakes.length ? count(mistakes.length, "mistake") : "No mistakes" }));
-    if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => this.text.go(first.line) }));
+    if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => { this.text.go(first.line); this.form.reveal(first); } }));
+    if (first && this.form.placed.has(first)) verdict.append(make("span", { className: "soft", id: "first-said", textContent: [first.field, first.problem, first.remedy?.split(" known: ")[0]].filter(Boolean).join(": ") }));
     // What is wrong with the whole of the text has no field.
     this.cloth.update();
     verdict.append(...mistakes.filter((one) => !this.form.placed.has(one)).map(wordsOf));
