@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno.exports.camera import SIDES, Side
-from nuno.exports.target import RATE, Progress, together
+from nuno.exports.target import Progress, together
 from nuno.recording.reader import Recording
 from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
@@ -80,7 +80,7 @@ class Asked(BaseModel):
     frame: int | None = None
     start: float | None = None
     end: float | None = None
-    fps: float = RATE
+    fps: float | None = None
     size: str | None = None
     style: str | None = None
     view: DyeView | None = None

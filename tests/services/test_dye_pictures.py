@@ -97,6 +97,12 @@ def test_an_animation_has_a_picture_of_every_frame_between_its_ends(recording: P
         with Image.open(target) as image:
             assert image.n_frames == number  # type: ignore[attr-defined]
             assert image.size[0] == 16 * NX
+            shown = image.info["duration"] * number / 1000.0
+        # All of it is watched for five seconds, but no picture longer than one.
+        assert shown == pytest.approx(min(5.0, number), rel=0.2)
+    assert main(["export", str(recording), "--gif", str(target), "--fps", "50"]) == 0
+    with Image.open(target) as image:
+        assert image.info["duration"] == 20
 
 
 def test_the_end_of_an_animation_may_be_the_time_of_a_frame() -> None:

@@ -10,7 +10,6 @@ from typing import get_args
 from nuno.cli.common import add_flags, add_set, warn
 from nuno.exporting import FILES, Asked, Painted, ask, show_progress, write
 from nuno.exports.camera import Side
-from nuno.exports.target import RATE
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
 from nuno_schemas.look import DyeView, Form
@@ -50,12 +49,11 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "--start": ("SECONDS", "animations: from here", float),
         "--end": ("SECONDS", "animations: to here", float),
         "--turn": ("SECONDS", "animations: the camera goes once round --frame, in so long", float),
-        "--fps": ("N", "animations: pictures a second (default: 25)", float),
+        "--fps": ("N", "animations: pictures a second (default: 25; of dye alone, so that all takes 5 s)", float),
         "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
         "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "
                     "pressure on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera"),
     })  # fmt: skip
-    which.set_defaults(fps=RATE)
 
 
 def _add_drawn(drawn: argparse._ArgumentGroup) -> None:

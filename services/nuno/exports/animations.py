@@ -23,10 +23,12 @@ from nuno_schemas.errors import BadInput, RunFailed
 if TYPE_CHECKING:
     from PIL import Image
 
-GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
+GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0, 4.0, 2.5, 2.0, 1.0)
 """Pictures a second that a GIF's hundredths of a second give exactly."""
 SIZE, DYED_SIDE = (640, 480), 500
 """Of a moving cloth's pictures, and the longer side that a dyed cloth's come near to."""
+DYED_SECONDS = 5.0
+"""How long all of a dyeing is watched [s]."""
 PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
 
 
@@ -34,7 +36,7 @@ def export_animation(
     source: Recording | Path | str,
     path: Path,
     size: tuple[int, int] | None = None,
-    fps: float = RATE,
+    fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
     progress: Progress | None = None,
@@ -43,27 +45,29 @@ def export_animation(
     turn: float | None = None,
     frame: int | None = None,
 ) -> Path:
-    """Draw a recording as .gif or .mp4, from `start` to `end` [s]: moving cloth in real time, and of a cloth that is
-    dyed alone, which takes hours, one picture a frame.
+    """Draw a recording as .gif or .mp4, from `start` to `end` [s]: moving cloth in real time, at RATE pictures a second
+    unless `fps` says otherwise; and of a cloth that is dyed alone, which takes hours, one picture a frame, so many a
+    second that all take DYED_SECONDS, but no more than RATE.
 
     With `turn` the camera goes once round one `frame`, by default the last, in so many seconds instead.
 
     Moving cloth is painted as `colour` says (pictures.py), and both as the scene says but for the changes. A GIF's rate
-    is the nearest of 50, 25, 20, 12.5, 10 and 5 pictures a second; an MP4's sides are rounded down to even. Raises
+    is the nearest of GIF_RATES; an MP4's sides are rounded down to even. Raises
     BadInput for a name that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
     imageio-ffmpeg is not installed; RunFailed where the encoder fails.
     """
     encoder = check_animation(path, fps, size)
     check_colour(colour)
-    rate = fps if encoder is not None else min(GIF_RATES, key=lambda known: abs(known - fps))
     with ExitStack() as stack:
         recording = stack.enter_context(opened(source))
         frames: list[Any]
         draw: Callable[..., Iterator[Picture]]
         if recording.dyed_alone:
             frames = choose_amounts(recording, start, end)
+            rate = _rate(encoder, fps or min(RATE, max(1.0, len(frames) / DYED_SECONDS)))
             draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
         else:
+            rate = _rate(encoder, fps or RATE)
             width, height = size or SIZE
             shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
             if turn is None:
@@ -84,6 +88,11 @@ def export_animation(
     return path
 
 
+def _rate(encoder: Any, fps: float) -> float:
+    """Pictures a second that a file can have: any of an MP4, a few of a GIF."""
+    return fps if encoder is not None else min(GIF_RATES, key=lambda known: abs(known - fps))
+
+
 def _turning(
     recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None
 ) -> Callable[..., Iterator[Picture]]:
@@ -96,14 +105,14 @@ def _turning(
     return draw
 
 
-def check_animation(path: Path, fps: float, size: tuple[int, int] | None = None) -> Any:
+def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None = None) -> Any:
     """The MP4 encoder, None for a GIF. Raises BadInput."""
     check_sides(size)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         remedy = "change the ending"
         raise BadInput("no such kind of animation", value=str(path), limit=".gif or .mp4", remedy=remedy)
-    if not 1.0 <= fps <= 240.0:
+    if fps is not None and not 1.0 <= fps <= 240.0:
         raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
     check_target(path, suffix)
     return _ffmpeg() if suffix == ".mp4" else None
