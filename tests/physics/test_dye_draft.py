@@ -13,6 +13,7 @@ from nuno.cli import main
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.drafts.drawing import MARGIN, MARK
 from nuno_dye.drafts.wif import read_wif
+from nuno_schemas.errors import BadInput
 
 ENDS, PICKS = 12, 10
 SPACING = [0.05 if k % 4 else 0.1 for k in range(ENDS)]
@@ -139,3 +140,23 @@ def test_nuno_weave_draws_a_draft_with_its_scale(tmp_path: Path, capsys: pytest.
     assert (edges[1::2] - edges[::2]).max() == pytest.approx(2e-3 / drawn.pixel, abs=1)
     assert main(["weave", str(tmp_path / "none.wif")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_what_a_file_lacks_is_said_of_it(tmp_path: Path) -> None:
+    text = (LOOM + TREADLES).replace("[COLOR TABLE]", "[COLOURS]").replace("5=1\n", "").replace("4=2\n", "4=3\n", 1)
+    facts = WovenCloth().draw_draft(write(tmp_path, text)).facts
+    assert facts["colours"].startswith("the file numbers those of warp and weft, but has no [COLOR TABLE]")
+    assert not {"colours", "on no shaft"} & WovenCloth().draw_draft(write(tmp_path, LOOM + TREADLES)).facts.keys()
+    threads = "".join(f"{k + 1}={(k * k) % 4 + 1}\n" for k in range(ENDS))
+    without = LOOM.replace(threads, threads.replace("5=1\n", "5=0\n").replace("9=1\n", "9=0\n"))
+    facts = WovenCloth().draw_draft(write(tmp_path, without + TREADLES)).facts
+    assert facts["on no shaft"] == "2 ends, which never rise: 5, 9"
+
+
+def test_yarns_are_measured_or_given_in_cells(tmp_path: Path) -> None:
+    write(tmp_path, LOOM + TREADLES)
+    config = {"cells": (20, 20), "cell_size": 1e-4, "tau3": {"I": 0.1, "II": 0.1, "III": 0.1},
+              "weave": {"plugin": "wif", "file": "a.wif", "measured": True}, "warp": {"width": 3}}  # fmt: skip
+    with pytest.raises(BadInput, match="as the file measures them") as refused:
+        WovenCloth().build(WovenClothConfig.model_validate(config), Folder(tmp_path), 0, ["indigo"])
+    assert refused.value.field == "warp.width"

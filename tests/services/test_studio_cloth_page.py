@@ -151,5 +151,6 @@ def test_cloth_of_yarns_is_shown_as_lines_and_what_is_not_shown_is_said(
     page.wait("document.getElementById('cloth-said').textContent.includes('Dye')")
     page.value("location.hash = '#scene=dye%2Fdrops'")
     page.wait("document.getElementById('cloth-said')?.textContent.includes('lies flat and does not move')")
-    page.wait("document.getElementById('cloth-flat').naturalWidth > 100 && document.getElementById('cloth-flat').clientWidth > 100")
+    image = "document.getElementById('cloth-flat')"
+    page.wait(f"{image}.naturalWidth > 100 && {image}.clientWidth > 100")
     assert page.value("document.getElementById('cloth-stretch').clientWidth") == 0

@@ -136,6 +136,12 @@ def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
     """
 
     def lay(what: str, yarns: Yarns, cells: int) -> Lay:
+        unused = sorted(getattr(config, what.lower()).model_fields_set & {"width", "gap"})
+        if unused:
+            raise BadInput(
+                "the yarns are as the file measures them", field=f"{what.lower()}.{unused[0]}",
+                remedy="leave it out, or measured: false",
+            )  # fmt: skip
         spacing = require_spacing(what, yarns, file)
         thickness = spacing if yarns.thickness is None else np.minimum(yarns.thickness, spacing)
         if thickness.min() < config.cell_size:

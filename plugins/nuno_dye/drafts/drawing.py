@@ -6,6 +6,8 @@ is at the top and end 1 at the left, as in pictures of cloth; shaft 1 and treadl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nuno_dye.drafts.wif import Draft
@@ -60,7 +62,20 @@ def draw_draft(draft: Draft) -> DrawnDraft:
     }  # fmt: skip
     if across is not None and down is not None:
         facts["size"] = f"{1e3 * across.sum():.4g} mm x {1e3 * down.sum():.4g} mm"
+    idle = np.flatnonzero(~loom.threading.any(axis=1)) + 1
+    if len(idle):
+        facts["on no shaft"] = (
+            f"{len(idle)} end{'s' if len(idle) > 1 else ''}, which never rise: {_listed(idle.tolist())}"
+        )
+    bare = [name for name, yarns in (("warp", draft.warp), ("weft", draft.weft)) if yarns.colourless]
+    if bare:
+        facts["colours"] = f"the file numbers those of {' and '.join(bare)}, but has no [COLOR TABLE]: left out"
     return DrawnDraft(out, pixel, facts)
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    """The first few of them."""
+    return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
 
 
 def _follow(start: int, *lengths: int) -> tuple[slice, ...]:

@@ -25,11 +25,13 @@ class Yarns:
     colour     (n, 3)  sRGB in [0, 1]
     spacing    (n,)    from the middle of a yarn's gap to the next one [m]
     thickness  (n,)    [m]
+    colourless         whether it numbers colours that it has not
     """
 
     colour: Float | None
     spacing: Float | None
     thickness: Float | None
+    colourless: bool = False
 
 
 def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
@@ -39,11 +41,14 @@ def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
     unit = UNITS.get(units.bare.lower()) if units else None
     if units and unit is None:
         units.refuse("an unknown unit", "centimeters, inches or decipoints")
-    lengths = [
+    spacing, thickness = (
         None if unit is None else _read_lengths(section, sections.get(f"{name} {what}"), what, unit, number)
         for what in ("SPACING", "THICKNESS")
-    ]
-    return Yarns(_read_colours(sections, section, number), *lengths)
+    )
+    colour = _read_colours(sections, section, number)
+    listed = [line for _, line in sections.get(f"{section.name} COLORS").numbered(number, "yarn")]
+    named = [line for line in (section.get("COLOR"), *listed) if line and any(line.wholes(0, 10**9, "a colour"))]
+    return Yarns(colour, spacing, thickness, bool(named) and colour is None)
 
 
 def _read_lengths(section: Section, listed: Section, what: str, unit: float, number: int) -> Float | None:
