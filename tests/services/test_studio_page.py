@@ -182,8 +182,8 @@ def test_a_recording_is_opened_verified_and_deleted_once_asked(page: Page, serve
     path.parent.mkdir()
     nuno.run(FILE, record=path)
     look(page, served[1], "#runs", "document.querySelector('tbody a') !== null")
-    assert page.value("[...document.querySelectorAll('tbody td')].slice(1, 5).map((td) => td.textContent)") == [
-        "one.mcap", "sheet", "done", "0.4 s"
+    assert page.value("[...document.querySelectorAll('tbody td')].slice(1, 6).map((td) => td.textContent)") == [
+        "one.mcap", "sheet", "symplectic_euler", "done", "0.4 s"
     ]  # fmt: skip
     page.value("document.querySelector('tbody a').focus()")
     page.press("Enter")

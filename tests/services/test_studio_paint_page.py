@@ -194,9 +194,15 @@ def test_a_dab_on_a_garment_is_where_the_solver_has_that_place_of_it(
         page.wait("nuno.scene.cloth.paint.worn", PATIENCE)
         page.click("paint-paste")
         set_width(page, 0.7)
-        # One whose own triangle is what its pixel shows, well within the picture.
-        vertex = page.value("""(() => { const { stage } = nuno.scene.cloth, { x, faces } = stage.cloth;
+        # One that faces the eye, and whose own triangle is what its pixel shows.
+        vertex = page.value("""(() => {
+            const { stage } = nuno.scene.cloth, { x, faces } = stage.cloth, { eye } = stage.camera, axes = [0, 1, 2];
+            const faced = (v) => {
+              const d = axes.map((k) => eye[k] - x[3 * v + k]);
+              return Math.abs(axes.reduce((sum, k) => sum + d[k] * stage.normals[3 * v + k], 0)) / Math.hypot(...d);
+            };
             for (let v = 1200; v < x.length / 3; v++) {
+              if (faced(v) < 0.9) continue;
               const at = stage.camera.project([...x.slice(3 * v, 3 * v + 3)]), hit = at && stage.pick(at.x, at.y);
               const shares = hit && [1 - hit.u - hit.v, hit.u, hit.v];
               if (shares?.some((share, k) => share > 0.97 && faces[3 * hit.face + k] === v)) return [v, at.x, at.y];
