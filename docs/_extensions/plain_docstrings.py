@@ -49,9 +49,25 @@ def _process(app: Sphinx, what: str, name: str, found: Any, options: Any, lines:
 
 
 def _sign(app: Sphinx, what: str, name: str, found: Any, options: Any, given: str, returned: str) -> Any:
-    """Sphinx's event autodoc-process-signature: what is not made by calling it has no arguments."""
+    """Sphinx's event autodoc-process-signature: what is not made by calling it has no arguments; types are plain."""
     uncalled = what == "class" and (getattr(found, "_is_protocol", False) or name.endswith(NOT_CALLED))
-    return ("", "") if uncalled else None
+    return ("", "") if uncalled else (given and _type(given), returned and _type(returned))
+
+
+def _type(text: str) -> str:
+    """Types as the source writes them, without the sizes and bounds of arrays, which the docstring tells."""
+    text = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+    text = re.sub(
+        r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?numpy\.(\w+)\]\]", r"NDArray[\1]", text
+    )
+    while found := re.search(r"~?(?:\w+\.)*Annotated\[", text):
+        depth, comma, end = 1, None, found.end()
+        while depth:
+            sign, end = text[end], end + 1
+            depth += {"[": 1, "(": 1, "]": -1, ")": -1}.get(sign, 0)
+            comma = end - 1 if sign == "," and depth == 1 and comma is None else comma
+        text = text[: found.start()] + text[found.end() : comma] + text[end:]
+    return text
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
