@@ -14,7 +14,6 @@ from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
 from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.quantities import Length, Point, Ratio, Share
 from nuno_knit.structure import Knit as Structure
-from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
@@ -68,7 +67,6 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
     Raises BadInput for ends that lie outside of the mesh, for a limb that has no room for it, and for a knit that is
     too wide for the limb or starts too far from it.
     """
-    check_size(x, over.body, "a knit")
     try:
         rows = lay_rows(x, faces, _line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
     except BadInput as error:

@@ -167,14 +167,26 @@ UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1m": 1.0, "1km": 1e3}
 """Lengths that a file's unit may be [m]; that is proposed which makes the body about a metre long."""
 
 
-def check_size(x: Float, body: str, worn: str) -> None:
-    """Raises BadInput for a body x (v, 3) [m] that no one has; `body` is its name, `worn` what it is to wear."""
-    size = float((x.max(axis=0) - x.min(axis=0)).max())
+def unit_of(x: Float) -> str:
+    """The unit of points (n, 3) that are too far apart, or too near, for metres; empty where they are not."""
+    size = float(np.ptp(x, axis=0).max())
+    if SMALLEST <= size <= LARGEST or not size > 0.0:
+        return ""
+    return min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
+
+
+def check_size(x: Float, body: str, scale: float) -> None:
+    """Raises BadInput for a body x (v, 3) [m] that no one has; `body` is its name, `scale` how long its file's unit was
+    taken to be [m].
+    """
+    size = float(np.ptp(x, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         return
-    unit = min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
+    unit, here = unit_of(x / scale), f"bodies.{body}.collider.scale"
+    said = "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
+    metres = f"it seems to be in metres: leave {here} out, or --set {here}=1m"
     raise BadInput(
-        f"the body is too small or too large to wear {worn}: its file may be in another unit than metres",
+        f"the body is too small or too large to wear anything: its file may be in another unit than {said}",
         field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
-        remedy=f"say how long its unit is: --set bodies.{body}.collider.scale={unit}",
+        remedy=f"say how long its unit is: --set {here}={unit}" if unit else metres,
     )  # fmt: skip

@@ -199,13 +199,3 @@ def test_bodies_that_lie_tilted_are_refused_with_what_turns_them(body: Body) -> 
         with pytest.raises(BadInput, match=problem) as refused:
             put_on(tilted)
         assert refused.value.remedy is not None and "up: z" in refused.value.remedy and "scale" in refused.value.remedy
-
-
-def test_bodies_in_another_unit_are_refused_before_they_are_searched(
-    body: Body, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("nuno_cloth.models.shirt.find_wearer", lambda *_: pytest.fail("searched for arms"))
-    for unit, per_metre in (("1mm", 1e3), ("1cm", 1e2), ("1km", 1e-3)):
-        with pytest.raises(BadInput, match="too small or too large to wear a shirt") as refused:
-            shirt((per_metre * body[0], body[1]))
-        assert refused.value.remedy is not None and refused.value.remedy.endswith(f"b.collider.scale={unit}")

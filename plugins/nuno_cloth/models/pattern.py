@@ -34,7 +34,6 @@ from nuno_cloth.sewing.wrap import wrap
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import Tree, build_tree
-from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
@@ -136,12 +135,11 @@ class Pattern:
         """The garment on a body's mesh x (v, 3) [m], faces (f, 3), over what it has `worn` since before, or where
         it has `rested` on fewer vertices.
 
-        Raises BadInput, as `build`, and for a body of no one's size, or one that the garment does not close round: with
+        Raises BadInput, as `build`, and for a body that the garment does not close round: with
         the panel and the place.
         """
         if config.over is None:
             raise BadInput("the garment has no body to be put on", field="over")
-        check_size(x, config.over.body, "a garment")
         check_stance(x, faces, config.over.body)
         texture = find_texture(config.texture, files)
         sewn = _sewn(config, files)

@@ -9,7 +9,6 @@ import numpy as np
 from nuno_cloth.models.placement import Over
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.wearer import find_wearer
-from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 
@@ -18,9 +17,8 @@ def put_on(over: Over, hole: float, x: Float, faces: Int, worn: Sequence[Fabric]
     """(3,) where the middle of a hole of this radius [m] is: round the neck of a body x (v, 3) [m], faces (f, 3), above
     all of it, and of what it has `worn` before, that is below the neck and beyond the hole.
 
-    Raises BadInput for a body of no one's size, one without neck and arms, and a hole that is too narrow for the neck.
+    Raises BadInput for a body without neck and arms, and a hole that is too narrow for the neck.
     """
-    check_size(x, over.body, "a poncho")
     check_stance(x, faces, over.body)
     wearer = find_wearer(x, faces)
     _, base, back = wearer.neck

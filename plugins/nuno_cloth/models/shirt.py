@@ -19,7 +19,6 @@ from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import STANDS, TURN, Wearer, find_wearer
 from nuno_cloth.quantities import Angle, Length
-from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -79,13 +78,12 @@ class Shirt:
     ) -> Fabric:
         """The shirt on a body's mesh x (v, 3) [m], faces (f, 3).
 
-        Raises BadInput for a body of no one's size, for one without armpits and arms, for one that wears a garment
+        Raises BadInput for a body without armpits and arms, for one that wears a garment
         already, and for a shirt that would start inside of it.
         """
         if worn:
             raise BadInput("a shirt is put on a bare body, and this one wears cloth already", field="over.body",
                            value=config.over.body, remedy="let the shirt come first among the objects")  # fmt: skip
-        check_size(x, config.over.body, "a shirt")
         check_stance(x, faces, config.over.body)
         wearer = find_wearer(x, faces)
         sizes, fit = take_measures(wearer, config)

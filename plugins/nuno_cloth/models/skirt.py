@@ -35,7 +35,6 @@ from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.sewing.draw import draw_together
 from nuno_kernels.meshes.tree import Tree, build_tree
-from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Files
@@ -91,14 +90,13 @@ class Skirt:
     ) -> Fabric:
         """The skirt on a body's mesh x (v, 3) [m], faces (f, 3).
 
-        Raises BadInput, as `build`, and for a body of no one's size, one whose waist is not found, one that wears cloth
+        Raises BadInput, as `build`, and for a body whose waist is not found, one that wears cloth
         already, and for a skirt that is too narrow for it or would start inside of it.
         """
         assert config.over is not None
         if worn:
             raise BadInput("a skirt is put on a bare body, and this one wears cloth already", field="over.body",
                            value=config.over.body, remedy="let the skirt come first among the objects")  # fmt: skip
-        check_size(x, config.over.body, "a skirt")
         check_stance(x, faces, config.over.body)
         falls = np.linspace(0.0, config.length, len(_round(config)) if config.cut != "cone" else config.rows)
         wearing = measure(config.over, x, faces, falls)

@@ -135,8 +135,8 @@ class Swatch:
     ) -> Fabric:
         """Level on the shoulders of a body's mesh x (v, 3) [m], faces (f, 3), and on what it has `worn` there before.
 
-        Raises BadInput, as `build`, and for a body of no one's size, one without neck and arms, a hole that is too
-        narrow for its neck, and a piece that would start inside of it.
+        Raises BadInput, as `build`, and for a body without neck and arms, a hole that is too narrow for its neck, and a
+        piece that would start inside of it.
         """
         assert config.over is not None and config.hole is not None
         flat, own = lay(config, seed)

@@ -12,7 +12,7 @@ import numpy as np
 from nuno.cloth.arrange import Start, arrange
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
-from nuno.cloth.worn import check_worn
+from nuno.cloth.worn import check_wearer, check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
 from nuno.scene.chosen import Chosen
@@ -132,7 +132,9 @@ def _build_models(
             else:
                 worn = [one for one, body in zip(fabrics, over, strict=False) if body == name and len(one.faces)]
                 lain = {"rested": rested[i]} if rested and hasattr(model.plugin, "coarser") else {}
-                fabric = model.plugin.build_over(*given, *mesh_of(name, geometry, poses), worn, **lain)
+                x, faces = mesh_of(name, geometry, poses)
+                check_wearer(loaded, name, x)
+                fabric = model.plugin.build_over(*given, x, faces, worn, **lain)
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:

@@ -9,14 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from nuno.collision.distance import penetration, signed_distance
+from nuno.scene.scene_file import Loaded
 from nuno.warnings import SEEN_DEPTH
-from nuno_schemas.bodies import BOX, OF_TRIANGLES, PLANE, Geometry, Poses
+from nuno_schemas.bodies import BOX, OF_TRIANGLES, PLANE, Geometry, Poses, check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
 FARTHEST = 2.0
 """Largest distance of attached cloth from the body's surface, in radii of the body there. A waist
 lies within a few centimetres; a cape on a chest that is attached to the hips within one radius."""
+
+
+def check_wearer(loaded: Loaded, body: str, x: Float) -> None:
+    """Raises BadInput for a body of a scene, x (v, 3) [m], that no one has: its file may be in another unit."""
+    collider = loaded.colliders[[one.name for one in loaded.scene.bodies].index(body)]
+    check_size(x, body, float(getattr(collider.config, "scale", 1.0)))
 
 
 def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,10 +20,10 @@ from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.studio import scenes
-from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS
+from nuno_schemas.bodies import UNITS, unit_of
 from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import BodyShape
 
@@ -120,14 +119,6 @@ def _mesh(path: Path) -> Seen:
     scale = unit.replace("1", "1 ") if unit else ""
     corners = tuple(map(float, low)), tuple(map(float, high))
     return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses, scale, *corners)
-
-
-def unit_of(x: Float) -> str:
-    """The unit of points (n, 3) that are too far apart, or too near, for metres; empty where they are not."""
-    size = float(np.ptp(x, axis=0).max())
-    if SMALLEST <= size <= LARGEST or not size > 0.0:
-        return ""
-    return min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
 
 
 def _pattern(path: Path) -> Seen:
