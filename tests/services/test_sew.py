@@ -202,6 +202,29 @@ def test_what_looks_wrong_is_told_before_it_is_put_on(tmp_path: Path, capsys: py
         assert ("loose panel" in said and "--check" in said) if name == "loose" else not said
 
 
+@pytest.mark.parametrize(("unit", "named"), [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm")])
+def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
+    unit: float, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, faces = column((0.08, 0.06), (0.0, 1.7))
+    trimesh.Trimesh(x / unit, faces, process=False).export(tmp_path / "scan.obj")
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--write") == 0
+    assert (f"taken as {named}" if named else "scene") in capsys.readouterr().out
+    scene = yaml.safe_load((tmp_path / "tube-worn.yaml").read_text())
+    assert scene["bodies"][0]["collider"].get("scale", "") == named
+
+
+def test_a_file_that_is_missing_is_answered_with_the_one_of_nearly_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert wear(tmp_path, monkeypatch, "--body", "colum.obj") == 2
+    assert "did you mean 'column.obj'?" in capsys.readouterr().err
+    assert main(["sew", "tube.jsn", "--body", "column.obj"]) == 2
+    assert "did you mean 'tube.json'?" in capsys.readouterr().err
+    assert main(["plan", "tube.yml"]) == 2
+    assert "did you mean" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("edge", ["3", "0.5 mm", "2 km", "two"])
 def test_an_edge_that_is_none_is_refused_before_a_scene_is_written(
     edge: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

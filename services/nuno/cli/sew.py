@@ -17,9 +17,11 @@ from nuno.begin.worn import Garment, describe_worn, is_own, name_garments
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.scene.explain import explain
-from nuno.scene.files import SceneFiles
+from nuno.scene.files import SceneFiles, near
+from nuno_schemas.bodies import UNITS, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
+from nuno_schemas.plugin import BodyShape
 from nuno_schemas.units import to_si
 
 MANNEQUIN = Path("mannequin")
@@ -33,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     worn = parser.add_argument_group("put on a body")
     add_flags(worn, {
-        "--body": ("FILE", "the body that wears them, in metres: OBJ, PLY, STL or GLB, upright, facing +z; or "
-                   "mannequin: the one that comes with nuno", Path),
+        "--body": ("FILE", "the body that wears them: OBJ, PLY, STL or GLB, upright, facing +z, in metres unless "
+                   "its size says otherwise; or mannequin: the one that comes with nuno", Path),
         "--motion": ("FILE", "a BVH that the body moves by, with its skin (default: it stands)", Path),
         "--fabric": ("NAME...", "a preset (default: interlock; nuno fabrics lists them); again for each pattern", str),
         "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
@@ -76,7 +78,7 @@ def wear(args: argparse.Namespace) -> int:
     files = [("pattern", pattern) for pattern in args.patterns] + list(beside.items())
     for what, file in files:
         if not file.is_file():
-            remedy = "or mannequin, the one that comes with nuno" if what == "body" else None
+            remedy = near(file) + ("mannequin is the one that comes with nuno" if what == "body" else "check the name")
             raise BadInput("no such file", field=what, value=str(file), remedy=remedy)
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
@@ -86,8 +88,9 @@ def wear(args: argparse.Namespace) -> int:
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
+    scale = _find_unit(args.body) if "body" in beside else ""
     moved = {"body": None} | {what: file.name for what, file in beside.items()}
-    scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved), encoding="utf-8")
+    scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
     roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip
@@ -125,6 +128,20 @@ def _check_edge(edge: str) -> None:
         limit = f"{1e3 * limits['minimum']:g} mm to {1e2 * limits['maximum']:g} cm"
         remedy = "with its unit, for example '2 cm': a bare number is in metres"
         raise BadInput("no length for sides of triangles", field="--edge", value=edge, limit=limit, remedy=remedy)
+
+
+def _find_unit(body: Path) -> str:
+    """The unit of a body's file, told and as a scene says it; empty for the metre, and for what the run refuses."""
+    mesh = registry.load("nuno.colliders", "mesh")
+    try:
+        shape: BodyShape = mesh.build(mesh.Config(file=body.name, mend=True), None, SceneFiles(body.parent))
+    except BadInput:
+        return ""
+    if unit := unit_of(shape.vertices):
+        size = float(np.ptp(shape.vertices, axis=0).max())
+        told = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
+        print(f"unit       {body}: {told}", flush=True)
+    return unit
 
 
 def _remind(pattern: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +29,7 @@ class SceneFiles:
 
     def resolve(self, name: str) -> Path:
         """The existing file `name`. Raises BadInput if it is missing or outside every root."""
-        inside = False
+        missing: list[Path] = []
         for root in (self.folder, *self.roots):
             try:
                 base = root.resolve()
@@ -39,18 +40,18 @@ class SceneFiles:
                 raise BadInput("not the name of a file", value=name, remedy="check the name") from None
             if not path.is_relative_to(base):
                 continue
-            inside = True
             if found:
                 self.used[name] = path
                 self.stamps.setdefault(name, stamp)
                 return path
+            missing.append(path)
         allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
-        if inside:
+        if missing:
             raise BadInput(
                 "no such file",
                 value=name,
                 limit=f"looked in {allowed}",
-                remedy="check the name, or name its folder with --root DIR",
+                remedy=f"{near(missing[0])}check the name, or name its folder with --root DIR",
             )
         raise BadInput(
             "the path leaves the scene's folder",
@@ -82,3 +83,13 @@ def stamp_of(path: Path) -> tuple[int, int]:
     """Size [bytes] and time of change [ns] of a file. Raises OSError."""
     state = path.stat()
     return state.st_size, state.st_mtime_ns
+
+
+def near(missing: Path) -> str:
+    """The question whether another file of a missing one's folder was meant; empty where none has such a name."""
+    try:
+        names = [one.name for one in missing.parent.iterdir() if one.is_file()]
+    except (OSError, ValueError):
+        return ""
+    close = difflib.get_close_matches(missing.name, names, n=1, cutoff=0.7)
+    return f"did you mean {close[0]!r}? " if close else ""

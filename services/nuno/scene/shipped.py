@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.resources import files as package_files
 from pathlib import Path
 
+from nuno.scene.files import near
 from nuno_schemas.errors import BadInput, nearest
 
 FOLDERS = ("contact", "dye", "extreme", "instruments", "knit", "sewn")
@@ -34,5 +35,6 @@ def find(name: str) -> Path:
         return known[name]
     if path.suffix in (".yaml", ".yml") or path.exists():
         where = f"a file in {path.resolve().parent}"
-        raise BadInput("no such scene file", value=name, limit=where, remedy="check the name; nuno scenes lists others")
+        remedy = f"{near(path)}check the name; nuno scenes lists others"
+        raise BadInput("no such scene file", value=name, limit=where, remedy=remedy)
     raise BadInput("no such scene", value=name, remedy=f"{nearest(name, known)}; or give the path of a YAML file")
