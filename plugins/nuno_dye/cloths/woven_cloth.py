@@ -116,17 +116,25 @@ def find_ground(draft: Draft, cells: Cells) -> tuple[Float, Float] | None:
 
 
 def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tuple[Lay, Lay] | None]:
-    """Drawdown (picks, ends), and lays of weft and warp where a file has measured them."""
+    """Drawdown (picks, ends), and lays of weft and warp where a file has measured them. Raises BadInput."""
     weave = config.weave
-    if isinstance(weave, TwillConfig):
-        return draw_twill(weave.over, weave.under, weave.direction), None
-    if isinstance(weave, SatinConfig):
-        return draw_satin(weave.ends, weave.step, weave.face), None
-    if isinstance(weave, MatrixConfig):
-        return read_matrix(weave.rows), None
     if isinstance(weave, WifConfig) and draft is not None:
         return draft.drawdown, lay_draft(draft, weave.file, config) if weave.measured else None
-    return draw_plain(), None
+    try:
+        return _draw_named(weave), None
+    except BadInput as error:
+        raise replace(error, field=f"weave.{error.field}") from None
+
+
+def _draw_named(weave: Weave) -> Bool:
+    """Drawdown (picks, ends) of a weave that the scene describes. Raises BadInput with the weave's field."""
+    if isinstance(weave, TwillConfig):
+        return draw_twill(weave.over, weave.under, weave.direction)
+    if isinstance(weave, SatinConfig):
+        return draw_satin(weave.ends, weave.step, weave.face)
+    if isinstance(weave, MatrixConfig):
+        return read_matrix(weave.rows)
+    return draw_plain()
 
 
 def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:

@@ -93,8 +93,8 @@ def check_interlacing(drawdown: Bool, file: str | None = None) -> None:
     if drawdown.all() or not drawdown.any():
         raise BadInput(
             "the warp is above the weft everywhere" if drawdown.all() else "the weft is above the warp everywhere",
-            file=file, field="drawdown", value=f"{drawdown.shape[0]} picks x {drawdown.shape[1]} ends",
-            limit="yarns that interlace",
+            file=file, field="rows" if file is None else "drawdown", limit="yarns that interlace",
+            value=f"{drawdown.shape[0]} picks x {drawdown.shape[1]} ends",
         )  # fmt: skip
 
 
