@@ -69,6 +69,7 @@ class ClothContact(Choice):
         default_factory=list,
         description="bodies of triangles that cloth meets as it meets cloth, and never passes through with any edge; "
         "with a body's own friction and damping, and in the place of its contact",
+        examples=[["wearer"]],
     )
 
     @model_validator(mode="before")
@@ -157,7 +158,10 @@ class Scene(Part):
         max_length=1000,
         description="what changes the cloth: wrinkle while the scene goes on, untangle before",
     )
-    contact: Choice = Field(default=Choice(plugin="penalty"), description="between cloth and the bodies that name none")
+    contact: Choice = Field(
+        default=Choice(plugin="penalty"), description="between cloth and the bodies that name none",
+        examples=[{"plugin": "penalty"}],
+    )  # fmt: skip
     cloth_contact: ClothContact | Literal["none"] = Field(
         default="none", description="of cloth with itself and with other cloth; none: it passes through"
     )

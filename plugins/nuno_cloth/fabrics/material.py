@@ -14,10 +14,14 @@ from nuno_schemas.errors import nearest
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
 
+LIKE = {"jeans": "denim", "jersey": "interlock", "knit": "interlock"}
+"""Presets that are much like a cloth of another name."""
+
 
 def _known(preset: str) -> str:
     if preset not in PRESETS:
-        raise ValueError(f"unknown fabric preset {preset!r}; {nearest(preset, PRESETS)}")
+        like = f"much like it is {LIKE[preset]!r}; " if preset in LIKE else ""
+        raise ValueError(f"unknown fabric preset {preset!r}; {like}{nearest(preset, PRESETS)}")
     return preset
 
 

@@ -74,6 +74,6 @@ def check_meshes(geometry: Geometry) -> None:
             raise BadInput(
                 f"sliding contact is with closed meshes, and {error.problem}", field=body,
                 value=f"{error.field} {error.value}",
-                remedy="contact: {plugin: penalty} goes by the field of collider: {plugin: sdf, ...}, and "
-                "cloth_contact.bodies by the triangles alone; collider: {..., mend: true} fills holes",
+                remedy=f'--set "cloth_contact={{plugin: offset, thickness: 2 mm, bodies: [{body}]}}" takes its '
+                f"triangles as they are; --set bodies.{body}.collider.mend=true fills holes",
             ) from None  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno.scene import yaml_lines
-from nuno.scene.explain import explain, located
+from nuno.scene.explain import NO_FIELD, OVERRIDDEN, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
@@ -48,12 +49,32 @@ def choose_plugin(
         return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place), choice.config)
     except ValidationError as error:
         beside = tuple(type(choice).model_fields)
-        raise explain(error, choice.config, place, file, lines, plugin.Config, beside) from None
+        found = explain(error, choice.config, place, file, lines, plugin.Config, beside)
+        raise _of_another(found, group, choice, place, lines) from None
     except BadInput as error:
         raise located(error, file, lines, dotted((*place, "plugin"))) from None
     except Exception as error:  # of a validator of another distribution: pydantic lets most pass
         problem = f"the configuration of {choice.plugin!r} cannot be read: {type(error).__name__}: {error}"
         raise located(BadInput(problem), file, lines, dotted(place)) from error
+
+
+def _of_another(
+    error: BadInput, group: str, choice: Choice, place: yaml_lines.Path, lines: Mapping[yaml_lines.Path, int]
+) -> BadInput:
+    """An error about a field that only other plugins of the group have: with which, and how to leave it behind."""
+    here, _, name = (error.field or "").rpartition(".")
+    if error.problem != NO_FIELD or here != dotted(place):
+        return error
+    others = []
+    for other in sorted(registry.installed(group)):
+        with suppress(BadInput):
+            others += [other] if name in registry.load(group, other).Config.model_fields else []
+    if not others:
+        return error
+    remedy = f"{choice.plugin} has none, it is a field of {', '.join(others)}; {error.remedy}"
+    if lines.get((*place, "plugin")) == OVERRIDDEN != lines.get((*place, name)):
+        remedy = f'it is of the plugin before: without the fields of that, --set "{here}={{plugin: {choice.plugin}}}"'
+    return replace(error, remedy=remedy)
 
 
 def choose_operation(
