@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from nuno.scene.explain import EMPTY
 from nuno.scene.plausible import implausible_numbers
 from nuno.scene.scene_file import Loaded
 
@@ -23,7 +24,8 @@ TOLERANCE = 1e-6
 
 def scene_warnings(loaded: Loaded) -> list[str]:
     """Warnings that follow from a scene alone."""
-    return [*rounded_times(loaded), *implausible_numbers(loaded)]
+    empty = [f"{field} is empty: {EMPTY}; null is none on purpose" for field in loaded.empty]
+    return [*rounded_times(loaded), *empty, *implausible_numbers(loaded)]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:

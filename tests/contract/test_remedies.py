@@ -14,6 +14,7 @@ import yaml
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.warnings import scene_warnings
 from nuno_schemas.errors import BadInput
 
 SCENE: dict[str, Any] = {
@@ -28,9 +29,9 @@ SCENE: dict[str, Any] = {
 }
 
 
-def read(folder: Path, *overrides: str) -> Loaded:
+def read(folder: Path, *overrides: str, text: str = "") -> Loaded:
     path = folder / "scene.yaml"
-    path.write_text(yaml.safe_dump(SCENE))
+    path.write_text(text or yaml.safe_dump(SCENE))
     return scene_file.read(path, overrides)
 
 
@@ -73,7 +74,15 @@ def test_fields_of_the_plugin_before_are_left_behind_as_told(tmp_path: Path) -> 
         ("cloth_contact={plugin: offset, bodies: true}", "bodies: [wearer]"),
         ("bodies.me.collider.radius=3", "it is a field of capsule, sphere"),
         ("objects.sheet.model.fabric=jersey", "interlock"),
+        ("objects.sheet.model.size=", "# begins a comment"),
     ],
 )
 def test_remedies_show_what_may_be_written(override: str, words: str, tmp_path: Path) -> None:
     assert words in (refused(tmp_path, override).remedy or "")
+
+
+def test_a_field_without_a_value_is_told_of_unless_it_is_null_on_purpose(tmp_path: Path) -> None:
+    text = yaml.safe_dump(SCENE).replace("- model:", "- colour: VALUE\n  model:")
+    for value, told in (("#8c2f39", True), ("null", False), ("'#8c2f39'", False)):
+        loaded = read(tmp_path, text=text.replace("VALUE", value))
+        assert any("objects[0].colour is empty" in one for one in scene_warnings(loaded)) == told

@@ -29,6 +29,9 @@ NO_FIELD = "no such field"
 ADD = "add it"
 """Remedy of what is missing."""
 
+EMPTY = "in YAML # begins a comment, and quotes keep it: '#8c2f39'"
+"""What is said where a field has no value."""
+
 Words = tuple[str, object, str | None, str | None]
 """Problem, value, limit and remedy."""
 
@@ -87,6 +90,8 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     inside = (str(context["discriminator"]).strip("'"),) if first["type"] == "union_tag_invalid" else ()
     full = (*prefix, *place, *context.get("inside", inside))
     problem, value, limit, remedy = words
+    if first["type"] != "missing" and first.get("input", "") is None:
+        problem, remedy = f"the field is empty, and {problem}", f"write its value; {EMPTY}"
     if remedy in (None, ADD):
         remedy = _example(model, first["loc"]) or remedy
     return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))

@@ -75,6 +75,8 @@ class Loaded:
     """Of a recording whose bodies were told where to be: the messages that say where they were, by frame."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""
+    empty: tuple[str, ...] = ()
+    """Fields that are written without a value."""
 
     @property
     def live(self) -> bool:
@@ -145,13 +147,14 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
         raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
-    data, lines = yaml_lines.parse(text, named or str(path))
+    data, lines, empty = yaml_lines.parse_all(text, named or str(path))
     if named is not None:
         lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
     loaded = load(data, lines, named or str(path), files_of(path, roots))
-    return replace(loaded, overrides=tuple(overrides), path=path)
+    unsaid = tuple(dotted(place) for place in empty if item_at(data, place) is None)
+    return replace(loaded, overrides=tuple(overrides), path=path, empty=unsaid)
 
 
 def files_of(path: Path, roots: tuple[Path, ...] = ()) -> SceneFiles:

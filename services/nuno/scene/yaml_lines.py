@@ -26,6 +26,7 @@ class _Reader:
     def __init__(self, file: str) -> None:
         self.file = file
         self.lines: dict[Path, int] = {}
+        self.empty: list[Path] = []
         self.nodes = 0
         self.scalars = yaml.constructor.SafeConstructor()
         self.tags = yaml.resolver.Resolver()
@@ -66,6 +67,8 @@ class _Reader:
         return tag
 
     def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
+        if not node.value and not node.style:
+            self.empty.append(path)
         try:
             return self.scalars.construct_object(node)
         except ValueError:  # an integer of more digits than Python converts, for one
@@ -101,6 +104,11 @@ def places(value: Any, path: Path = ()) -> Iterator[Path]:
 
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
     """YAML text -> the mapping and the line of every path in it. Raises BadInput."""
+    return parse_all(text, file)[:2]
+
+
+def parse_all(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int], tuple[Path, ...]]:
+    """The same, and the paths after whose names nothing is written, not even `null`. Raises BadInput."""
     if len(text) > MAX_BYTES:
         raise too_large(file, len(text))
     node = _compose(text, file)
@@ -109,7 +117,7 @@ def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
         raise BadInput("the file is empty", file, remedy=START)
     if not isinstance(node, yaml.MappingNode):
         raise BadInput("the file is no mapping of fields", file, node.start_mark.line + 1, remedy=START)
-    return reader.read(node, ()), reader.lines
+    return reader.read(node, ()), reader.lines, tuple(reader.empty)
 
 
 def too_large(file: str, size: int) -> BadInput:
