@@ -12,6 +12,7 @@ import numpy as np
 from nuno.cloth.arrange import Start, arrange
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
+from nuno.cloth.texture import check_texture
 from nuno.cloth.worn import check_wearer, check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
@@ -30,9 +31,6 @@ from nuno_schemas.vectors import turn
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
 grids; `nuno bench speed` measures it. Models that keep every element apart know what they take."""
-
-UV_ROUNDING = 1e-6
-"""Texture coordinates are float32, and files round them."""
 
 
 @dataclass(frozen=True)
@@ -171,18 +169,6 @@ def mesh_of(name: str, geometry: Geometry | None, poses: Poses | None) -> tuple[
         remedy = "give the body collider: {plugin: mesh, ...}"
         raise BadInput("only a mesh can be drawn over", field="over.body", value=name, remedy=remedy)
     return geometry.placed(int(own[0]), poses)
-
-
-def check_texture(fabric: Fabric, name: str) -> None:
-    """Raises BadInput for a fabric that does not say where on it a cloth's cells lie, in [0, 1] x [0, 1]."""
-    if fabric.uv is None:
-        remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
-        raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
-    low, high = float(fabric.uv.min(initial=0.0)), float(fabric.uv.max(initial=1.0))
-    if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
-        problem = "texture coordinates leave the cloth that is dyed"
-        remedy = "lay the mesh's texture out without repeating it"
-        raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)
 
 
 def bind(

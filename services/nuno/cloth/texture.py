@@ -1,10 +1,16 @@
-"""How large a texture is on cloth: so large is what is printed, or dyed in its own measures, on it."""
+"""A texture on cloth: whether there can be one, and how large it is: so large is what is printed, or dyed in its own
+measures, on it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
+
+UV_ROUNDING = 1e-6
+"""Texture coordinates are float32, and files round them."""
 
 
 def texture_size(fabric: Fabric) -> tuple[float, float]:
@@ -27,3 +33,15 @@ def texture_size(fabric: Fabric) -> tuple[float, float]:
     along_v = (sides[flat, 1] * t[flat, 0, :1] - sides[flat, 0] * t[flat, 1, :1]) / det[flat, None]
     width, height = (float(np.average(np.linalg.norm(one, axis=1), weights=area[flat])) for one in (along_u, along_v))
     return width, height
+
+
+def check_texture(fabric: Fabric, name: str) -> None:
+    """Raises BadInput for a fabric that does not say where on it a cloth's cells lie, in [0, 1] x [0, 1]."""
+    if fabric.uv is None:
+        remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
+        raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
+    low, high = float(fabric.uv.min(initial=0.0)), float(fabric.uv.max(initial=1.0))
+    if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
+        problem = "texture coordinates leave the cloth that is dyed"
+        remedy = "lay the mesh's texture out without repeating it"
+        raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)
