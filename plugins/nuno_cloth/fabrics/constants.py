@@ -156,7 +156,7 @@ def _require_positive(material: Material, lattice: Lattice, warp_k: Float, weft_
         field="resolution",
         value=f"a cell {worst:.3g} times as wide as high",
         limit=f"between {low:.3g} and {high:.3g} times as wide as high",
-        remedy="change rows or columns until the cells are nearly square",
+        remedy="change the numbers of rows and columns until the cells are nearly square",
     )
 
 

@@ -13,6 +13,7 @@ room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's own
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -144,7 +145,10 @@ class Skirt:
         slant = np.full(config.rows - 1, config.length / (config.rows - 1))
         x, held = np.ascontiguousarray(points.reshape(-1, 3)), np.repeat(np.arange(config.rows) == 0, config.columns)
         lattice = Lattice(circle / config.columns, slant)
-        elements = build_grid(grid, lattice, resolve(config.fabric), x, config.cells, held)
+        try:
+            elements = build_grid(grid, lattice, resolve(config.fabric), x, config.cells, held)
+        except BadInput as error:  # of cells that are too elongated
+            raise replace(error, field="rows") from None
         uv = texture_coordinates(_across(np.arange(config.columns) / config.columns), config.rows)
         return self._fabric(config, files, x, held, uv, elements, attach)
 

@@ -17,6 +17,7 @@ from nuno.cloth.worn import check_wearer, check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
 from nuno.scene.chosen import Chosen
+from nuno.scene.plausible import with_doubts
 from nuno.scene.scene_file import Loaded
 from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
@@ -57,7 +58,7 @@ def estimate_memory(loaded: Loaded) -> tuple[int, int]:
             known = getattr(model.plugin, "memory", None)
             size += known(model.config, loaded.files, vertices) if known else vertices * BYTES_PER_VERTEX
         except BadInput as error:
-            raise loaded.at(f"objects[{i}].model", error) from None
+            raise with_doubts(loaded, f"objects[{i}].model", error) from None
         total += vertices
     return total, size
 
@@ -136,7 +137,7 @@ def _build_models(
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:
-            raise loaded.at(f"objects[{i}].model", error) from None
+            raise with_doubts(loaded, f"objects[{i}].model", error) from None
         if spec.roughness and not rested:
             try:
                 fabric = roughen(fabric, spec.roughness, loaded.scene.seed + i)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
 
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import Path, dotted
+from nuno_schemas.errors import BadInput
 from nuno_schemas.units import Plausible, to_si
 
 MOST = 10
@@ -24,6 +26,15 @@ def implausible_numbers(loaded: Loaded) -> list[str]:
     for chosen in loaded.chosen:
         told += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
     return told if len(told) <= MOST else [*told[:MOST], f"and {len(told) - MOST:,} more bare numbers are implausible"]
+
+
+def with_doubts(loaded: Loaded, place: str, error: BadInput) -> BadInput:
+    """An error about the part of a scene at a place, its remedy after what a number there may have been meant as."""
+    error = loaded.at(place, error)
+    doubt = next((text for text in implausible_numbers(loaded) if text.startswith(f"{place}.")), None)
+    if doubt is None:
+        return error
+    return replace(error, remedy=f"{doubt} If not: {error.remedy}" if error.remedy else doubt)
 
 
 def _words(field: str, place: Path, number: float, usual: Plausible) -> str:
