@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from scenes import BALL, write_scene
 
@@ -70,6 +71,18 @@ def test_doubtful_results_carry_a_warning(result: nuno.Result, change: dict[str,
     found = rows(quiet | change, "warning")
     assert len(found) == bool(words)
     assert words in "".join(found)
+
+
+def test_stretch_at_the_start_is_told_apart_from_what_loads_do(tmp_path: Path) -> None:
+    """A spring drawn out to 2.5 times its rest length, and critically damped; the load stretches it by a quarter."""
+    ends = {"x": np.array([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), "v": np.zeros((2, 3)), "m": np.ones(2)}
+    spring = {"springs": np.array([[0, 1]]), "k": np.full(1, 100.0), "rest": np.full(1, 0.4), "c": np.full(1, 20.0)}
+    np.savez(tmp_path / "spring.npz", pinned=np.array([True, False]), **ends, **spring)
+    objects = [{"name": "spring", "model": {"plugin": "net", "file": "spring.npz"}}]
+    report = nuno.run(write_scene(tmp_path, objects=objects, duration=1.5)).report
+    assert report["start_stretch"] == pytest.approx(1.5) and report["stretch"] == pytest.approx(9.81 / 40.0, rel=0.01)
+    assert rows(report, "warning") == []
+    assert rows(report, "stretch") == [f"at most {report['stretch']:.2%}; 150.00% at the start"]
 
 
 def test_energy_goes_only_where_there_is_something_to_take_it(result: nuno.Result) -> None:

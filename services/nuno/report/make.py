@@ -15,7 +15,8 @@ SIZES, DYE_SIZES = ("vertices", "springs", "triangles of a membrane", "hinges"),
 TOLD: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
-    "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "yarns": {}, "courses": {}, "pressure": {},
+    "start_stretch": 0.0, "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "yarns": {},
+    "courses": {}, "pressure": {},
 }  # fmt: skip
 """What the service that leads says of a run, and what stands where it has not."""
 

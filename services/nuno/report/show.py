@@ -158,7 +158,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
     rows += [(done["operation"], describe_start(done["facts"])) for done in report["arranged"]]
     stretch = report["stretch"]
-    rows.append(("stretch", _percent(stretch)))
+    begun = report.get("start_stretch") or 0.0
+    since = f"; {begun:.2%} at the start" if stretch is not None and begun > stretch else ""
+    rows.append(("stretch", _percent(stretch) + since))
     if rest := report["rest"]:
         beyond = f"; {rest['unsettled']:,} vertices are farther than that" if rest["unsettled"] else ""
         rows.append(("rest", f"every vertex within {rest['farthest']:.2g} of the mean tension{beyond}"))

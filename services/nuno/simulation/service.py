@@ -56,7 +56,9 @@ class ClothDriver(Driver):
         self.inbox.answer(NOW)
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
-        self.stretch = 0.0
+        self.stretch = self.start_stretch = 0.0
+        self.relaxing = False
+        """Whether stretch has only fallen since the start: it is how the cloth was put on, and no load does it."""
         self.started = False
         self.rest: dict[str, float] = {}
         self.warnings: list[str] = []
@@ -134,8 +136,16 @@ class ClothDriver(Driver):
         for name, value in report.counts.items():
             self.counts[name] = max(self.counts.get(name, 0), value)
         self.energy = [self.energy[0] if self.energy else dict(report.energy), dict(report.energy)]
-        self.stretch = max(self.stretch, report.stretch)
+        self._note_stretch(frame.number, report.stretch)
         return {"energy": dict(report.energy), "stretch": report.stretch, "wrinkles": self.simulation.wrinkles()}
+
+    def _note_stretch(self, frame: int, stretch: float) -> None:
+        """The largest stretch at the start, and since it first ceased to fall from there."""
+        if frame == 0:
+            self.start_stretch, self.relaxing = stretch, True
+        elif not stretch <= self.stretch:
+            self.relaxing = False
+        self.stretch = stretch if self.relaxing else max(self.stretch, stretch)
 
     def publish_fabric(self, frame: int) -> None:
         """What viewers and recordings need to know about the cloth, from `frame` on."""
@@ -201,6 +211,7 @@ class ClothDriver(Driver):
             "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
             "energy": self.energy,
             "stretch": self.stretch,
+            "start_stretch": self.start_stretch,
             "rest": self.rest,
             "counts": self.counts,
             "warnings": self.warnings,
