@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nuno.recording.reader import Recording
+from nuno.words import many
 from nuno_schemas.messages import PENETRATION
 
 MOST_SPELLS = 20
@@ -26,24 +27,26 @@ def problem(found: Mapping[str, Any] | None) -> str:
     if found is None or not (first := found["first_crossing"]):
         return ""
     where = f"first in frame {first['frame']} ({first['t']:.4g} s), {passing(first)}"
-    return f"crossed: cloth passes through {_what(found)} in {_frames(found['crossed'])}, {where}"
+    return f"crossed: cloth passes through {_what(found)} in {many(found['crossed'], 'frame')}, {where}"
 
 
 def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     """The same as rows of a report."""
     if found is None:
         return []
-    text = f"cloth passes through {_what(found)} in {found['crossed']:,} of {_frames(found['looked'])}"
+    text = f"cloth passes through {_what(found)} in {found['crossed']:,} of {many(found['looked'], 'frame')}"
     if found["allowed"]:
         text += f", but for {', '.join(map(_both, found['allowed']))}, which may"
     if first := found["first_crossing"]:
-        text += f", up to {found['crossings']:,} edges through triangles in one, first in frame {first['frame']}"
+        text += f", up to {many(found['crossings'], 'edge')} through triangles in one, first in frame {first['frame']}"
         return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
     if not found["thickness"]:
         return [("crossings", text)]
     thick, least = _millimetres(found["thickness"]), found["least_distance"]
-    near = f"never nearer to cloth than {thick}" if least is None else f"down to {_millimetres(least)} from cloth"
-    return [("crossings", text), ("distance", f"cloth is {near}; it is {thick} thick")]
+    if least is None:
+        return [("crossings", text), ("distance", f"cloth is never nearer to cloth than {thick}, its thickness")]
+    near = f"cloth is pressed to within {_millimetres(least)} of cloth; it pushes back from {thick} on, its thickness"
+    return [("crossings", text), ("distance", near)]
 
 
 def _both(pair: Sequence[str]) -> str:
@@ -87,7 +90,7 @@ def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) 
             if first == last
             else f"frames {first} to {last}, {start:.4g} to {end:.4g} s"
         )
-        edges = f"up to {spell['crossings']:,} edges through triangles"
+        edges = f"up to {many(spell['crossings'], 'edge')} through triangles"
         lines.append(("crossings", f"{when}: {passing(spell)}; {edges}"))
     if len(spells) > MOST_SPELLS:
         lines.append(("", f"and {len(spells) - MOST_SPELLS:,} times more"))
@@ -100,10 +103,6 @@ def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) 
 def _what(found: Mapping[str, Any]) -> str:
     """What cloth is not to pass through."""
     return " or ".join(["cloth", *found.get("bodies", ())])
-
-
-def _frames(number: int) -> str:
-    return f"{number:,} frame{'s' if number != 1 else ''}"
 
 
 def _millimetres(distance: float) -> str:

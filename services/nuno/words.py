@@ -31,6 +31,16 @@ def factor(times: float) -> str:
     return f"{times:.2f}x" if times < 100.0 else f"{times:,.0f}x"
 
 
+def many(number: float, noun: str) -> str:
+    """So many of a thing, whose name takes an s where there is more than one."""
+    return f"{number:,.0f} {noun}{'' if number == 1 else 's'}"
+
+
+def megabytes(size: float) -> str:
+    """Bytes in MB, and of many in GB."""
+    return f"{size / 1e6:.3g} MB" if size < 9.995e8 else f"{size / 1e9:.3g} GB"
+
+
 def counted(counts: Mapping[str, int]) -> str:
     """How many of each topic."""
     return ", ".join(f"{number:,} of {topic}" for topic, number in counts.items())

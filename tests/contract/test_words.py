@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nuno.words import duration, factor, time_of
+from nuno.words import duration, factor, many, megabytes, time_of
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,10 @@ def test_a_unit_is_the_longest_that_fits() -> None:
 
 def test_a_factor_has_no_digits_that_nobody_reads() -> None:
     assert [factor(x) for x in (0.031, 12.345, 8178.66)] == ["0.03x", "12.35x", "8,179x"]
+
+
+def test_things_and_bytes_are_counted_as_people_do() -> None:
+    assert [many(n, "edge") for n in (0, 1, 2190)] == ["0 edges", "1 edge", "2,190 edges"]
+    assert [megabytes(n) for n in (6.1e5, 2.19e7, 9.99e8, 9.996e8, 2.19e9)] == [
+        "0.61 MB", "21.9 MB", "999 MB", "1 GB", "2.19 GB",
+    ]  # fmt: skip

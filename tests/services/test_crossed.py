@@ -63,7 +63,7 @@ def test_cloth_that_is_held_off_keeps_a_distance(tmp_path: Path, capsys: pytest.
     assert all(frame["crossings"] == 0 and frame["places"] == [] for frame in frames)
     assert found[0] is None and 0.0 < min(near) <= max(near) <= THICKNESS
     least = f"{1e3 * min(near):.3g} mm"
-    assert f"cloth is down to {least} from cloth; it is 4 mm thick" in said
+    assert f"cloth is pressed to within {least} of cloth; it pushes back from 4 mm on" in said
     assert main(["info", str(record)]) == 0
     told = capsys.readouterr().out
     assert f"{least}, in frame {found.index(min(near))}" in told and "passes through cloth in 0 of 31 frames" in told

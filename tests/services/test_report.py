@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,17 @@ def test_stretch_at_the_start_is_told_apart_from_what_loads_do(tmp_path: Path) -
     assert report["start_stretch"] == pytest.approx(1.5) and report["stretch"] == pytest.approx(9.81 / 40.0, rel=0.01)
     assert rows(report, "warning") == []
     assert rows(report, "stretch") == [f"at most {report['stretch']:.2%}; 150.00% at the start"]
+
+
+def test_all_rows_have_a_heading_and_one_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those that name the files that a run has left, too, and those of nuno info."""
+    file = tmp_path / "run.mcap"
+    assert main(["run", str(write_scene(tmp_path, duration=0.1)), "--record", str(file), "--no-view"]) == 0
+    said = capsys.readouterr().out
+    texts = dict(re.findall(r"^(digest|recording|total)( +)", said, re.MULTILINE))
+    assert {len(name + text) for name, text in texts.items()} == {12} and len(texts) == 3
+    assert main(["info", str(file)]) == 0
+    assert all(line.strip() for line in capsys.readouterr().out.splitlines())
 
 
 def test_energy_goes_only_where_there_is_something_to_take_it(result: nuno.Result) -> None:

@@ -65,4 +65,4 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
-    return rows + ([("", ""), *lines(facts["report"])] if facts["report"] else [])
+    return rows + (lines(facts["report"]) if facts["report"] else [])

@@ -17,7 +17,7 @@ from nuno.progress import ProgressLine
 from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report
-from nuno.report.show import show_report
+from nuno.report.show import row, show_report
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import log, runs, supervisor
@@ -102,7 +102,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
         from nuno.exports.animations import export_animation
 
         print("drawing the animation", flush=True)
-        print(f"animation  {export_animation(options.record, args.mp4)}")
+        print(row("animation", export_animation(options.record, args.mp4)))
     return code
 
 
@@ -121,11 +121,11 @@ def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
     """Say which files the run has left: not one of that name from before."""
     kept = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
     if "recorder" in kept:
-        print(f"recording  {kept['recorder']}")
+        print(row("recording", kept["recorder"]))
     elif options.record is not None and (part := part_of(options.record)).exists():
-        print(f"recording  {part}, which was not finished")
+        print(row("recording", f"{part}, which was not finished"))
     if "viewer" in kept:
-        print(f"rerun file {kept['viewer']}  (look: rerun {kept['viewer']})")
+        print(row("rerun file", f"{kept['viewer']}  (look: rerun {kept['viewer']})"))
 
 
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool, whole: bool) -> int:
@@ -144,8 +144,9 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         target = options.record.with_suffix(".png")
         print("drawing the last frame", flush=True)  # the first time, the renderer is compiled
         export_picture(options.record, target)
-        print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
-    print(f"total      {time.perf_counter() - started:.1f} s", flush=True)  # before what failed, in a pipe, too
+        look = f"no screen here; on one with a screen: nuno replay {options.record} --view"
+        print(row("picture", f"{target}  ({look})"))
+    print(row("total", f"{time.perf_counter() - started:.1f} s"), flush=True)  # before what failed, in a pipe, too
     keep_page(options.view, outcome.services.get("viewer", {}))
     if outcome.problem:
         _say(outcome.problem)

@@ -18,6 +18,7 @@ from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
+from nuno.words import many
 from nuno_schemas.bodies import UNITS, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
@@ -178,7 +179,7 @@ def describe(file: str, found: Checked) -> str:
     for one in found.panels:
         measures = f"{1e2 * one.width:.1f}", f"{1e2 * one.height:.1f}", f"{1e4 * one.area:.0f}"
         rows.append([one.name, f"{one.edges}", f"{one.sewn}", *measures])
-    whole = f"{_count(len(found.panels), 'panel')}, {_count(found.seams, 'seam')} of {found.length:.2f} m in all"
+    whole = f"{many(len(found.panels), 'panel')}, {many(found.seams, 'seam')} of {found.length:.2f} m in all"
     lines = [f"{file}: {whole}", "", align(rows)]
     if found.openings:
         cells = [[f"{1e2 * one.length:.1f}", ", ".join(one.edges)] for one in found.openings]
@@ -187,8 +188,8 @@ def describe(file: str, found: Checked) -> str:
     for title, remarks in (("wrong", wrong), ("remarks", [one for one in found.remarks if not one.wrong])):
         if remarks:
             lines += ["", *_told(title, remarks)]
-    verdict = f"cannot be sewn: {_count(len(wrong), 'error')}" if wrong else "can be sewn"
-    return "\n".join([*lines, "", f"{file}: {verdict}, {_count(len(found.remarks) - len(wrong), 'remark')}", ""])
+    verdict = f"cannot be sewn: {many(len(wrong), 'error')}" if wrong else "can be sewn"
+    return "\n".join([*lines, "", f"{file}: {verdict}, {many(len(found.remarks) - len(wrong), 'remark')}", ""])
 
 
 def _told(title: str, remarks: list[Remark]) -> list[str]:
@@ -197,7 +198,3 @@ def _told(title: str, remarks: list[Remark]) -> list[str]:
         remedy = f" ({one.remedy})" if one.remedy else ""
         rows.append([one.kind, str(one.line or ""), one.where, one.text + remedy])
     return align(rows, left=(0, 2, 3)).split("\n")
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

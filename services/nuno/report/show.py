@@ -7,7 +7,7 @@ from typing import TextIO
 from nuno import crossed
 from nuno.report.make import Report
 from nuno.warnings import result_warnings
-from nuno.words import counted, duration, factor
+from nuno.words import counted, duration, factor, many
 
 LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")
 """Rows that are left to the whole report."""
@@ -17,7 +17,12 @@ ENDS = (("min", "shortest"), ("max", "longest"))
 def show_report(report: Report, out: TextIO, whole: bool) -> None:
     """Print a report for a person, or what of it everyone asks for."""
     for name, text in lines(report) if whole else brief(report):
-        print(f"{name:11} {text}", file=out)
+        print(row(name, text), file=out)
+
+
+def row(name: str, text: object) -> str:
+    """A heading and what stands beside it."""
+    return f"{name:11} {text}"
 
 
 def brief(report: Report) -> list[tuple[str, str]]:
@@ -192,7 +197,7 @@ def describe_start(facts: dict[str, float]) -> str:
         return "nothing crossed at the start"
     far = f"{_millimetres(facts['largest'])} at most, {_millimetres(facts['mean'])} on average of all"
     moved = f"{facts['vertices']:,.0f} vertices were moved in {facts['iterations']:,.0f} iterations, {far}"
-    return f"{facts['crossings']:,.0f} edges went through triangles at the start; {moved}"
+    return f"{many(facts['crossings'], 'edge')} went through triangles at the start; {moved}"
 
 
 def _knit(report: Report) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
-from nuno.words import factor, roughly
+from nuno.words import factor, megabytes, roughly
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
@@ -147,7 +147,7 @@ class Stepper(ABC):
         return [
             ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),
             ("time", f"{roughly(seconds * scene.frames)}, {rate} real time (by a frame)"),
-            ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
+            ("storage", f"{megabytes(size)} recorded, at most {megabytes(memory)} of memory for the cloth"),
         ]
 
     def time_frame(self) -> float:
