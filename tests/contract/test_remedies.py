@@ -81,6 +81,11 @@ def test_remedies_show_what_may_be_written(override: str, words: str, tmp_path: 
     assert words in (refused(tmp_path, override).remedy or "")
 
 
+def test_a_part_that_is_wrong_as_a_whole_is_not_printed(tmp_path: Path) -> None:
+    error = refused(tmp_path, "objects.sheet.model={plugin: skirt, cut: circle, columns: 64}")
+    assert "leave columns out" in error.problem and error.value is None
+
+
 def test_a_field_without_a_value_is_told_of_unless_it_is_null_on_purpose(tmp_path: Path) -> None:
     text = yaml.safe_dump(SCENE).replace("- model:", "- colour: VALUE\n  model:")
     for value, told in (("#8c2f39", True), ("null", False), ("'#8c2f39'", False)):

@@ -164,8 +164,8 @@ def _words(error: Any) -> Words:
     for name, problem in _WRONG_TYPE.items():
         if kind.startswith(name + "_"):
             return problem, value, None, None
-    if "inside" in context:
-        value = None
+    if "inside" in context or isinstance(value, dict):
+        value = None  # a part is wrong as a whole: the problem says what of it
     problem, _, remedy = str(error["msg"]).removeprefix("Value error, ").partition("; ")
     return problem, value, None, remedy or None
 
