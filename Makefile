@@ -67,12 +67,12 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check uv \
 	$(PYTHON) -m venv .venv
 
 .venv/run.stamp: pyproject.toml | .venv/bin/python
-	@echo "installing nuno and what it needs (about 200 MB, once)"
+	@echo "installing nuno and what it needs (460 MB to download, 1.5 GB on disk, once)"
 	$(call INSTALL,".[video]")
 	@touch $@
 
 .venv/dev.stamp: pyproject.toml | .venv/bin/python
-	@echo "installing nuno and what its tests need (about 300 MB, once)"
+	@echo "installing nuno and what its tests need (more than 460 MB to download, once)"
 	$(call INSTALL,".[dev]")
 	@touch $@ .venv/run.stamp
 
