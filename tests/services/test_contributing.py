@@ -17,6 +17,7 @@ from foreign_packages import POINTS, Packages, blocks, packages, shown
 from scenes import write_scene
 
 import nuno
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
 from nuno_testing import bodies, forces, integrators
 from nuno_testing.subject import Subject, make_subject
@@ -82,12 +83,21 @@ def test_the_lines_shown_hold_all_of_them_to_the_contract(packages: Packages, tm
     assert "passed" in done.stdout and "failed" not in done.stdout
 
 
+def test_a_loop_that_takes_more_buffers_than_it_says_ends_the_run(packages: Packages, tmp_path: Path) -> None:
+    """And not the process, with memory of others overwritten."""
+    packages.add("heun3", shown("heun3").replace("buffers = 5", "buffers = 3"), POINTS["heun3"][1],
+                 group=POINTS["heun3"][0], head="")  # fmt: skip
+    with pytest.raises(RunFailed, match=r"'heun3' writes into stages\[4\].*buffers = 3.*give its class buffers = 5"):
+        end(tmp_path, "heun3", 1e-3, duration=0.2)
+
+
 FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]] = [
     ("magnets", {"stiffness": 0.02}, "0.5 * pull", "0.6 * pull", forces.it_is_the_downhill_slope_of_its_energy),
     ("magnets", {"stiffness": 0.02}, "force[row, c] +=", "force[row, c] += v[row, origin + c] +",
      forces.frames_cut_anywhere_end_in_the_same_bytes),
     ("heun3", {}, "3 * dt / 4, a", "dt / 2, a", integrators.the_error_falls_with_the_stated_order),
     ("heun3", {}, "one + h / 3.0", "one + h / 4.0", integrators.one_step_is_the_stated_matrix),
+    ("heun3", {}, "buffers = 5", "buffers = 4", integrators.one_step_is_the_stated_matrix),
     ("ring", {"radius": 0.3, "tube": 0.05}, "corner(1, 1), corner(1, 0)", "corner(1, 0), corner(1, 1)",
      bodies.triangles_face_outwards_within_their_bounds),
     ("ring", {"radius": 0.3, "tube": 0.05}, "i / AROUND", "i / AROUND + np.random.random()",
@@ -103,5 +113,5 @@ def test_the_contract_finds_what_is_wrong(
     assert right in shown(module)
     packages.add(module, shown(module).replace(right, wrong), point, group=group, head="")
     subject = make_subject(group, point.split(" ")[0], fields, packages.folder)
-    with pytest.raises(AssertionError):
+    with pytest.raises((AssertionError, RunFailed)):
         check(subject)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,8 +10,24 @@ from pydantic import BaseModel
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
 from nuno_kernels.step.acceleration import Extra, Packed
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import System
+
+SPARE = 4
+"""Buffers that lie behind a loop's own and are nobody's. Compiled code does not look at bounds: a loop that takes more
+buffers than it says would write into memory of others."""
+
+
+@dataclass
+class GuardedWork(Work):
+    """`spare` (SPARE, 3, n) lies behind `stages`, and is NaN at the first vertex as long as no loop has written there.
+
+    The first vertex alone: a buffer is written whole, and the memory of the others is never touched.
+    """
+
+    spare: Float
 
 
 class NoConfig(Config):
@@ -18,26 +35,40 @@ class NoConfig(Config):
 
 
 class Explicit(Compiled):
-    """An integrator whose `loop(x, v, stages, steps, dt, packed, extra)` is compiled."""
+    """An integrator whose `loop(x, v, stages, steps, dt, packed, extra)` is compiled.
+
+    buffers  arrays (3, n) of float64 that the loop has in `stages`, from number 0 to buffers - 1
+    """
 
     Config: ClassVar[type[BaseModel]] = NoConfig
     explicit: ClassVar[bool] = True
     buffers: ClassVar[int]
     loop: ClassVar[Any]
 
-    def make_work(self, config: BaseModel, system: System, packed: Packed) -> Work:
+    def make_work(self, config: BaseModel, system: System, packed: Packed) -> GuardedWork:
         n = system.fabric.number
-        return Work(packed, np.empty((3, n)), np.empty((3, n)), np.empty((self.buffers, 3, n)))
+        room = np.empty((self.buffers + SPARE, 3, n))
+        stages, spare = room[: self.buffers], room[self.buffers :]
+        spare[:, :, :1] = np.nan
+        return GuardedWork(packed, np.empty((3, n)), np.empty((3, n)), stages, spare)
 
     def loop_for(self, packed: Packed) -> Any:
         """The loop for a system."""
         return type(self).loop
 
-    def go(self, work: Work, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+    def go(self, work: GuardedWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+        """Raises RunFailed where the loop has written behind its buffers."""
         source_of(self.loop_for(packed), extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        written = np.flatnonzero(~np.isnan(work.spare[:, :, :1]).all(axis=(1, 2)))
+        if written.size:
+            last = self.buffers + int(written[-1])
+            raise RunFailed(
+                f"the solver {self.name!r} writes into stages[{last}], and its buffers = {self.buffers} end at "
+                f"stages[{self.buffers - 1}]: give its class buffers = {last + 1}"
+            )
         return Told(steps)
 
-    def compile(self, work: Work, packed: Packed, extra: Extra) -> None:
+    def compile(self, work: GuardedWork, packed: Packed, extra: Extra) -> None:
         self.go(work, packed, extra, 0, 0.0)
 
     def step_at_rest(self, work: Work, extra: Extra) -> Any:
