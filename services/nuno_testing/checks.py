@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from nuno import registry
-from nuno_testing import bodies, cloth, contacts, dye, forces, integrators, renderers
+from nuno_testing import bodies, cloth, contacts, dye, forces, integrators, renderers, rides
 from nuno_testing.subject import Subject
 
 
@@ -36,7 +36,7 @@ OWN: Mapping[str, tuple[Callable[[Subject], None], ...]] = {
     "nuno.models": cloth.MODELS,
     "nuno.operations": cloth.OPERATIONS,
     "nuno.forces": forces.FORCES,
-    "nuno.integrators": integrators.INTEGRATORS,
+    "nuno.integrators": integrators.INTEGRATORS + rides.RIDES,
     "nuno.colliders": bodies.COLLIDERS,
     "nuno.motions": bodies.MOTIONS,
     "nuno.contacts": contacts.CONTACTS,

@@ -19,7 +19,7 @@ from scenes import write_scene
 import nuno
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
-from nuno_testing import bodies, forces, integrators
+from nuno_testing import bodies, forces, integrators, rides
 from nuno_testing.subject import Subject, make_subject
 
 __all__ = ["packages"]
@@ -98,6 +98,13 @@ FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]]
     ("heun3", {}, "3 * dt / 4, a", "dt / 2, a", integrators.the_error_falls_with_the_stated_order),
     ("heun3", {}, "one + h / 3.0", "one + h / 4.0", integrators.one_step_is_the_stated_matrix),
     ("heun3", {}, "buffers = 5", "buffers = 4", integrators.one_step_is_the_stated_matrix),
+    ("heun3", {}, "commit(x, v, (step + 1) / steps", "commit(x, v, 0.0",
+     rides.all_is_the_same_on_a_body_that_moves_evenly),
+    ("heun3", {}, "(step + 1 / 3) / steps, a", "0.0, a", rides.all_is_the_same_on_a_body_that_moves_evenly),
+    ("heun3", {}, "commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)", "pass",
+     rides.friction_slows_what_slides_and_holds_what_stands),
+    ("heun3", {}, "dt / 4, a", "dt / (4 if p.threads is None else 4.0000001), a",
+     rides.any_number_of_threads_gives_the_same_bits),
     ("ring", {"radius": 0.3, "tube": 0.05}, "corner(1, 1), corner(1, 0)", "corner(1, 0), corner(1, 1)",
      bodies.triangles_face_outwards_within_their_bounds),
     ("ring", {"radius": 0.3, "tube": 0.05}, "i / AROUND", "i / AROUND + np.random.random()",
@@ -105,6 +112,7 @@ FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]]
 ]  # fmt: skip
 
 
+@pytest.mark.quick(wrong=[wrong for _, _, _, wrong, _ in FAULTS if wrong not in ("0.0, a", "pass")])
 @pytest.mark.parametrize(("module", "fields", "right", "wrong", "check"), FAULTS)
 def test_the_contract_finds_what_is_wrong(
     packages: Packages, module: str, fields: dict[str, object], right: str, wrong: str, check: Callable[[Subject], None]
