@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from nuno_bench.precision.sweep import MORE, Runner
 from nuno_bench.problem.observe import POSITIONS, Problem, simulate
 from nuno_bench.problem.reference import Reference
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_schemas.plugin import Config
+from nuno_kernels import kernel
+from nuno_schemas.plugin import GROUPS, Config
 from nuno_schemas.system import StepReport
 
 GROUP = Problem.group
@@ -88,6 +90,54 @@ def test_solvers_of_other_packages_take_part(tmp_path: Path, monkeypatch: pytest
     runner = Runner(problem, reference, problem.scales(reference.run.series), 21, 1)
     half, whole = (runner.measure(solver, solver.settings[0], 1.0, 1.0).errors[POSITIONS].l2 for solver in solvers)
     assert whole / half == pytest.approx(2.0, rel=0.1)
+
+
+class Raising(Halved):
+    """One that raises in the middle of a run."""
+
+    name = "raising"
+
+    def advance(self, system: Any, state: Any, *rest: Any) -> StepReport:
+        if state.t > 0.2:
+            raise ValueError("in the middle")
+        return super().advance(system, state, *rest)
+
+
+@kernel
+def advance_wrongly(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """What no compiler takes."""
+    for _ in range(steps):
+        x.no_such_thing()
+
+
+class Uncompiled(SymplecticEuler):
+    """One that cannot be compiled."""
+
+    name = "uncompiled"
+    loop = advance_wrongly
+
+    def loop_for(self, packed: Any) -> Any:
+        return advance_wrongly
+
+
+def test_a_solver_that_fails_ends_itself_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whether in the middle of a run or at its first call: table, page and data say why, and have the others."""
+    foreign = [EntryPoint(each.name, f"{__name__}:{each.__name__}", GROUP) for each in (Raising, Uncompiled)]
+    known = {group: [*entry_points(group=group), *(foreign if group == GROUP else ())] for group in GROUPS}
+    monkeypatch.setattr(registry, "entry_points", lambda group: known[group])
+    names = "raising,uncompiled,symplectic_euler"
+    path = write_net(tmp_path)
+    assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", names, "--out", str(tmp_path)]) == 0
+    with (tmp_path / "precision-line.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["outcome"] for row in rows if row["solver"] == "symplectic_euler"} == {"done"}
+    raised = [row for row in rows if row["solver"] == "raising"]
+    assert raised and {row["outcome"] for row in raised} == {"failed"} and all(float(row["seconds"]) for row in raised)
+    page = (tmp_path / "precision-line.html").read_text()
+    assert "ValueError: in the middle" in page and "no_such_thing" in page
+    assert "uncompiled is left out" in capsys.readouterr().err
 
 
 @pytest.mark.full

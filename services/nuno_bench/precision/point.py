@@ -16,7 +16,8 @@ DONE = "done"
 class Point:
     """One setting of one solver, measured.
 
-    outcome  "done", "diverged", "unconverged", "ran away", "refused", "cut" (out of time)
+    outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself), "cut"
+             (out of time)
     seconds  of each repeat, in the solver's own calls [s]
     errors   by quantity, where the run reached its end
     history  by quantity, the error at every compared frame but the first, to four digits

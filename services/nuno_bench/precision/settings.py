@@ -12,8 +12,8 @@ from pydantic import BaseModel, ValidationError
 from nuno import registry
 from nuno_bench.options import require_known
 from nuno_bench.problem.dye import AnyProblem
-from nuno_bench.report.result import number
-from nuno_schemas.errors import BadInput
+from nuno_bench.report.result import number, reason_of
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepLimit
 
 SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
@@ -105,8 +105,8 @@ def choose_solvers(problem: AnyProblem, wanted: Sequence[str]) -> tuple[list[Sol
             continue
         try:
             solvers.append(_choose(problem, name))
-        except BadInput as error:
-            omitted.append(Omission(name, "", error.problem))
+        except (BadInput, RunFailed) as error:
+            omitted.append(Omission(name, "", reason_of(error)))
     if not solvers:
         reasons = "; ".join(f"{one.solver}: {one.reason}" for one in omitted)
         raise BadInput("no solver is left to run", field="--solvers", value=reasons or "none named")

@@ -13,8 +13,9 @@ from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.reference import Compared
+from nuno_bench.report.result import reason_of
 from nuno_bench.sweep.kept import Kept
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 FIRST_STEPS = 20
 """Steps by which the cost of a solver with fixed steps is estimated before its first point."""
@@ -59,6 +60,8 @@ class Runner:
         try:
             config = solver.config(setting)
             run = self.problem.run(solver.plugin, config, setting.steps, most_seconds)
+        except RunFailed as error:
+            return replace(point, outcome="failed", message=reason_of(error))
         except (BadInput, ValueError) as error:
             return replace(point, message=error.problem if isinstance(error, BadInput) else str(error))
         outcome, message = self._judge(run)
@@ -86,7 +89,7 @@ class Runner:
 
 
 def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
-    """Call every solver once, which compiles it or loads it; one that refuses the scene is left out.
+    """Call every solver once, which compiles it or loads it; one that refuses the scene, or fails, is left out.
 
     To be done before anything else runs, the reference too, or its solvers would seem to need no compiling.
     """
@@ -98,8 +101,9 @@ def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str]
         try:
             config = solver.config(setting)
             first, seconds = problem.first_call(solver.plugin, config, setting.steps, taken)
-        except BadInput as error:
-            sweep.omitted.append(Omission(solver.name, "", error.problem))
+        except (BadInput, RunFailed) as error:
+            told(f"{solver.name} is left out: {error}")
+            sweep.omitted.append(Omission(solver.name, "", reason_of(error)))
             continue
         sweep.first_calls[solver.name] = first
         sweep.costs[solver.name] = seconds * setting.steps / taken * problem.frames / setting.work

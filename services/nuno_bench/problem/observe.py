@@ -190,7 +190,7 @@ class Series:
 class Run:
     """One run: what was seen, how it ended, and what it took.
 
-    status   "ok", "diverged", "unconverged", or "cut" where it exceeded the time allowed
+    status   "ok", "diverged", "unconverged", "failed" (the solver itself), or "cut" where it exceeded its time
     seconds  in the solver's own calls [s]
     totals   steps, rejected steps, iterations, as far as the solver counts them
     reports  of the frames that were reached, the start among them; of cloth
@@ -231,13 +231,9 @@ def lengths_at_rest(fabric: Fabric) -> tuple[Int, Float]:
 
 
 def simulate(
-    problem: Problem,
-    plugin: Any,
-    config: BaseModel,
-    steps: int,
-    disturbance: Float | None = None,
+    problem: Problem, plugin: Any, config: BaseModel, steps: int, disturbance: Float | None = None,
     most_seconds: float = math.inf,
-) -> Run:
+) -> Run:  # fmt: skip
     """Run a scene by one solver with `steps` steps a frame (for an adaptive one: the least).
 
     disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput where the solver
@@ -286,7 +282,10 @@ def advance_all(
     # What a diverging run overflows is its result, not a mistake to warn of.
     with np.errstate(all="ignore"):
         for frame in range(1, problem.frames + 1):
-            report, taken = advance(frame)
+            try:
+                report, taken = advance(frame)
+            except RunFailed as error:
+                return "failed", f"at {frame * problem.frame:.3g} s: {error}", seconds, totals
             seconds += taken
             totals.update({"steps": report.steps} | {name: int(count) for name, count in report.totals.items()})
             if report.status != "ok":

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nuno_bench.report.page import Table
+from nuno_schemas.errors import BadInput, RunFailed
 
+SAID = 360
+"""Most characters of a reason in a table."""
 SAME_TIME = 1.1
 """Medians within a tenth of each other count as the same, as everywhere in the benches."""
 
@@ -106,3 +109,9 @@ def number(value: float) -> str:
         digits = f"{value:.3g}"
         return digits if "e" not in digits else f"{value:,.0f}"
     return f"{value:.0e}" if abs(value) >= 1e9 else f"{value:.3g}"
+
+
+def reason_of(error: BadInput | RunFailed) -> str:
+    """Why a solver is left out, on one line, without the middle of what a compiler has to say."""
+    said = error.problem if isinstance(error, BadInput) else " ".join(str(error).split())
+    return said if len(said) <= SAID else f"{said[: SAID * 2 // 3]} ... {said[-SAID // 3 :]}"

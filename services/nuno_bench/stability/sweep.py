@@ -13,6 +13,7 @@ from nuno import registry
 from nuno.scene import scene_file
 from nuno_bench.problem.observe import Problem, Series
 from nuno_bench.problem.reference import PRIMARY
+from nuno_bench.report.result import reason_of
 from nuno_bench.stability.case import (
     Point,
     Setting,
@@ -25,7 +26,7 @@ from nuno_bench.stability.case import (
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
 """Of the scene's stiffness."""
@@ -172,7 +173,7 @@ def measure_row(
     """
     plugin = registry.load(Problem.group, solver)
     config, points, each, limit = plugin.Config(), list[Point](), 0.0, math.nan
-    with contextlib.suppress(BadInput):
+    with contextlib.suppress(BadInput, RunFailed):
         limit = problem.limit(plugin, config).dt
         problem.first_call(plugin, config, 1, 0)  # compiles
     for count in sorted(counts):
@@ -183,8 +184,8 @@ def measure_row(
             continue
         try:
             found = run(problem, plugin, config, count, 2.0 * most)
-        except BadInput as refused:
-            points.append(replace(point, why=refused.problem))
+        except (BadInput, RunFailed) as refused:
+            points.append(replace(point, why=reason_of(refused)))
             continue
         if found.status == "ok":
             outcome, error, gained = classify(found.series, reference)
