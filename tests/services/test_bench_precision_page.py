@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from line_net import problem_of, reference_of, write_net
 from precision_sweeps import swept
 from rrd import columns
+from scenes import BALL, write_scene
 
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
 from nuno_bench.precision.errors import Error, measure_errors
 from nuno_bench.precision.findings import choice_rows, judge
-from nuno_bench.precision.page import Findings, over_frames, over_wall_time, report, tabs
+from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
 from nuno_bench.precision.point import Point
 from nuno_bench.problem.observe import POSITIONS
 
@@ -49,9 +53,26 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     with (tmp_path / "line.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
+    limits = [float(row["dt"]) / float(row["share_of_limit"]) for row in rows if row["solver"] == "rk4"]
+    assert limits == pytest.approx([limits[0]] * len(limits)) and not any(row["tolerance"] for row in rows)
     text = (tmp_path / "line.html").read_text()
     assert all(point.setting in text for point in found.points)
     assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
+
+
+@pytest.mark.full
+def test_a_figure_can_be_saved_as_a_file_of_its_own(found: Findings) -> None:
+    links = re.findall(r'href="data:image/svg\+xml;base64,([^"]+)" download="([^"]+)"', report(found).page())
+    assert [name for _, name in links] == ["precision-line-positions.svg", "precision-line-observed.svg"]
+    for data, _ in links:
+        assert ElementTree.fromstring(base64.b64decode(data)).tag == "{http://www.w3.org/2000/svg}svg"
+
+
+@pytest.mark.full
+def test_where_there_is_contact_orders_are_not_left_to_speak_for_themselves(tmp_path: Path, found: Findings) -> None:
+    over_ball = problem_of(write_scene(tmp_path, bodies=BALL))
+    assert "over a jump no method has its order" not in orders(found).caption
+    assert "over a jump no method has its order" in orders(replace(found, problem=over_ball)).caption
 
 
 @pytest.mark.full

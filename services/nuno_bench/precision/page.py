@@ -46,6 +46,10 @@ ERRORS = (
     "vertex or cell of any of them. Observables: root mean square over all frames. Time is the median over repeats, "
     "in the solver's own calls, without compiling; counts are sums over the run."
 )
+JUMPS = (
+    " In this scene there is contact: forces jump where cloth lands, slips or lets go, and over a jump no method has "
+    "its order, so that a slope says little of the method."
+)
 COUNTED = ("steps", "stages", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
 
 
@@ -116,7 +120,9 @@ def orders(found: Findings) -> Table:
         rows.append([solver, own[0].kind, str(own[0].order or "not stated"), seen,
                      "" if first is None else number(first), str(len(own)), str(failed or "")])  # fmt: skip
     headings = ("solver", "kind", "nominal order", "seen", "first call [s]", "points", "not done")
-    return Table(headings, rows, f"Order seen: slope of the error in {name}.")
+    loaded = found.problem.loaded
+    jumps = JUMPS if loaded.colliders or loaded.cloth_contact else ""
+    return Table(headings, rows, f"Order seen: slope of the error in {name}.{jumps}")
 
 
 def failures(found: Findings) -> Table:
@@ -163,10 +169,10 @@ def _time(point: Point) -> str:
     return number(point.median) if point.seconds else ""
 
 
-def figure(found: Findings, names: Sequence[str], caption: str) -> Figure:
+def figure(found: Findings, names: Sequence[str], caption: str, name: str = "") -> Figure:
     """Errors in some quantities over wall time."""
     panels = [over_wall_time(found, name) for name in names]
-    return Figure(draw(panels, height=3.9 if len(names) == 1 else 3.0), caption)
+    return Figure(draw(panels, height=3.9 if len(names) == 1 else 3.0), caption, name)
 
 
 def over_wall_time(found: Findings, name: str) -> Panel:
@@ -214,9 +220,13 @@ def tabs(found: Findings) -> dict[str, list[Panel]]:
 
 
 def _rows(point: Point) -> list[dict[str, Any]]:
-    """A line per quantity; one where there is none."""
-    start = {name: getattr(point, name) for name in ("solver", "setting", "outcome")}
-    start["seconds"] = point.median if point.seconds else ""
+    """A line per quantity, with the step [s] and its share of the stability limit, or the tolerance; one where there is
+    none.
+    """
+    start: dict[str, Any] = {name: getattr(point, name) for name in ("solver", "setting")}
+    of_step = {"dt": point.finer, "share_of_limit": point.share, "tolerance": ""}
+    start |= {"dt": "", "share_of_limit": "", "tolerance": point.finer} if point.kind == "adaptive" else of_step
+    start |= {"outcome": point.outcome, "seconds": point.median if point.seconds else ""}
     return [start | {"quantity": name} | vars(error) for name, error in point.errors.items()] or [start]
 
 
@@ -229,13 +239,14 @@ def report(found: Findings) -> Report:
     shown: list[Part] = [f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."]
     if name in found.floors:
         caption = f"{name.capitalize()} are compared over {horizon.describe()}. {MARKED} {FLOOR}"
-        shown = [figure(found, [name], caption)]
+        shown = [figure(found, [name], caption, f"precision-{found.scene}-{name}")]
     beyond = "Beyond the predictable time too. Marks as above."
+    watched = [figure(found, observed, beyond, f"precision-{found.scene}-observed")] if observed else []
     sections: Sections = [
         ("", [found.own_sentence]),
         ("Which solver for which accuracy", [choices(found), verdicts(found)]),
         (f"{name.capitalize()}, inside the predictable time", [*shown, orders(found)]),
-        ("What is observed, over the whole run", [figure(found, observed, beyond)] if observed else []),
+        ("What is observed, over the whole run", watched),
         ("Failures and divergences", [failures(found)]),
         ("Left out", [left_out(found)]),
         ("All points", [every_point(found)]),

@@ -16,9 +16,11 @@ DONE = "done"
 class Point:
     """One setting of one solver, measured.
 
-    outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself), "cut"
-             (out of time)
+    outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself),
+             "cut" (out of time)
     seconds  of each repeat, in the solver's own calls [s]
+    finer    the step [s], of an adaptive solver the tolerance
+    share    of the stability limit that the step is, None where there is no step or nothing limits it
     errors   by quantity, where the run reached its end
     history  by quantity, the error at every compared frame but the first, to four digits
     """
@@ -35,6 +37,7 @@ class Point:
     totals: Mapping[str, int]
     errors: Mapping[str, Error]
     history: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    share: float | None = None
 
     @property
     def key(self) -> tuple[str, str]:

@@ -40,6 +40,7 @@ class Setting:
     steps   a frame; for an adaptive solver 1
     fields  of the solver's configuration
     finer   what an error's order is fitted over: the step [s] or the tolerance
+    share   of the stability limit that the step is, None where there is no step or nothing limits it
     work    estimated, as a multiple of the solver's first point that is not beyond the limit
     beyond  above the stability limit, to show the failure
     first   run before all others: what the scene itself says
@@ -52,6 +53,7 @@ class Setting:
     work: float = 1.0
     beyond: bool = False
     first: bool = False
+    share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -142,10 +144,11 @@ def at_steps(frame: float, solver: Solver, steps: int, residual: float | None = 
     """A setting of so many steps a frame [s], and of an implicit solver's residual."""
     dt, limit = frame / steps, solver.limit.dt if solver.kind == "fixed steps" else math.inf
     label = f"dt {dt * 1e3:.4g} ms" if dt < 1.0 else f"dt {dt:.4g} s"
-    label += f", {number(dt / limit)} of limit" if 0.0 < limit < math.inf else ""
+    share = dt / limit if 0.0 < limit < math.inf else None
+    label += "" if share is None else f", {number(share)} of limit"
     label += "" if residual is None else f"{RESIDUAL}{residual:.1e}"
     fields = {} if residual is None else {"residual": residual}
-    return Setting(label, steps, fields, dt, float(steps), dt > limit * (1.0 + ROUNDING))
+    return Setting(label, steps, fields, dt, float(steps), dt > limit * (1.0 + ROUNDING), share=share)
 
 
 def has_residual(solver: Solver) -> bool:

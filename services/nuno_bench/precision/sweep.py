@@ -56,7 +56,7 @@ class Runner:
         A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
         """
         point = Point(solver.name, setting.label, solver.kind, solver.order, setting.finer, setting.beyond,
-                      "refused", "", (), {}, {})  # fmt: skip
+                      "refused", "", (), {}, {}, share=setting.share)  # fmt: skip
         try:
             config = solver.config(setting)
             run = self.problem.run(solver.plugin, config, setting.steps, most_seconds)

@@ -6,6 +6,7 @@ by the command that measured them and by nobody else.
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import math
@@ -77,13 +78,19 @@ class Table:
 class Figure:
     """svg markup, and the sentence below it, which also describes it to those who do not see it.
 
-    name tells it apart from other figures of a section of the documentation, where it becomes a file.
+    name tells it apart from other figures of a section of the documentation, where it becomes a file, and is its
+    file's name where it is saved from a page.
     """
 
     kind: ClassVar[str] = "figure"
     svg: str
     caption: str
     name: str = ""
+
+    @property
+    def source(self) -> str:
+        """The svg as a data URL."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode()
 
 
 @dataclass(frozen=True)
