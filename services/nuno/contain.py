@@ -15,6 +15,11 @@ import numpy as np
 from nuno.process import refusing_exit, working_folder
 
 T = TypeVar("T")
+UNWRITTEN = (
+    "write it, if the package is yours: docs/reference/protocols.md has what a plugin of each kind is asked for; if "
+    "not, update it"
+)
+"""What to do where a plugin lacks a method."""
 
 
 def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **named: Any) -> T:

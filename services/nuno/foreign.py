@@ -28,6 +28,14 @@ ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fix
 """What a solver advances in place."""
 
 
+FLOATS = "\nAll that nuno's kernels are given is float64: a method's own buffers, too, as `stages` are"
+
+
+def _hint(error: BaseException) -> str:
+    """What a compiler's words do not say by themselves."""
+    return FLOATS if type(error).__name__ == "TypingError" and "float32" in str(error) else ""
+
+
 class Lacking(BadInput, AttributeError):
     """A plugin lacks what its kind has: said so where it is used, and None to whoever asks whether it is there."""
 
@@ -48,8 +56,7 @@ class Foreign:
         if name.startswith("_"):  # what Python asks of an object that is being copied
             raise AttributeError(name)
         if not hasattr(self._plugin, name) and (name == "Config" or (self._group, name) in CHECKS):
-            remedy = "its package is not of this version's plugin protocol: update it, or write to its maker"
-            raise Lacking(f"{self._who} has no {name}", remedy=remedy)
+            raise Lacking(f"{self._who} has no {name}", remedy=contain.UNWRITTEN)
         value = getattr(self._plugin, name)
         return self._guarded(name, value) if callable(value) and not isinstance(value, type) else value
 
@@ -70,7 +77,7 @@ class Foreign:
         def fail(error: BaseException) -> BaseException:
             if isinstance(error, BadInput | RunFailed):
                 return error
-            return RunFailed(f"{self._who} failed in {name}: {type(error).__name__}: {error}")
+            return RunFailed(f"{self._who} failed in {name}: {type(error).__name__}: {error}{_hint(error)}")
 
         return contain.call(fail, method, *args, **named)
 

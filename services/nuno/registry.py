@@ -64,7 +64,13 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
             value=owners,
             remedy=f"uninstall one of them: pip uninstall {distribution(foreign)}",
         )
-    plugin = contain.call(partial(_not_imported, name, point), lambda: point.load()())
+    kind = contain.call(partial(_not_imported, name, point), point.load)
+    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+        raise BadInput(
+            f"the plugin {name!r} of {package(point)} in {group} has no {', no '.join(lacking)}", value=point.value,
+            remedy=contain.UNWRITTEN,
+        )  # fmt: skip
+    plugin = contain.call(partial(_not_imported, name, point), kind)
     if is_own(point):
         return plugin
     from nuno.foreign import Foreign
@@ -85,10 +91,11 @@ def offering(group: str, method: str, what: str) -> Any:
 
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
     places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in OWN_FRAMES]
+    where = [f"{places[-1].filename}:{places[-1].lineno}"] if places else []
     return BadInput(
         f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",
-        value=f"{point.value}, {places[-1].filename}:{places[-1].lineno}",
-        remedy="reinstall or remove that package; `nuno plugins` lists what is installed",
+        value=", ".join([point.value, *where]),
+        remedy="mend it, if the package is yours; if not, reinstall or remove it (`nuno plugins` lists all)",
     )
 
 

@@ -122,8 +122,22 @@ def test_one_that_lacks_what_its_kind_owes_is_named(
     assert words in said and "forces[0]" in said
 
 
+def test_one_whose_class_is_abstract_is_told_what_to_write(packages: Packages) -> None:
+    """It has been imported well, and reinstalling it would write no method."""
+    abstract = (
+        "from abc import ABC, abstractmethod\nclass Base(ABC):\n    @abstractmethod\n    def prepare(self): ...\n"
+    )
+    packages.add("half", abstract + "class Push(Base):\n    name = 'push'\n    Config = Config\n", "push = half:Push")
+    with pytest.raises(BadInput, match=r"the plugin 'push' of half 1\.2 in nuno\.forces has no prepare") as refusal:
+        registry.load("nuno.forces", "push")
+    assert str(refusal.value.remedy).startswith("write it")
+
+
+FLOAT32 = "raise type('TypingError', (Exception,), {})('array(float32, 2d, C)')"
+"""As numba says it of buffers of another kind than `stages`."""
 FAULTS = {
     "prepare": (force(prepare="raise KeyError('k')"), "failed in prepare: KeyError: 'k'"),
+    "float32": (force(prepare=FLOAT32), "a method's own buffers, too, as `stages` are"),
     "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),
     "infinity": (force("out[2] += np.inf"), "at 0.5 s its force is inf at row 2"),
     "shape": (force("out += np.zeros((7, 3))"), "failed in its force: ValueError: operands could not be broadcast"),
