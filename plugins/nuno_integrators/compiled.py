@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno_integrators.forces import find_forces, find_touched, undisturbed
+from nuno_integrators.lost import find_first, find_lost, say_lost
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_integrators.rest import unbalance
@@ -37,6 +37,9 @@ from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
+
+AGAIN = 5.0
+"""Steps that took this long [s] are not taken again to see where vertices were lost."""
 
 
 @dataclass
@@ -132,13 +135,36 @@ class Compiled(ABC):
             self.compile(work, packed, extra)
         started = time.perf_counter()
         told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
+        seconds = time.perf_counter() - started
         if work.pace is not None:
-            work.pace.took(time.perf_counter() - started, told.totals.get("evaluations", told.steps))
-        lost = _say_lost(system.fabric, state, work)
+            work.pace.took(seconds, told.totals.get("evaluations", told.steps))
+        lost = self._say_lost(system, state, work, poses, steps, dt, seconds)
         state.x[...] = work.x.T
         state.v[...] = work.v.T
         state.t += steps * dt
         return _report(system, work, packed, told, lost, time.perf_counter() - began)
+
+    def _say_lost(
+        self, system: System, before: State, work: Work, poses: tuple[Poses, Poses] | None, steps: int, dt: float,
+        seconds: float,
+    ) -> str:  # fmt: skip
+        """What is said of vertices without a finite position or velocity, nothing where there are none.
+
+        To find the first of them the interval's steps are taken again, with bodies where they were at its start: not
+        where they took long already, and not of one step alone, which would tell no more than its end.
+        """
+        lost = find_lost(work.x, work.v)
+        first, step = lost, 0
+        if lost.any() and steps > 1 and seconds < AGAIN:
+            packed = _set_poses(work.packed, poses and (poses[0], poses[0]))
+
+            def go(taken: int, more: int) -> None:
+                extra = python_terms(system, before.t + taken * dt, before.t + (taken + more) * dt)
+                call_each(packed, "begin", work.x, more * dt, packed.threads)
+                self.go(work, packed, extra, more, dt)
+
+            first, step = find_first(before, work.x, work.v, go, steps)
+        return say_lost(system.fabric, before, lost, first, f"in step {step} of {steps}" if step else "")
 
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
@@ -257,23 +283,6 @@ def _restore(packed: Packed, work: Work, memory: Memory) -> None:
         if array is not own:
             own[...] = array
             memory.arrays[name] = own
-
-
-def _say_lost(fabric: Fabric, before: State, work: Work) -> str:
-    """What is said of vertices without a finite position or velocity, nothing where there are none.
-
-    Within an interval they take all others along, pinned ones too, on which an infinite force times no mobility is NaN.
-    So the one that is named is the free vertex that was fastest in the state before.
-    """
-    lost = ~(np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0))
-    if not lost.any():
-        return ""
-    speed = np.where(lost & ~fabric.pinned, np.abs(before.v).max(axis=1), -1.0)
-    vertex = int(np.argmax(speed))
-    return (
-        f"{int(lost.sum())} of {fabric.number} vertices have no finite position or velocity; the fastest free one of "
-        f"them was vertex {fabric.told(vertex)}, at {math.hypot(*before.v[vertex]):.3g} m/s before"
-    )
 
 
 def _report(system: System, work: Work, packed: Packed, told: Told, lost: str, seconds: float) -> StepReport:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -96,6 +97,24 @@ def test_divergence_is_said(plugin: Any) -> None:
     assert report.status == "diverged"
     assert report.message.startswith("36 of 36 vertices have no finite position or velocity")
     assert "vertex 20, at 5 m/s" in report.message, "the fastest of those that can move"
+
+
+@pytest.mark.parametrize("plugin", METHODS, ids=name)
+def test_the_first_vertex_without_a_number_is_named(plugin: Any) -> None:
+    """Not the fastest of all those that it takes along by the frame's end."""
+
+    def spoil(x: Float, v: Float, t: float, out: Float) -> None:
+        out[13, 1] += np.nan if t > 2.9e-3 else 0.0
+
+    position, springs = grid_springs(6, 6, 0.01)
+    velocity = np.zeros((36, 3))
+    velocity[34] = [0.0, 0.0, 0.1]
+    system = make_system(make_fabric(position, springs, velocity=velocity), terms=(Term("python", spoil),))
+    message = run(plugin, system, start(system), 40, 1e-4).message
+    assert message.startswith("36 of 36 vertices have no finite position")
+    found = re.search(r"vertex (\d+), at", message)
+    assert found and int(found[1]) in (1, 7, 12, 13, 14, 19, 25), message  # within a step only neighbours are reached
+    assert re.search(r"in step (29|30|31) of 40", message), message
 
 
 @pytest.mark.parametrize("count", [1, 2])
