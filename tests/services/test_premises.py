@@ -19,15 +19,28 @@ from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import FrameStatus
 
 SERVICES = ("simulation", "collision", "recorder")
 
 
-def supervise(loaded: Loaded, others: dict[str, Loaded], record: Path) -> tuple[Outcome | None, list[str], str]:
-    """A run whose services have each read a scene of their own: how it ended, what was said, what was refused."""
-    run, said = runs.new_id("apart"), list[str]()
+def supervise(
+    loaded: Loaded, others: dict[str, Loaded], record: Path, late: str = ""
+) -> tuple[Outcome | None, list[str], str]:
+    """A run whose services have each read a scene of their own: how it ended, what was said, what was refused. One may
+    be `late`: it comes when the run has said that it waits for it, and not for the recorder.
+    """
+    run, said, missed = runs.new_id("apart"), list[str](), threading.Event()
+
+    def hear(status: FrameStatus | str) -> None:
+        if isinstance(status, str):
+            said.append(status)
+            if late and late in status and "recorder" not in status:
+                missed.set()
 
     def serve(name: str, endpoint: str) -> None:
+        if name == late:
+            missed.wait(60.0)
         with spoke(endpoint) as session:
             options = Options(record=record, must_see=("collision", "recorder"))
             try:
@@ -41,12 +54,8 @@ def supervise(loaded: Loaded, others: dict[str, Loaded], record: Path) -> tuple[
         for thread in threads:
             thread.start()
         try:
-            outcome = supervisor.supervise(
-                loaded,
-                Options(record=record),
-                Deployment(connect=endpoint, run=run),
-                lambda status: said.append(status) if isinstance(status, str) else None,
-            )
+            deployment = Deployment(connect=endpoint, run=run)
+            outcome = supervisor.supervise(loaded, Options(record=record), deployment, hear)
         except BadInput as error:
             refused = str(error)
         for thread in threads:
@@ -78,9 +87,18 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
     assert outcome.error == "the collision service died: its process ended or the connection broke"
 
 
+def test_services_that_are_still_to_be_started_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whenever there are fewer of them. The simulation is not ready before it has heard where bodies are."""
+    monkeypatch.setattr("nuno.supervision.oversight.PREPARING_AFTER", 0.2)
+    loaded = scene_file.read(write_scene(tmp_path, bodies=BALL, duration="0.1 s"))
+    outcome, said, _ = supervise(loaded, {}, tmp_path / "run.mcap", "collision")
+    assert outcome is not None and outcome.state == "done"
+    assert "waiting for services that are started by hand: collision, simulation" in said
+
+
 def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a file, by what was set, in other units, with its solver chosen already, which not every service needs."""
-    monkeypatch.setattr("nuno.supervision.oversight.COMPILING_AFTER", 1e6)  # nothing is to be said of it
+    monkeypatch.setattr("nuno.supervision.oversight.PREPARING_AFTER", 1e6)  # nothing is to be said of it
     solver = {"plugin": "xpbd", "residual": 1e-5, "iterations": 2}
     scene = write_scene(tmp_path, bodies=BALL, solver=solver, accuracy="preview", duration="0.2 s")
     loaded = scene_file.read(scene)

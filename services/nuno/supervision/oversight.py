@@ -39,9 +39,9 @@ WRITING_TIMEOUT = 1800.0
 PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
 LAST_WORDS = 1.0
 """How long the reason is waited for when a service has gone [s]."""
-COMPILING_AFTER = 1.5
-"""Preparing takes this long [s] only where kernels are compiled, and then it is said."""
-COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
+PREPARING_AFTER = 1.5
+"""Preparing that takes this long [s], of much cloth or where kernels are compiled, is said."""
+PREPARING = "preparing; what the first run of a kind of scene compiles, the next one finds ready"
 SETTLING = "the cloth comes to rest on coarser triangles first"
 GONE = "its process ended or the connection broke"
 UNSAID = "does not say which scene it has read: it, or the router's rights, are of an older version (see nuno certs)"
@@ -87,7 +87,7 @@ class Supervisor:
 
     def wait_until_ready(self, progress: Progress | None) -> None:
         """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
-        begin, told = time.monotonic(), progress is None
+        begin, told, by_hand = time.monotonic(), set[str](), self.exited is dict
         settles = coarser(self.loaded) is not None and self.options.resume is None
         patience = max(self.patience, COMPILE_TIMEOUT) if settles else self.patience
         while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
@@ -108,9 +108,9 @@ class Supervisor:
                 self._miss(name, why, progress)
                 continue
             waited = time.monotonic() - begin
-            if progress is not None and not told and waited > COMPILING_AFTER:
-                told = True
-                self.say(SETTLING if settles else COMPILING, progress)
+            if progress is not None and waited > PREPARING_AFTER and told != missing and (by_hand or not told):
+                told, away = missing, f"waiting for services that are started by hand: {', '.join(sorted(missing))}"
+                self.say(away if by_hand else SETTLING if settles else PREPARING, progress)
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
