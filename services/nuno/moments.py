@@ -40,13 +40,22 @@ class Moment:
     fixed: Float | None = None
 
 
+@dataclass(frozen=True)
+class Acted(Moment):
+    """A moment with what acted in it: of cloth that moves, which then has a fabric and forces."""
+
+    fabric: Fabric
+    forces: Forces
+
+
 def states(
     recording: Recording, frames: Iterable[int] | None = None, forces: bool = False, threads: int = 0
 ) -> Iterator[Moment]:
     """Frames by their numbers (default: all), in order, each from the nearest checkpoint before it.
 
     What is simulated again is what was recorded: each frame's digest is compared. Raises BadInput for a recording
-    without a scene, for a frame that is not in it, and where this version or processor comes to other bits.
+    without a scene, for a frame that is not in it, where this version or processor comes to other bits, and for the
+    forces of cloth that is dyed alone.
     """
     known = {frame: digest for frame, digest in recording.marks().values() if digest}
     wanted = sorted(known if frames is None else set(frames))
@@ -54,6 +63,8 @@ def states(
         if frame not in known:
             raise recording.no_frame(frame, known)
     with restored_scene(recording) as loaded:
+        if forces and not loaded.scene.moves:
+            raise BadInput("a cloth that is dyed alone feels no forces", loaded.file, field="forces", value=forces)
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
         for frame in wanted:
             at = {name: part.at(frame) for name, part in parts.items()}
@@ -66,8 +77,10 @@ def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> Moment:
     if cloth is None:
         none = np.zeros((0, 3))
         return Moment(frame, dye.t, dye.digest(), none, none, phi=phi, fixed=fixed)
-    acting, state = cloth.present_forces() if forces else None, cloth.state
-    return Moment(frame, cloth.t, cloth.digest(), state.x.copy(), state.v.copy(), cloth.fabric, acting, phi, fixed)
+    x, v = cloth.state.x.copy(), cloth.state.v.copy()
+    if forces:
+        return Acted(frame, cloth.t, cloth.digest(), x, v, cloth.fabric, cloth.present_forces(), phi, fixed)
+    return Moment(frame, cloth.t, cloth.digest(), x, v, cloth.fabric, None, phi, fixed)
 
 
 class _Part:

@@ -64,6 +64,8 @@ def test_any_frame_of_dye_is_had_again(tmp_path: Path, capsys: pytest.CaptureFix
     with nuno.open(path) as recording:
         assert [point.frame for point in recording.checkpoints(DYE_CHECKPOINT.name)] == [4, 8, 10]
         (moment,) = nuno.states(recording, [6])
+        with pytest.raises(BadInput, match="a cloth that is dyed alone feels no forces"):
+            list(nuno.states(recording, [6], forces=True))
     assert moment.digest == ended.digest and moment.t == ended.t
     assert moment.phi is not None and moment.fixed is not None and ended.phi is not None and ended.fixed is not None
     assert moment.phi.tobytes() == ended.phi.tobytes() and moment.fixed.tobytes() == ended.fixed.tobytes()

@@ -134,8 +134,11 @@ def look() -> None:
     for frame in result.recording.frames(start=0.5):
         assert_type((frame.number, frame.t, frame.x), tuple[int, float, Array])
     for moment in nuno.states(result.recording, [3], forces=True):
-        assert_type(moment, nuno.Moment)
-        assert_type((moment.fabric, moment.forces), tuple[Fabric | None, Forces | None])
+        assert_type(moment.forces.parts["springs"] + moment.x, Array)
+        assert_type(moment.fabric, Fabric)
+    for each in nuno.states(result.recording):
+        assert_type(each, nuno.Moment)
+        assert_type((each.fabric, each.forces), tuple[Fabric | None, Forces | None])
     assert_type(nuno.export(result, png="out.png"), list[Path])
     assert_type([(row[0], row[1]) for row in nuno.plan("skirt-hula")], list[tuple[str, str]])
     assert_type(nuno.verify(result).compared, int)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
-    from nuno.moments import Moment
+    from nuno.moments import Acted, Moment
     from nuno.verification import Verification
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
@@ -43,6 +43,20 @@ def open_file(recording: str | os.PathLike[str]) -> Recording:
     """A recording's file, or "last", opened: finished or not. Close it, or use it in a `with`. Raises BadInput."""
     with in_python():
         return open_recording(path_of(recording))
+
+
+@overload
+def states(
+    recording: Recorded, frames: Iterable[int] | None = None, forces: Literal[False] = False
+) -> Iterator[Moment]: ...
+
+
+@overload
+def states(recording: Recorded, frames: Iterable[int] | None = None, *, forces: Literal[True]) -> Iterator[Acted]: ...
+
+
+@overload
+def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]: ...
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.exports.cloth import read_pressure
 from nuno.exports.target import opened, writing
-from nuno.moments import Moment, states
+from nuno.moments import Acted, Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import restored_scene
@@ -85,11 +85,12 @@ def export_forces(source: Recording | Path | str, path: Path, frame: int | None 
     recording of dye alone, a frame that is not in it, and where the file cannot be written.
     """
     with opened(source) as recording:
-        moment = find_moment(recording, frame, forces=True)
-        fabric, acting = moment.fabric, moment.forces
-        if fabric is None or acting is None:
+        if recording.dyed_alone:
             problem, remedy = "a cloth that is dyed alone feels no forces", "--npz gives its amounts"
             raise BadInput(problem, str(recording.path), field="--forces", remedy=remedy)
+        moment = find_moment(recording, frame, forces=True)
+        assert isinstance(moment, Acted)
+        fabric, acting = moment.fabric, moment.forces
         arrays = {"frame": np.array(moment.frame), **_state(recording, moment)}
         arrays |= {"mass": fabric.mass, "pinned": fabric.pinned, "acceleration": acting.acceleration}
         arrays |= {f"force_{kind}": force for kind, force in acting.parts.items()}
