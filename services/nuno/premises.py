@@ -89,12 +89,12 @@ def check_premises(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) 
 
     Raises BadInput for another scene or file, RunFailed, with the service as its peer, where one does not answer.
     """
-    answers = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
+    questions = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
     own = json.loads(json.dumps(premises_of(loaded, resumes)))  # as the others come
     notes = []
-    for name, answer in answers.items():
+    for name, asked in questions.items():
         try:
-            theirs = json.loads(answer())
+            theirs = json.loads(asked.answer())
         except RunFailed as error:
             raise RunFailed(str(error), peer=name) from None
         if "problem" in theirs:

@@ -22,12 +22,13 @@ from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, shipped
 from nuno.service import Context, Options
+from nuno.simulation.ask_bodies import ask_poses, take_poses
 from nuno.simulation.run import Simulation
-from nuno.simulation.service import ask_poses
 from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verification import verify
+from nuno.wire.asked import Asked
 from nuno.wire.sessions import hub_at
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
@@ -64,17 +65,17 @@ def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monk
     """Each frame's once, in order, and none after the last."""
     asked, ahead = list[int](), list[int]()
 
-    def ask(context: Context, frame: int) -> Callable[[], Poses]:
-        answer = ask_poses(context, frame)
+    def ask(context: Context, frame: int) -> Asked:
         asked.append(frame)
+        return ask_poses(context, frame)
 
-        def take() -> Poses:
-            ahead.append(asked[-1] - frame)
-            return answer()
+    def take(context: Context, frame: int, answer: Asked) -> Poses:
+        ahead.append(asked[-1] - frame)
+        return take_poses(context, frame, answer)
 
-        return take
-
-    monkeypatch.setattr("nuno.simulation.service.ask_poses", ask)
+    for module in ("nuno.simulation.ask_bodies", "nuno.simulation.service"):
+        monkeypatch.setattr(f"{module}.ask_poses", ask)
+        monkeypatch.setattr(f"{module}.take_poses", take)
     nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")
     assert asked == list(range(26))
     assert ahead == [0, *(min(WINDOW, 25 - frame) for frame in asked[1:])]

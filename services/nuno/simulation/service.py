@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
-from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,19 +14,18 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import tension_arrays
 from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
-from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
 from nuno.simulation.alter import name_of
+from nuno.simulation.ask_bodies import PosesAhead, ask_geometry, ask_poses, take_poses
 from nuno.simulation.run import Simulation
 from nuno.simulation.touching import feel, require_touched
 from nuno.stepping.again import resume
-from nuno.stepping.driver import CONTROL, WINDOW, Driver
+from nuno.stepping.driver import CONTROL, Driver
 from nuno.stepping.stepped import Stepped
 from nuno.wire.arrays import encode_arrays
-from nuno.wire.sessions import PATIENCE
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES
 from nuno_schemas.system import StepReport
@@ -47,10 +43,7 @@ class ClothDriver(Driver):
     def __init__(self, context: Context, simulation: Simulation) -> None:
         super().__init__(context, simulation)
         self.simulation = simulation
-        self.coming: deque[Callable[[], Poses]] = deque()
-        """Poses of the next frames, asked for already."""
-        self.ahead = 0 if context.loaded.live else WINDOW
-        """Frames beyond the next whose poses are asked for; of bodies that are told where to be none is known yet."""
+        self.bodies = PosesAhead(context)
         self.seconds |= {"bodies": 0.0} | ({"contact forces": 0.0} if self.scene.record.contact_forces else {})
         self.answers[NOW] = self.encode_now
         self.inbox.answer(NOW)
@@ -116,15 +109,9 @@ class ClothDriver(Driver):
             self._put(TOUCHES, encode_arrays(touches, text))
 
     def next_poses(self, frame: int) -> Poses:
-        """Poses at the end of the next frame.
-
-        Those of later frames are asked for before the steps wait for these: the collision service answers between two
-        measurements, and what the way there and back takes is shared by as many frames.
-        """
+        """Poses at the end of the next frame."""
         start = time.perf_counter()
-        for ahead in range(frame + len(self.coming), min(frame + self.ahead, self.scene.frames) + 1):
-            self.coming.append(ask_poses(self.context, ahead))
-        poses = self.coming.popleft()()
+        poses = self.bodies.take(frame)
         self.seconds["bodies"] += time.perf_counter() - start
         return poses
 
@@ -239,36 +226,10 @@ def _changes_cloth(item: object) -> bool:
         return False
 
 
-def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
-    """Ask for a frame's poses now; the function that is returned waits for them, and says so where it takes long.
-
-    The service answers between two measurements, which on a busy machine take their time; and what is asked ahead
-    waits while the cloth steps. A service that dies is noticed by whoever supervises it.
-    """
-
-    def slow() -> None:
-        limit = f"given up after {PATIENCE:g} s"
-        context.event("warning", f"waiting for the collision service: no bodies of frame {frame} yet ({limit})")
-
-    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), PATIENCE, slow)
-    return lambda: decode_poses(answer())
-
-
-def ask_geometry(context: Context) -> Geometry:
-    """The bodies of a run, once their service is there. Raises RunFailed if it does not come.
-
-    How long that may take is for the supervisor to say, who then goes: a distance field may have to be built there.
-    """
-    while context.watch.wait_for({"collision"}, 0.1):
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
-    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
-
-
 def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
-    poses = ask_poses(context, 0)() if geometry is not None else None
+    poses = take_poses(context, 0, ask_poses(context, 0)) if geometry is not None else None
     if context.options.resume is not None:  # a process of its own has read the scene alone
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
@@ -279,7 +240,7 @@ def main(context: Context) -> None:
 
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch)
     if geometry is not None:
-        simulation.find_poses = lambda frame: ask_poses(context, frame)()
+        simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))
     if context.loaded.scene.record.contact_forces and geometry is not None:
         require_touched(simulation)
     if context.options.resume is not None:

@@ -7,7 +7,7 @@ leader has finished, and acknowledges it as whatever must see every frame does, 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -16,12 +16,13 @@ from pydantic import ValidationError
 from nuno.service import Context, ack_topic, asks_to_finish
 from nuno.stepping.clock import Clock
 from nuno.stepping.stepped import Stepped, Stepper
-from nuno.wire.arrays import encode_arrays
-from nuno.wire.bus import WAITING_AFTER, Inbox, Message
+from nuno.stepping.teller import Teller
+from nuno.wire.asked import WAITING_AFTER
+from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
+from nuno_schemas.messages import Ack, FrameStatus, Topic
 
 WINDOW = 4
 """Frames that the steps may run ahead of a service that must see every one."""
@@ -34,7 +35,7 @@ STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "s
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
-class Driver(ABC):
+class Driver(Teller):
     """Steps cloth or dye frame by frame, publishes it and answers control."""
 
     every = 1
@@ -42,11 +43,8 @@ class Driver(ABC):
 
     def __init__(self, context: Context, stepper: Stepper, follows: Topic | None = None) -> None:
         """`follows` is the topic of the leader's statuses, None for the leader."""
-        self.context, self.stepper, self.scene = context, stepper, context.loaded.scene
-        self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
-        self.shown = self.kept = -1
-        """Frames of the last arrays that were published, and of the last checkpoint."""
-        self.follows = follows
+        super().__init__(context, stepper)
+        self.scene, self.follows = context.loaded.scene, follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
         self.state = "paused"
@@ -66,14 +64,6 @@ class Driver(ABC):
         """What else it can be asked, between frames."""
 
     @abstractmethod
-    def publish_constant(self) -> None:
-        """Tell what does not change from frame to frame."""
-
-    @abstractmethod
-    def status_of(self, frame: Stepped) -> dict[str, Any]:
-        """What the status says of a frame beside what every one says."""
-
-    @abstractmethod
     def facts(self, ended: str) -> dict[str, Any]:
         """What the report says of this service, beside `summary`."""
 
@@ -85,40 +75,6 @@ class Driver(ABC):
         if self.clock is not None:
             self.clock.hold(begin)
         return frame
-
-    def publish(self, frame: Stepped, show: bool) -> None:
-        """A frame's status, and before it, where it is to be shown, its arrays."""
-        if show:
-            self.publish_arrays(frame.digest)
-        start, report, topic = time.perf_counter(), frame.report, self.stepper.status
-        status = STATUSES[topic.name](
-            frame=frame.number, t=self.stepper.t, digest=frame.digest, steps=report.steps, step_seconds=frame.seconds,
-            state="running" if report.status == "ok" else report.status, message=report.message,
-            **self.status_of(frame),
-        )  # fmt: skip
-        self.seconds["encoding"] += time.perf_counter() - start
-        self._put(topic, status.model_dump_json().encode(), frame.digest)
-
-    def publish_arrays(self, digest: str) -> None:
-        """The present state as float32."""
-        start, payload = time.perf_counter(), self.stepper.encode()
-        self.shown = self.stepper.frame
-        self.seconds["encoding"] += time.perf_counter() - start
-        self._put(self.stepper.published, payload, digest)
-
-    def _put(self, topic: Topic, payload: bytes, digest: str = "") -> None:
-        self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
-
-    def keep(self) -> None:
-        """Publish a checkpoint: the whole float64 state, enough to go on from in the same bits.
-
-        The arrays of this frame are shown, too: a resumed run then shows what an unbroken one does.
-        """
-        point = self.stepper.keep()
-        if self.shown != point.frame:
-            self.publish_arrays(point.digest)
-        self._put(self.stepper.kept, encode_arrays(point.arrays, point.text), point.digest)
-        self.kept = point.frame
 
     def listen(self, timeout: float) -> None:
         """Handle one thing, if one comes in time: acknowledgements, control and the end come by one queue, in order."""

@@ -15,17 +15,12 @@ from typing import Any
 import zenoh
 from pydantic import ValidationError
 
+from nuno.wire.asked import Asked
 from nuno.wire.question import Question
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import POSES, Header, Topic
 
-WAITING_AFTER = 5.0
-"""Whoever waits this long [s] for another service says so."""
-SHORTEST, LONGEST = 20e-6, 1e-3
-"""Pauses [s] between two looks for an answer, first and at last."""
-TIMEOUT = b"Timeout"
-"""zenoh's own answer, of whichever session on the way, where none came in time."""
 ALL = Topic("**", "json", "")
 """One subscription to all topics: between several, messages overtake each other."""
 FURTHEST = 100_000
@@ -226,44 +221,22 @@ class Bus:
 
     def ask(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> bytes:
         """The answer of one service's queryable. Raises RunFailed if none comes."""
-        return self.ask_ahead(name, payload, timeout)()
+        return self.ask_ahead(name, payload, timeout).answer()
 
-    def ask_ahead(
-        self, name: str, payload: bytes = b"", timeout: float = 10.0, slow: Callable[[], None] | None = None
-    ) -> Callable[[], bytes]:
-        """Ask now; the function that is returned waits for the answer and raises as `ask` does.
-
-        It calls `slow` once where it has waited for WAITING_AFTER.
-        """
-        begin = time.monotonic()
+    def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> Asked:
+        """Ask now, and take the answer later."""
         # Not a callback: zenoh starts a thread for each, which takes far longer than the question.
         replies = self.session.get(
             self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
         )
-
-        def answer() -> bytes:
-            try:
-                reply = replies.recv() if slow is None else _await(replies, slow)
-            except zenoh.ZError:  # who could have answered has gone
-                reply = None
-            if reply is not None and reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-            said = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
-            if said != TIMEOUT:
-                raise RunFailed(f"{name}: {said.decode(errors='replace')}")
-            if time.monotonic() - begin < 0.5 * timeout:
-                problem = "its service is not there, or not yet, or the certificate here does not allow to ask it"
-                raise RunFailed(f"nobody answers {name}: {problem}", peer=name.split("/")[0])
-            raise RunFailed(f"no answer from {name} within {timeout:.3g} s", peer=name.split("/")[0])
-
-        return answer
+        return Asked(name, replies, timeout)
 
     def ask_json(
         self, name: str, value: dict[str, Any], timeout: float = 10.0, slow: Callable[[], None] | None = None
     ) -> dict[str, Any]:
-        """The answer of one service's queryable; `slow` as in `ask_ahead`. Raises RunFailed if none comes."""
+        """The answer of one service's queryable; `slow` as in `Asked.answer`. Raises RunFailed if none comes."""
         try:
-            answer = json.loads(self.ask_ahead(name, json.dumps(value).encode(), timeout, slow)())
+            answer = json.loads(self.ask_ahead(name, json.dumps(value).encode(), timeout).answer(slow))
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
@@ -278,18 +251,3 @@ class Bus:
     def alive(self) -> zenoh.LivelinessToken:
         """A token that disappears with this service."""
         return self.session.liveliness().declare_token(self.key(f"alive/{self.service}"))
-
-
-def _await(replies: zenoh.handlers.Handler[zenoh.Reply], slow: Callable[[], None]) -> zenoh.Reply:
-    """The first reply; `slow` is called once where it has been waited for WAITING_AFTER.
-
-    zenoh waits without a limit or not at all. Raises ZError where none comes.
-    """
-    end, pause = time.monotonic() + WAITING_AFTER, SHORTEST
-    while (reply := replies.try_recv()) is None:
-        if time.monotonic() > end:
-            slow()
-            return replies.recv()
-        time.sleep(pause)
-        pause = min(2.0 * pause, LONGEST)
-    return reply

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import time
-from typing import Any
 
 import psutil
 import zenoh
@@ -112,11 +111,11 @@ def offer_health(bus: Bus) -> None:
 def ask_health(bus: Bus, services: set[str], timeout: float = 2.0) -> dict[str, Health]:
     """Of each service that answers in time [s]."""
     # Each by its own name: access control lets a service answer for itself only.
-    answers: dict[str, Any] = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=timeout) for name in sorted(services)}
+    questions = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=timeout) for name in sorted(services)}
     found = {}
-    for name, answer in answers.items():
+    for name, asked in questions.items():
         try:
-            found[name] = Health.model_validate_json(answer())
+            found[name] = Health.model_validate_json(asked.answer())
         except (RunFailed, ValidationError):
             continue
     return found
