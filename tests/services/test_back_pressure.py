@@ -179,7 +179,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
     over.set()
     assert (outcome.state, outcome.error) == ("failed", "interrupted")
     said = dict(lines(make_report(watched.loaded, outcome)))
-    assert said["time"].startswith("6 frames are recorded; the step after them had not come to its end")
+    assert said["time"].startswith("6 frames are recorded; the service that steps ended, or hung")
 
 
 @pytest.mark.parametrize(("pause", "ends"), [(0.5, "done"), (2.0, "failed")])

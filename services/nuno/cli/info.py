@@ -12,6 +12,7 @@ from nuno.recording.gaps import missing, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report.show import lines
 from nuno.supervision import runs
+from nuno_schemas.messages import FRAMES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,4 +66,9 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
-    return rows + (lines(facts["report"]) if facts["report"] else [])
+    if not (report := facts["report"]):
+        return rows
+    report["frames"]["recorded"] = sum(
+        facts["messages"].get(topic, 0) for topic in FRAMES
+    )  # unknown when it was written
+    return [*rows, *lines(report), *([("why", why)] if (why := report.get("error")) else [])]

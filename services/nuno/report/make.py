@@ -35,7 +35,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "run": outcome.run,
         "scene": loaded.scene.name,
         "state": outcome.state,
-        "error": outcome.error,
+        "error": outcome.error or summary.get("message", ""),
         "simulated_seconds": simulated,
         "wall_seconds": wall,
         "real_time_factor": simulated / wall if wall else 0.0,

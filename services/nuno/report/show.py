@@ -47,8 +47,8 @@ def lines(report: Report) -> list[tuple[str, str]]:
     prepared = report["prepare_seconds"]
     if report["dt"] is None and not (sizes or report["frames"]["sent"]):
         if recorded := report["frames"]["recorded"]:
-            text = f"{recorded:,} frames are recorded; the step after them had not come to its end"
-            return [*rows, ("time", f"{text} when it was no longer waited for")]
+            text = f"{recorded:,} frames are recorded; the service that steps ended, or hung, in the one after them"
+            return [*rows, ("time", text)]
         return [*rows, ("time", f"ended while it was prepared, after {duration(prepared)}")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
