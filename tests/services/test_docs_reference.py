@@ -45,3 +45,9 @@ def test_every_plugin_of_a_scene_has_its_fields() -> None:
 def test_every_command_is_there() -> None:
     found = set(re.findall(r"^##+ nuno (.+)$", (REFERENCE / "commands.md").read_text(encoding="utf-8"), re.MULTILINE))
     assert found == {*cli.COMMANDS, *(f"bench {kind}" for kind in COMMANDS)}
+
+
+def test_defaults_are_written_out() -> None:
+    """In whichever of argparse's formats they stand."""
+    text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
+    assert "%(" not in text and "%%" not in text and "(default: 60)" in text

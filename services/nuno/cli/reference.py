@@ -31,17 +31,17 @@ def describe_commands() -> str:
 
 def _command(name: str, parser: argparse.ArgumentParser, level: str) -> Iterator[str]:
     yield f"\n{level} {name}\n\n{plain(parser.description)}\n"
-    rows = [row for action in parser._actions if (row := _row(action))]
+    rows = [row for action in parser._actions if (row := _row(action, parser._get_formatter()))]
     yield table(["argument", "default", "meaning"], rows) if rows else "No arguments."
 
 
-def _row(action: argparse.Action) -> list[str] | None:
+def _row(action: argparse.Action, formatter: argparse.HelpFormatter) -> list[str] | None:
     """An argument, its default and its meaning; None for --help and for what is not shown."""
     if isinstance(action, argparse._HelpAction) or action.help == argparse.SUPPRESS:
         return None
     values = "" if action.nargs == 0 else _values(action)
     written = ", ".join(action.option_strings)
-    said = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%")
+    said = formatter._expand_help(action) if action.help else ""
     told = action.default not in (None, False, [], (), argparse.SUPPRESS) and "default" not in said
     return [f"`{' '.join(filter(None, [written, values]))}`", f"`{action.default}`" if told else "", plain(said)]
 
