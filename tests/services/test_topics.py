@@ -131,6 +131,16 @@ def test_a_watcher_hears_what_is_recorded(tmp_path: Path) -> None:
     assert not any(one.skipped for one in heard)
 
 
+def test_a_program_ends_that_has_left_its_listener_open(tmp_path: Path) -> None:
+    """Kept in a variable, after a break or an exception: while the run goes on, Python does not wait for it."""
+    run = Run(write_scene(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    program = f"import nuno; heard = nuno.watch({run.run!r}); print('listening', flush=True); raise SystemExit(3)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("listening\n", "", 3)
+    run.stop()
+
+
 def test_what_cannot_be_watched_is_said(tmp_path: Path) -> None:
     for words, said in ((("last", "sim/stat"), "did you mean 'sim/state'"), (("nowhere",), "no such run")):
         with pytest.raises(BadInput) as caught:

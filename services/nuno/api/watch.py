@@ -89,7 +89,8 @@ class Watching:
 
 
 def watch(run: str = "last", *topics: str, connect: str | None = None, config: str | None = None) -> Watching:
-    """Messages of a run as they come, decoded, until it ends: for heard in nuno.watch("last", "sim/state").
+    """Messages of a run as they come, decoded, until it ends: for heard in nuno.watch("last", "sim/state"). Whoever may
+    leave before that closes it: with nuno.watch("last") as heard.
 
     run: its id or the beginning of that; topics: only these, or what is below them, as "run/event" (default: all); who
     listens late has missed what was said before. connect and config: endpoint and zenoh configuration, for a run on

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from nuno.wire.asked import Asked
 from nuno.wire.question import Question
+from nuno.wire.sessions import direct
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import POSES, Header, Topic
@@ -82,7 +83,8 @@ class Inbox:
 
     A callback only enqueues: work there would delay every message behind it in the session.
     Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
-    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here.
+    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here. Who takes
+    the `newest_only` listens in from outside, and may be left open by a program that ends.
     """
 
     def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
@@ -97,7 +99,8 @@ class Inbox:
         bus.inboxes.append(self)
         self._closing = threading.Lock()
         self._closed = False
-        self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
+        take = direct(self._queue.put) if newest_only else self._queue.put
+        self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), take) for t in topics]
 
     def answer(self, name: str) -> None:
         """Let questions to `name` in, too."""

@@ -13,7 +13,7 @@ import hashlib
 import json
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
@@ -169,15 +169,32 @@ def _closing(session: zenoh.Session) -> Iterator[None]:
     # the interpreter as it shuts down aborts the process: so it has a moment before that. Commands end by `leave`.
     atexit.unregister(_give_way)
     atexit.register(_give_way)
+    _open_ones.append(session)
     try:
         yield
     finally:
+        _open_ones.remove(session)
         with suppress(zenoh.ZError):
             session.close()
 
 
+_open_ones: list[zenoh.Session] = []
+
+
 def _give_way() -> None:
+    """Close what a program has left open, as a listener in a variable, and let zenoh's threads end."""
+    for session in _open_ones:
+        with suppress(zenoh.ZError):
+            session.close()
     time.sleep(LINGER)
+
+
+def direct(take: Callable[[Any], object]) -> zenoh.handlers.Callback[Any]:
+    """What is called in zenoh's own thread as something comes, and only puts it away.
+
+    A callback as it is has a thread of Python's, which Python waits for when it ends, for ever where nobody closes.
+    """
+    return zenoh.handlers.Callback(take, indirect=False)
 
 
 def cut_off(session: zenoh.Session, endpoint: str) -> str:

@@ -7,6 +7,7 @@ import threading
 import zenoh
 
 from nuno.wire.bus import Bus
+from nuno.wire.sessions import direct
 
 
 class Watch:
@@ -16,7 +17,8 @@ class Watch:
         self._alive: set[str] = set()
         self._seen: set[str] = set()
         self._changed = threading.Condition()
-        self._subscriber = bus.session.liveliness().declare_subscriber(bus.key("alive/*"), self._note, history=True)
+        note, key = direct(self._note), bus.key("alive/*")
+        self._subscriber = bus.session.liveliness().declare_subscriber(key, note, history=True)
 
     def _note(self, sample: zenoh.Sample) -> None:
         name = str(sample.key_expr).rsplit("/", 1)[-1]
