@@ -40,6 +40,10 @@ MODULES = {
 """Services by name; a module is imported only where its service runs. Each has `main(context)`."""
 
 
+LOOK_SECONDS = 0.5
+"""How often a service to which nothing comes looks whether it is still needed."""
+
+
 @dataclass
 class Options:
     """What the user chose for a run, beside the scene."""
@@ -139,17 +143,22 @@ def asks_to_finish(inbox: Inbox, question: Question) -> bool:
 
 
 def each_message(
-    context: Context, inbox: Inbox, handle: Callable[[Message], None], answer: Callable[[Question], None] | None = None
+    context: Context,
+    inbox: Inbox,
+    handle: Callable[[Message], None],
+    answer: Callable[[Question], None] | None = None,
+    between: Callable[[], float] = lambda: LOOK_SECONDS,
 ) -> Question:
     """Be alive, handle messages and questions as they come, until asked to finish.
 
+    `between` is called between two of them; it says for how long [s] the next may be waited for, at most LOOK_SECONDS.
     Returns that last question, still to be answered. Raises RunFailed if the supervisor goes.
     """
     finish = f"finish/{context.bus.service}"
     inbox.answer(finish)
     with context.bus.alive():
         while True:
-            item = inbox.get(timeout=0.5)
+            item = inbox.get(between())
             if isinstance(item, Message):
                 handle(item)
             elif isinstance(item, Question):

@@ -35,7 +35,8 @@ class TopicConfig(Config):
         default=1.0, description="after this time without poses that is said; a frame waits no longer for them [s]"
     )
     silent: Literal["hold", "stop"] = Field(
-        default="hold", description="what follows: the body stays where it is, or the run ends"
+        default="hold",
+        description="what follows, by the clock once poses have come: the body stays where it is, or the run ends",
     )
     fastest: Speed = Field(
         default=5.0, description="most that it follows at: what jumps is gone to at this speed [m/s]"

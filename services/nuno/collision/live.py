@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,14 +18,13 @@ import zenoh
 from pydantic import ValidationError
 
 from nuno.service import Context
+from nuno.wire.asked import WAITING_AFTER
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 from nuno_schemas.live import BodyPoses, Live
 from nuno_schemas.messages import POSES
 
-LOOK = 0.1
-"""How often a frame that waits for poses looks whether the run is still wanted [s]."""
 MOST = 10_000
 """Poses that may lie there for frames that wait for theirs; by the clock the newest alone is kept."""
 BYTES = 1024
@@ -56,14 +55,17 @@ class Tally:
 class Follower:
     """One body, what has come for it, and where it is told to be."""
 
-    def __init__(self, body: str, joints: tuple[str, ...], live: Live) -> None:
-        self.body, self.joints, self.live = body, joints, live
+    def __init__(self, body: str, joints: tuple[str, ...], live: Live, wake: Callable[[], None]) -> None:
+        """`wake` is called where poses have come that a frame may wait for."""
+        self.body, self.joints, self.live, self.wake = body, joints, live, wake
         self.goal = live.pose(0.0)
         self.tally, self.said = Tally(), set[str]()
         self.since = 0.0
         """Of the scene's time, since poses came last [s]."""
+        self.heard = False
+        """Whether it has its poses of the frame under way."""
         self._came: deque[bytes] = deque()
-        self._lock, self._arrived = threading.Lock(), threading.Event()
+        self._lock = threading.Lock()
         self._too_large = 0
 
     def receive(self, sample: zenoh.Sample) -> None:
@@ -79,17 +81,13 @@ class Follower:
                 self._came.append(sample.payload.to_bytes())
             else:
                 self.tally.left_out += 1
-        self._arrived.set()
+        if self.live.waits:
+            self.wake()
 
     def take(self) -> bytes | None:
         """The next of what has come, or the newest; None where nothing has."""
-        self._arrived.clear()
         with self._lock:
             return self._came.popleft() if self._came else None
-
-    def wait(self, timeout: float) -> None:
-        """Until something comes, or the time [s] is over."""
-        self._arrived.wait(timeout)
 
     def too_large(self) -> int:
         """How many came that were no poses for their size, since this was last asked."""
@@ -101,10 +99,16 @@ class Follower:
 class Followers:
     """All such bodies of a run."""
 
-    def __init__(self, context: Context, bodies: Iterator[tuple[str, tuple[str, ...], Live]]) -> None:
-        """`bodies` by name, with the joints of each. Raises BadInput for a key that zenoh does not take."""
+    def __init__(
+        self, context: Context, bodies: Iterator[tuple[str, tuple[str, ...], Live]], wake: Callable[[], None]
+    ) -> None:
+        """`bodies` by name, with the joints of each; `wake` is called where poses come that a frame may wait for.
+        Raises BadInput for a key that zenoh does not take.
+        """
         self.context, self.rate = context, context.loaded.scene.frame_rate
-        self.each = [Follower(*one) for one in bodies]
+        self.each = [Follower(*one, wake) for one in bodies]
+        self._began: float | None = None
+        """When the frame under way was asked for [s]."""
         bus = context.bus
         for one in self.each:
             key = one.live.key or bus.key(f"{POSES.name}/{one.body}")
@@ -119,6 +123,22 @@ class Followers:
             rows = [frames.index(f"{one.body}/{joint}") for joint in one.joints]
             one.goal = one.live.rotation, one.live.translation = poses.rotation[rows], poses.translation[rows]
 
+    def wait(self, frame: int) -> float:
+        """How much longer [s] the next poses of a frame are to be waited for: 0 where they are there, or none waits."""
+        now = time.monotonic()
+        self._began = now if self._began is None else self._began
+        left = 0.0
+        for one in self.each:
+            one.heard = one.heard or (one.live.waits and self._next(one, frame))
+            if one.live.waits and not one.heard:
+                left = max(left, self._began + one.live.silence - now)
+                if now - self._began > WAITING_AFTER:
+                    text = (
+                        f"is waited for: there are no poses of frame {frame} yet (for {one.live.silence:g} s at most)"
+                    )
+                    self._say(one, "wait", text, frame - 1)
+        return left
+
     def go_on(self, frame: int, dt: float) -> None:
         """Bring all bodies to where they are at the end of a frame of dt [s]. Raises RunFailed where silence ends the
         run.
@@ -131,49 +151,45 @@ class Followers:
                 limit = f"{one.live.fastest:g} m/s and {one.live.fastest_turn:g} rad/s at most"
                 text = f"is told to be farther on than it gets in a frame, by {left:.0%} of the way"
                 self._say(one, "jump", f"{text}: it follows at {limit}", frame)
+        self._began = None
 
     def _hear(self, one: Follower, frame: int, dt: float) -> None:
         """Take in what has come for a body: the next of it, or the newest."""
-        began = time.monotonic()
-        heard = self._next(one, frame, began)
+        heard, one.heard = one.heard or self._next(one, frame), False
         if one.tally.left_out and one.live.waits:
             self._say(one, "full", f"was sent more than {MOST:,} poses ahead: those beyond are left out", frame)
         one.since = 0.0 if heard else one.since + dt
         # A frame that waits is silent for as long as it does; by the clock pauses and compiling are not counted.
-        silent = time.monotonic() - began if one.live.waits else one.since
+        silent = time.monotonic() - (self._began or 0.0) if one.live.waits else one.since
         one.tally.silence = max(one.tally.silence, silent)
         if heard:
-            one.said.discard("silence")
+            one.said -= {"silence", "wait"}
             return
         one.tally.without += 1
         if silent >= one.live.silence:
             problem = f"has heard nothing for {silent:.2g} s"
-            if one.live.stops:
+            # By the clock nobody has begun yet where nothing has ever come.
+            if one.live.stops and (one.live.waits or one.tally.used):
                 raise RunFailed(f"the body {one.body} {problem}, and its motion says silent: stop")
             self._say(one, "silence", f"{problem}: it stays where it is", frame)
 
-    def _next(self, one: Follower, frame: int, began: float) -> bool:
-        """Have poses that can be followed as the goal, and wait for them where frames do; whether there were any."""
+    def _next(self, one: Follower, frame: int) -> bool:
+        """Have the next poses that can be followed as the goal; whether there were any."""
         while True:
             payload = one.take()
             if number := one.too_large():
                 one.tally.refused += number
                 self._say(one, "size", f"was sent what is too large for poses of {len(one.joints)} joints", frame)
-            if payload is not None:
-                try:
-                    one.goal = read_poses(payload, one.joints)
-                except BadInput as error:
-                    one.tally.refused += 1
-                    self._say(one, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
-                    continue
-                one.tally.used += 1
-                return True
-            left = began + one.live.silence - time.monotonic()
-            if not one.live.waits or left <= 0.0:
+            if payload is None:
                 return False
-            one.wait(min(left, LOOK))
-            if self.context.orphaned():
-                raise RunFailed("the supervisor has gone")
+            try:
+                one.goal = read_poses(payload, one.joints)
+            except BadInput as error:
+                one.tally.refused += 1
+                self._say(one, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
+                continue
+            one.tally.used += 1
+            return True
 
     def _say(self, one: Follower, what: str, text: str, frame: int) -> None:
         """Say each thing once, silence each time anew."""

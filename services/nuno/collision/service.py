@@ -14,11 +14,12 @@ from nuno.collision.live import Followers
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_poses, encode_geometry, encode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
-from nuno.service import Context, each_message
+from nuno.service import LOOK_SECONDS, Context, each_message
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
 from nuno_schemas.bodies import Poses
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration, Topic
 
 CLOTH_AND_STATES = Topic("sim/*", "json", "")
@@ -36,7 +37,11 @@ class Collision:
         self.seconds = 0.0
         self.deepest = self.last = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
-        self.followers = Followers(context, bodies.live()) if bodies is not None and context.loaded.live else None
+        self.followers: Followers | None = None
+        if bodies is not None and context.loaded.live:
+            self.followers = Followers(context, bodies.live(), inbox.wake)
+        self.asked: list[Question] = []
+        """For the poses of the next frame, while bodies may still be told where to be in it."""
         self.followed = 0
         """The last frame to which they have been brought."""
         self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
@@ -60,7 +65,27 @@ class Collision:
             self.inbox.refuse(question)
             question.refuse(f"bodies are told where to be in frame {self.followed + 1} next; earlier ones are recorded")
             return
+        if self.followers is not None and self._awaited(frame):
+            self.asked.append(question)
+            return
         question.answer(self.poses(frame)[1])
+
+    def between(self) -> float:
+        """Answer for the next frame where its poses are there, or are waited for no more; how long [s] until then."""
+        if self.followers is None or not self.asked:
+            return LOOK_SECONDS
+        if (left := self.followers.wait(self.followed + 1)) > 0.0:
+            return min(left, LOOK_SECONDS)
+        questions, self.asked = self.asked, []
+        try:
+            payload = self.poses(self.followed + 1)[1]
+        except RunFailed as error:  # whoever steps ends the run, with all that has come until here
+            for question in questions:
+                question.refuse(str(error))
+        else:
+            for question in questions:
+                question.answer(payload)
+        return LOOK_SECONDS
 
     def poses(self, frame: int) -> tuple[Poses, bytes]:
         """Poses of a frame, and their message; the last few are kept, so that each frame's are encoded once."""
@@ -80,6 +105,10 @@ class Collision:
         """
         known = frame in self.cache or frame in self.context.loaded.recorded_poses
         return known or frame == self.followed + 1 or frame == self.followed == 0
+
+    def _awaited(self, frame: int) -> bool:
+        """Whether bodies are still to be told where to be in a frame."""
+        return frame > self.followed and frame not in self.context.loaded.recorded_poses
 
     def _follow(self, bodies: Bodies, followers: Followers, frame: int) -> None:
         """Bring bodies that are told where to be to the end of a frame: to where they were in the recording that the
@@ -154,7 +183,7 @@ def main(context: Context) -> None:
         except BadMessage:
             inbox.refuse(message)
 
-    finish = each_message(context, inbox, handle, collision.answer)
+    finish = each_message(context, inbox, handle, collision.answer, collision.between)
     found: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
         if collision.followers is not None:

@@ -58,9 +58,14 @@ class PosesAhead:
         self._coming: deque[Asked] = deque()
 
     def there(self, frame: int) -> bool:
-        """Whether those of the next frame have come; they are asked for where they have not been yet."""
+        """Whether those of the next frame have come; they are asked for where they have not been yet. Raises Refused
+        where none will come, RunFailed where the service is gone.
+        """
         self._ask(frame)
-        return self._coming[0].there()
+        asked = self._coming[0]
+        if there := asked.there():
+            asked.answer()
+        return there
 
     def take(self, frame: int) -> Poses:
         """Those of the next frame. Raises RunFailed where they do not come."""

@@ -25,6 +25,7 @@ from nuno.stepping.again import resume
 from nuno.stepping.driver import CONTROL, Driver
 from nuno.stepping.stepped import Stepped
 from nuno.wire.arrays import encode_arrays
+from nuno.wire.asked import Refused, pauses
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES
@@ -107,6 +108,19 @@ class ClothDriver(Driver):
             self.seconds["contact forces"] += time.perf_counter() - start
             self._put(CONTACT, contact.model_dump_json().encode())
             self._put(TOUCHES, encode_arrays(touches, text))
+
+    def ready(self) -> bool:
+        """See `Driver`: where bodies are told where to be, their poses may come late, or their silence ends the run."""
+        if not self.context.loaded.live:
+            return True
+        start, pause, frame = time.perf_counter(), pauses(), self.simulation.frame + 1
+        try:
+            while not self.bodies.there(frame) and self.finish is None and self.state == "running":
+                self.listen(next(pause))
+        except Refused as error:
+            self.state, self.message = "failed", error.said
+        self.seconds["bodies"] += time.perf_counter() - start
+        return self.finish is None and self.state == "running"
 
     def next_poses(self, frame: int) -> Poses:
         """Poses at the end of the next frame."""

@@ -32,6 +32,8 @@ CONTROL = "control"
 OF_FOLLOWERS = ("status", "add")
 STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
 """In which an action leaves a run."""
+OVER = ("stopped", "failed")
+"""States that end a run between two frames."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
@@ -174,8 +176,10 @@ class Driver(Teller):
             while self.state == "paused" and self.finish is None:
                 self.listen(0.5)
             self.paused_seconds += time.perf_counter() - start
-            if self.finish is not None or self.state == "stopped":
+            if self.finish is not None or self.state in OVER:
                 break
+            if not self.ready():
+                continue
             status = self.one_frame()
             if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer one can go on
                 self.keep()
@@ -188,7 +192,11 @@ class Driver(Teller):
         if self.finish is not None:
             return "failed"
         self.wait_for(self.stepper.frame)
-        return "stopped" if self.state == "stopped" else "done"
+        return self.state if self.state in OVER else "done"
+
+    def ready(self) -> bool:
+        """Wait for what the next frame needs, under control; False where the run does not go on now."""
+        return True
 
     def follow(self) -> str:
         """Every frame of the leader's until the end; how it ended. Raises RunFailed where a frame is amiss."""

@@ -94,7 +94,7 @@ class Inbox:
         """Last one taken in."""
         self._bus = bus
         self._next: dict[str, int] = {}
-        self._queue: queue.SimpleQueue[zenoh.Sample | Question] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[zenoh.Sample | Question | None] = queue.SimpleQueue()
         self._newest_only = newest_only
         bus.inboxes.append(self)
         self._closing = threading.Lock()
@@ -117,15 +117,19 @@ class Inbox:
                 return
         question.query.drop()
 
+    def wake(self) -> None:
+        """Let whoever waits here look after something else."""
+        self._queue.put(None)
+
     def get(self, timeout: float) -> Message | Question | None:
-        """The next question or good message, or None when the time [s] is over."""
+        """The next question or good message, or None when the time [s] is over, or to look after something else."""
         end = time.monotonic() + timeout
         while True:
             try:
                 item = self._queue.get(timeout=max(0.0, end - time.monotonic()))
             except queue.Empty:
                 return None
-            if isinstance(item, Question):
+            if item is None or isinstance(item, Question):
                 return item
             message = self._check(item)
             if message is not None:
