@@ -70,8 +70,7 @@ class Attach:
         made = replace(
             fabric, pinned=pinned, bindings=(*fabric.bindings, *_bindings(config, chosen, owner, state, body))
         )
-        facts = {"vertices": float(len(chosen)), "held": float(pinned.sum())}
-        return unchanged(made, state, facts)
+        return unchanged(made, state, len(chosen))
 
 
 def _chosen(config: AttachConfig, fabric: Fabric, distance: np.ndarray) -> Int:

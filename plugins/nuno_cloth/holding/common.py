@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -31,6 +30,7 @@ def check_vertices(given: tuple[int, ...], fabric: Fabric) -> Int:
     return chosen.astype(np.int32)
 
 
-def unchanged(fabric: Fabric, state: State, facts: Mapping[str, float]) -> Outcome:
-    """A fabric of the same vertices, where they are."""
+def unchanged(fabric: Fabric, state: State, vertices: int) -> Outcome:
+    """A fabric of the same vertices, where they are: how many were taken or let go of, and how many bodies hold now."""
+    facts = {"vertices": vertices, "held": sum(len(binding.vertices) for binding in fabric.bindings)}
     return Outcome(facts, changed=Changed(fabric, state, np.arange(fabric.number, dtype=np.int32)))

@@ -69,4 +69,4 @@ class Release:
             if stays.any()
         )
         made = replace(fabric, pinned=fabric.pinned & ~held, bindings=bindings)
-        return unchanged(made, state, {"vertices": float(held.sum()), "held": float(made.pinned.sum())})
+        return unchanged(made, state, int(held.sum()))
