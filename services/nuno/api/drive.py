@@ -9,10 +9,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import zenoh
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nuno.api.words import in_python
-from nuno.collision.messages import GEOMETRY_QUESTION, decode_geometry
+from nuno.collision.live import read_poses
+from nuno.collision.messages import TOLD_QUESTION
 from nuno.stepping.driver import CONTROL
 from nuno.supervision import runs
 from nuno.supervision.supervisor import CONTROL_TIMEOUT
@@ -20,7 +21,6 @@ from nuno.wire.bus import Bus
 from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 from nuno_schemas.live import BodyPoses
-from nuno_schemas.messages import POSES
 
 STILL = (1.0, 0.0, 0.0, 0.0)
 LOOK = 0.1
@@ -31,48 +31,64 @@ T = TypeVar("T")
 class Driving:
     """What moves one body, and takes hold of cloth with it; it can be closed, and used with `with`."""
 
-    def __init__(self, run: str, body: str, endpoint: str, key: str | None, config: str | None, end: float) -> None:
+    def __init__(self, run: str, body: str, endpoint: str, connect: bool, config: str | None, end: float) -> None:
+        """connect: whether the run is another host's, of which nothing is noted here; end: as drive's wait is over."""
         with contextlib.ExitStack() as stack, in_python():
-            session = stack.enter_context(spoke(endpoint, config))
+            session = stack.enter_context(spoke(endpoint, config, max(0.0, end - time.monotonic()) if connect else 0.0))
             self._bus = Bus(session, run, "drive")
+
+            def ready() -> None:
+                if not connect:
+                    runs.find(run)  # one that has ended is waited for no more
+                self._bus.ask_json(CONTROL, {"action": "status"}, CONTROL_TIMEOUT)
+
+            try:
+                _asked_until(end, ready, RunFailed)
+            except RunFailed as error:
+                right = f"{error}; to move a body takes an operator's, of which: nuno certs"
+                raise RunFailed(right if config else str(error), error.peer) from None
+            self._joints, key = _told(self._bus, body)
             self._publisher = session.declare_publisher(
-                key or self._bus.key(f"{POSES.name}/{body}"),
+                key,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 reliability=zenoh.Reliability.RELIABLE,
             )
-            answer = _asked_until(end, lambda: self._bus.ask(GEOMETRY_QUESTION, timeout=CONTROL_TIMEOUT), RunFailed)
-            known = decode_geometry(answer).bodies
-            if body not in known:
-                raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, known))
-            self._stack = stack.pop_all()
+            self._stack, self._closed = stack.pop_all(), False
 
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
         """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
-        zero; or of a skeleton (j, 3) and (j, 4), of all joints. What the run cannot follow it refuses, and says so.
-        Raises BadInput for what is of another shape or not finite.
+        zero; or of a skeleton (j, 3) and (j, 4), of all joints. Raises BadInput for what cannot be followed, of another
+        shape or not finite, and where this is closed.
         """
-        positions, rotations = (np.atleast_2d(np.asarray(values, np.float64)) for values in (position, rotation))
-        for name, values, width in (("position", positions, 3), ("rotation", rotations, 4)):
-            if values.shape[1:] != (width,) or len(values) != len(positions):
-                limit = f"{width} numbers, or as many of each joint"
-                raise BadInput("of another shape", field=name, value=f"shape {values.shape}", limit=limit)
-            if not np.isfinite(values).all():
-                raise BadInput("not finite", field=name, value=values.tolist())
+        self._require_open()
+        positions, rotations = _rows("position", position, 3), _rows("rotation", rotation, 4)
+        if len(positions) != len(rotations):
+            value = f"{len(positions)} positions and {len(rotations)} rotations"
+            raise BadInput("of another shape", field="rotation", value=value, limit="one of each joint")
         sent = BodyPoses.model_validate({"positions": positions.tolist(), "rotations": rotations.tolist()})
-        self._publisher.put(sent.model_dump_json().encode())
+        payload = sent.model_dump_json().encode()
+        read_poses(payload, self._joints)
+        self._publisher.put(payload)
 
     def add(self, item: str) -> dict[str, Any]:
         """Change the cloth at once, as `nuno control RUN add`: "attach: {body: hand}", "release: {body: hand}"; what
-        became of it. Raises BadInput where the run refuses it, RunFailed where it does not answer.
+        became of it. It comes before the next frame. Raises BadInput where the run refuses it, RunFailed where it does
+        not answer.
         """
+        self._require_open()
         answer = self._bus.ask_json(CONTROL, {"action": "add", "item": item}, CONTROL_TIMEOUT)
         if answer.get("ok") is not True:
             refused = answer.get("refused") or {"problem": str(answer.get("error"))}
             raise BadInput(**refused)
         return dict(answer.get("new") or {})
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise BadInput("this is closed", remedy="drive the body anew: with nuno.drive(...) as body")
+
     def close(self) -> None:
         """Tell it nothing more."""
+        self._closed = True
         self._stack.close()
 
     def __enter__(self) -> Driving:
@@ -82,26 +98,47 @@ class Driving:
         self.close()
 
 
-def drive(
-    run: str,
-    body: str,
-    *,
-    wait: float = 0.0,
-    key: str | None = None,
-    connect: str | None = None,
-    config: str | None = None,
-) -> Driving:
+def drive(run: str, body: str, *, wait: float = 0.0, connect: str | None = None, config: str | None = None) -> Driving:
     """Move a body of a run whose motion is `{plugin: topic}`: with nuno.drive("last", "hand") as hand: hand.send(...).
 
     run: its id, the beginning of that, or "last"; body: its name in the scene; wait: how long the run may take to be
-    there, and ready [s]; key: that of its motion, where that has one; connect and config: endpoint and zenoh
-    configuration, for a run on another host, whose id is then needed in full. Raises BadInput for a run that does not
-    go on and a body that it has not, RunFailed where it cannot be reached.
+    there, and ready for its first frame [s], `last` being one begun in this folder then; connect and config: endpoint
+    and zenoh configuration, for a run on another host, whose id is then needed in full. Raises BadInput for a run that
+    does not go on, and a body that it has not or does not move so, RunFailed where it cannot be reached.
     """
     end = time.monotonic() + wait
     with in_python():
-        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run), BadInput)
-    return Driving(name, body, endpoint, key, config, end)
+        here = wait > 0.0
+        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run, here), BadInput)
+    return Driving(name, body, endpoint, connect is not None, config, end)
+
+
+def _told(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
+    """Joints of a body that is told where to be, and the key by which it is. Raises BadInput for any other."""
+    if "collision" not in bus.present():
+        raise BadInput("the run has no bodies", field="body", value=body, remedy="give its scene the body")
+    known = bus.ask_json(TOLD_QUESTION, {}, CONTROL_TIMEOUT)
+    bodies, told = known["bodies"], known["told"]
+    if body not in bodies:
+        raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, bodies))
+    if body not in told:
+        problem, others = f"{body} has no motion: {{plugin: topic}}", f"or take {' or '.join(told)}" if told else ""
+        raise BadInput(problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(told)}{others}")
+    return tuple(told[body]["joints"]), str(told[body]["key"])
+
+
+def _rows(name: str, given: ArrayLike, width: int) -> NDArray[np.float64]:
+    """(j, width) numbers, of each joint. Raises BadInput for anything else."""
+    limit = f"{width} numbers, or as many of each joint"
+    try:
+        values = np.atleast_2d(np.asarray(given, np.float64))
+    except (TypeError, ValueError):
+        raise BadInput("no numbers", field=name, value=given, limit=limit) from None
+    if values.shape[1:] != (width,):
+        raise BadInput("of another shape", field=name, value=f"shape {values.shape}", limit=limit)
+    if not np.isfinite(values).all():
+        raise BadInput("not finite", field=name, value=values.tolist())
+    return values
 
 
 def _asked_until(end: float, ask: Callable[[], T], refusal: type[Exception]) -> T:

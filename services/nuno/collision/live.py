@@ -111,11 +111,17 @@ class Followers:
         """When the frame under way was asked for [s]."""
         bus = context.bus
         for one in self.each:
-            key = one.live.key or bus.key(f"{POSES.name}/{one.body}")
             try:
-                bus.offers.append(bus.session.declare_subscriber(key, one.receive))
+                bus.offers.append(bus.session.declare_subscriber(self._key(one), one.receive))
             except zenoh.ZError as error:
-                raise BadInput(f"the bus has no such key: {error}", field="key", value=key) from None
+                raise BadInput(f"the bus has no such key: {error}", field="key", value=self._key(one)) from None
+
+    def _key(self, one: Follower) -> str:
+        return one.live.key or self.context.bus.key(f"{POSES.name}/{one.body}")
+
+    def told(self) -> dict[str, dict[str, Any]]:
+        """Of each body its joints, and the key by which its poses come."""
+        return {one.body: {"joints": one.joints, "key": self._key(one)} for one in self.each}
 
     def take_up(self, poses: Poses, frames: tuple[str, ...]) -> None:
         """Have all bodies where they were in a frame of a recording; `frames` are the names of its frames."""

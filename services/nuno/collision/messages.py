@@ -15,6 +15,8 @@ from nuno_schemas.skin import Skin
 
 GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
+TOLD_QUESTION = "collision/ask/told"
+"""What to ask for the bodies, and which of them are told where to be: as JSON, of each its joints and its key."""
 
 _ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", "friction")
 _MESHES = ("vertices", "faces", "owner")

@@ -11,7 +11,14 @@ from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.cloth import ClothCheck
 from nuno.collision.distance import penetration
 from nuno.collision.live import Followers
-from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_poses, encode_geometry, encode_poses
+from nuno.collision.messages import (
+    GEOMETRY_QUESTION,
+    POSES_QUESTION,
+    TOLD_QUESTION,
+    decode_poses,
+    encode_geometry,
+    encode_poses,
+)
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
 from nuno.service import LOOK_SECONDS, Context, each_message
@@ -48,13 +55,17 @@ class Collision:
         """None where cloth passes through cloth."""
 
     def answer(self, question: Question) -> None:
-        """The geometry, or the poses of a frame."""
+        """The geometry, which bodies are told where to be, or the poses of a frame."""
         if self.bodies is None:
             self.inbox.refuse(question)
             question.refuse("the scene has no bodies")
             return
         if question.name == GEOMETRY_QUESTION:
             question.answer(encode_geometry(self.bodies.geometry))
+            return
+        if question.name == TOLD_QUESTION:
+            told = self.followers.told() if self.followers is not None else {}
+            question.answer_json({"bodies": self.bodies.geometry.bodies, "told": told})
             return
         frame = question.json().get("frame")
         if type(frame) is not int or not 0 <= frame <= self.frames:
@@ -172,6 +183,7 @@ def main(context: Context) -> None:
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)
+    inbox.answer(TOLD_QUESTION)
     inbox.answer(POSES_QUESTION)
 
     def handle(message: Message) -> None:

@@ -181,12 +181,15 @@ def _noted(path: Path, name: str) -> str:
         return ""
 
 
-def find(run: str) -> tuple[str, str]:
-    """A running run by id, unique prefix, or "last". Raises BadInput."""
+def find(run: str, here: bool = False) -> tuple[str, str]:
+    """A running run by id, unique prefix, or "last", begun `here`, in this folder, where that is asked for. Raises
+    BadInput.
+    """
     alive = running()
     matches = [run] if run in alive else [name for name in alive if name.startswith(run)]
     if run == LAST:
-        matches = _newest([(_noted(folder() / f"{name}.json", "folder"), name) for name in alive])
+        begun = [(_noted(folder() / f"{name}.json", "folder"), name) for name in alive]
+        matches = _newest([pair for pair in begun if not here or pair[0] == working_folder()])
     if len(matches) != 1:
         problem = "no such run is going on" if not matches else "several runs begin with that"
         raise BadInput(problem, value=run, remedy=nearest(run, alive) if alive else "start one: nuno run SCENE")
