@@ -18,7 +18,9 @@ from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.wire.sessions import free_port
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
+from nuno_schemas.system import StepReport
 
 
 def test_a_run_is_waited_for_until_it_takes_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,6 +41,24 @@ def test_a_run_is_waited_for_until_it_takes_frames(tmp_path: Path, monkeypatch: 
         for position, rotation in poses():
             ball.send(position, rotation)
     assert run.join().state == "done" and run.report["followed"]["hand"]["used"] == 20
+
+
+def test_the_first_hold_is_rehearsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that what its steps need is compiled before the first frame; nothing is left of it."""
+    plain, rehearsed = (Simulation.with_bodies(scene_file.read(hand(tmp_path)), 1) for _ in range(2))
+    measure, held = Simulation.measure, list[int]()
+
+    def note(simulation: Simulation, poses: Poses | None) -> StepReport:
+        held.append(len(simulation.fabric.bindings))
+        return measure(simulation, poses)
+
+    monkeypatch.setattr(Simulation, "measure", note)
+    rehearsed.rehearse()
+    assert held == [1] and rehearsed.changes == [] and not rehearsed.fabric.bindings
+    for simulation in (plain, rehearsed):
+        simulation.step()
+        simulation.add("attach: {body: hand, vertices: [40]}")
+    assert plain.step().digest == rehearsed.step().digest
 
 
 def test_a_run_of_another_folder_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,9 +79,10 @@ class Loaded:
     """Fields that are written without a value."""
 
     @property
-    def live(self) -> bool:
-        """Whether bodies are told where to be while it runs."""
-        return any(hasattr(one.plugin, "paced") for one in self.motions if one is not None)
+    def live(self) -> tuple[str, ...]:
+        """Names of the bodies that are told where to be while it runs."""
+        both = zip(self.scene.bodies, self.motions, strict=True)
+        return tuple(body.name for body, one in both if one is not None and hasattr(one.plugin, "paced"))
 
     @property
     def paced(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from abc import abstractmethod
 from collections.abc import Sequence
 from copy import copy
@@ -105,7 +106,8 @@ class Changing(Stepper):
 
     def rehearse(self) -> None:
         """Let the scene's later operations change the cloth as it is now, compile what its steps then need, and have
-        everything as it was: the run does not wait for the compiler where their time comes.
+        everything as it was: the run does not wait for the compiler where their time comes. So may a body that another
+        program moves take hold of it, with whichever vertex.
 
         An operation that would be refused now is left for its time.
         """
@@ -117,6 +119,11 @@ class Changing(Stepper):
             trial = copy(self)
             with contextlib.suppress(BadInput):
                 trial._alter(names.index(applied.object or names[0]), chosen)
+                trial.measure(self.poses)
+        if self.loaded.live and (free := np.flatnonzero(~self.parts()[0].pinned)).size:
+            trial = copy(self)
+            with contextlib.suppress(BadInput):
+                trial.add(f"attach: {{body: {json.dumps(self.loaded.live[0])}, vertices: [{free[0]}]}}")
                 trial.measure(self.poses)
 
     def parts(self) -> list[Fabric]:
