@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from live_run import Run
 from test_live_poses import LONG, hand, places, poses, send
+from test_readme import ROOT, blocks
 
 import nuno
 from nuno.cli import main
 from nuno.recording.reader import open_recording
+from nuno.supervision import runs
 from nuno_schemas.errors import RunFailed
 
 
@@ -86,3 +92,26 @@ def test_by_the_clock_silence_begins_with_the_first_poses(tmp_path: Path) -> Non
     run.wait_until_paused()
     send(run, f"nuno/{run.run}/poses/hand", {"position": [0.0, 0.0, 0.1], "rotation": [1, 0, 0, 0]})
     assert run.join().state == "failed" and "silent: stop" in run.join().problem
+
+
+@pytest.mark.full
+def test_the_documentations_environment_is_the_same_after_each_reset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, whatever became of the one before: given up on its way, or gone to its end."""
+    tool = tmp_path / "nuno"
+    tool.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m nuno "$@"\n')
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", os.pathsep.join([str(tmp_path), os.environ["PATH"]]))
+    (program,) = blocks(ROOT / "docs" / "how-to" / "robots.md", "python")
+    known: dict[str, Any] = {}
+    exec(program.replace("300\n", "12\n").replace("duration=3 s", "duration=0.12 s"), known)
+    env, seen = known["Env"](runs.new_id("env")), list[Any]()
+    for steps in (4, 11):
+        seen.append([env.reset()])
+        for number in range(steps):
+            x, reward, over = env.step([0.0, -0.1, 0.3 - 0.03 * number])
+            seen[-1].append(x)
+    env.close()
+    assert over and env.run.poll() is not None and reward > 0.0
+    assert all((one == other).all() for one, other in zip(*seen, strict=False))
