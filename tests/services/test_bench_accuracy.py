@@ -33,6 +33,16 @@ def test_levels_of_cloth_deliver_what_they_promise(tmp_path: Path) -> None:
     assert all(0.0 < one["error"] <= accuracy.WITHIN * one["promised"] and one["floor"] < 1e-10 for one in found)
 
 
+def test_a_solver_that_is_named_is_judged_with_the_step_chosen_for_it(tmp_path: Path) -> None:
+    """And a scene's own is not, unless it is named: the promise is that of the choice."""
+    path = write_net(tmp_path, solver={"plugin": "rk4", "dt": "1 ms"})
+    flags = ("--duration", "0.2 s", "--levels", "preview")
+    (chosen,) = delivered(path, tmp_path / "chosen", *flags)
+    (named,) = delivered(path, tmp_path / "named", *flags, "--solver", "leapfrog")
+    assert chosen["solver"] != "rk4" and named["solver"] == "leapfrog"
+    assert chosen["verdict"] == named["verdict"] == "agrees"
+
+
 @pytest.mark.full
 def test_a_level_of_dye_delivers_what_it_promises(tmp_path: Path) -> None:
     (one,) = delivered(write_scene(tmp_path), tmp_path / "out", "--duration", "20 s", "--levels", "normal")
