@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 from live_run import Run
-from test_live_poses import LONG, hand, places, poses, send
+from scenes import write_scene
+from test_live_poses import LONG, SHEET, hand, places, poses, send
 from test_readme import ROOT, blocks
 
 import nuno
@@ -82,6 +83,18 @@ def test_silence_that_ends_a_run_is_no_service_that_died(tmp_path: Path, capsys:
     assert main(["info", str(tmp_path / "stopped.mcap")]) == 0
     said = capsys.readouterr().out
     assert "0 poses came" in said and "silent: stop" in said and "1 sent, 1 recorded" in said
+
+
+def test_bodies_are_waited_for_together(tmp_path: Path) -> None:
+    """A frame waits as long as the longest silence, not as long as all of them."""
+    moved = {"plugin": "topic", "frames": "poses", "silence": 0.3}
+    ball = {"collider": {"plugin": "sphere", "radius": 0.03}, "motion": moved}
+    bodies = [{"name": name} | ball for name in ("left", "right")]
+    cloth = [{"name": "cloth", "model": SHEET}]
+    scene = write_scene(tmp_path, objects=cloth, bodies=bodies, solver="symplectic_euler", duration=0.06)
+    done = nuno.run(scene, progress=False)
+    assert done.report["followed"]["left"]["without"] == done.report["followed"]["right"]["without"] == 3
+    assert 0.9 <= done.report["parts_seconds"]["bodies"] < 1.5
 
 
 def test_by_the_clock_silence_begins_with_the_first_poses(tmp_path: Path) -> None:
