@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+import nuno
 from nuno.access import folder
-from nuno.access.rights import Rights
+from nuno.access.rights import PEOPLE, Rights
+from nuno_schemas.errors import BadInput, RunFailed
 from soak import access
 
 
@@ -29,3 +31,19 @@ def test_without_access_control_the_same_attempts_succeed(tmp_path: Path, monkey
         tries = (access.attempt(guarded, guarded.endpoint, guarded.config("collision"), spared) for _ in range(5))
         got = any(one is not None and min(one) > 0 for one in tries)
     assert got, "messages read, requests taken, forgeries delivered"
+
+
+@pytest.mark.full
+def test_a_run_is_heard_by_observers_and_its_bodies_are_operators(tmp_path: Path) -> None:
+    """From another host, where nothing but the certificate says who one is."""
+    with access.guarded_run(tmp_path) as guarded:
+        run, endpoint, (operator, observer) = guarded.run, guarded.endpoint, map(guarded.config, PEOPLE)
+        with nuno.watch(run, "sim/status", connect=endpoint, config=observer) as heard:
+            assert next(heard).value.state == "running"
+        with pytest.raises(BadInput, match=r"ball has no motion: {plugin: topic}"):
+            nuno.drive(run, "ball", connect=endpoint, config=operator)
+        with pytest.raises(RunFailed, match="an operator's certificate"):
+            nuno.drive(run, "ball", connect=endpoint, config=observer)
+        with pytest.raises(BadInput, match="no such run"):
+            nuno.watch("other", connect=endpoint, config=observer)
+        guarded.stop()

@@ -26,6 +26,8 @@ RIGHTS: dict[str, tuple[tuple[str, str], ...]] = {
     "asks": (("query", IN), ("reply", OUT)),
 }
 """Messages and directions of each right."""
+ALIVE = (("declare_liveliness_subscriber", IN), ("liveliness_query", IN), ("liveliness_token", OUT))
+"""The same of seeing who is alive, from now on and now."""
 PEOPLE = ("operator", "observer")
 """Roles that are no part of a run."""
 
@@ -59,7 +61,7 @@ def access_control(roles: dict[str, Rights]) -> dict[str, Any]:
     """
     shared = [
         *_rules("who listens", [("declare_subscriber", OUT), ("declare_queryable", OUT)], ["**"]),
-        *_rules("who is alive", [("declare_liveliness_subscriber", IN), ("liveliness_token", OUT)], ["alive/*"]),
+        *_rules("who is alive", ALIVE, ["alive/*"]),
     ]
     rules, policies = list(shared), []
     for role, rights in roles.items():

@@ -45,7 +45,7 @@ class Driving:
             try:
                 _asked_until(end, ready, RunFailed)
             except RunFailed as error:
-                right = f"{error}; to move a body takes an operator's, of which: nuno certs"
+                right = f"{error}; to move a body takes an operator's certificate"
                 raise RunFailed(right if config else str(error), error.peer) from None
             self._joints, key = _told(self._bus, body)
             self._publisher = session.declare_publisher(

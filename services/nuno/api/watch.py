@@ -17,6 +17,8 @@ from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.messages import MODELS, PICTURE, REPORT, STATE, TOPICS
 
+TOKENS_SECONDS = 2.0
+"""How long it may take to see those alive that are [s]."""
 LISTENING = 0.2
 """How often it is asked whether the run is over while nothing comes [s]."""
 
@@ -47,9 +49,12 @@ class Watching:
         with in_python():
             bus = Bus(self._stack.enter_context(spoke(endpoint, config)), run, "watch")
         self._stack.callback(bus.close)
-        self._inbox, self._life = Inbox(bus, [ALL], newest_only=True), Watch(bus)
-        # Once this is answered, the hub knows of who listens.
-        if not bus.present() and not announced:
+        self._inbox = Inbox(bus, [ALL], newest_only=True)
+        # Once this is answered, the hub knows of who listens; a session that watches would answer by itself, too early.
+        present = bus.present()
+        self._life = Watch(bus)
+        self._life.wait_for(present, TOKENS_SECONDS)
+        if not present and not announced:
             self.close()
             remedy = "check the run's id, as it was told where it was started"
             raise BadInput("no such run is going on there", field="run", value=run, limit=endpoint, remedy=remedy)
