@@ -24,7 +24,6 @@ from nuno.recording import service as recording_service
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Options
-from nuno.stepping.stepped import Stepped
 from nuno.supervision import supervisor
 from nuno.supervision.oversight import Supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
@@ -250,29 +249,6 @@ def test_a_run_that_never_began_has_no_figures(
     said = capsys.readouterr()
     assert "the loom is on fire" in said.err
     assert "ended while it was prepared, after" in said.out and "stretch" not in said.out
-
-
-def test_a_run_whose_service_dies_on_its_way_is_not_said_to_have_been_prepared(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What is recorded is counted, and why the run ended is kept."""
-    from nuno.simulation.run import Simulation
-
-    step = Simulation.step
-
-    def fail(self: Simulation) -> Stepped:
-        if self.frame == 4:
-            raise OSError("the loom is on fire")
-        return step(self)
-
-    monkeypatch.setattr(Simulation, "step", fail)
-    path = tmp_path / "a.mcap"
-    assert main(["run", str(write_scene(tmp_path)), "--no-view", "--record", str(path)]) == 1
-    capsys.readouterr()
-    assert main(["info", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "5 frames are recorded" in said and "prepared" not in said
-    assert "the simulation service died: OSError: the loom is on fire" in said
 
 
 def refusal(capsys: pytest.CaptureFixture[str], recording: Path, *flags: str) -> str:

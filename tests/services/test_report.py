@@ -14,6 +14,8 @@ import nuno
 from nuno.cli import main
 from nuno.report.make import Report
 from nuno.report.show import brief, lines
+from nuno.simulation.run import Simulation
+from nuno.stepping.stepped import Stepped
 from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
@@ -133,3 +135,24 @@ def test_a_report_is_a_few_lines_unless_all_is_asked_for(
     for flags in ([], ["--report"]):
         assert main(["run", str(path), "--no-view", "--no-record", *flags]) == 0
         assert ("\nenergy " in capsys.readouterr().out) is bool(flags)
+
+
+def test_a_run_whose_service_dies_on_its_way_is_not_said_to_have_been_prepared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is recorded is counted, and why the run ended is kept."""
+    step = Simulation.step
+
+    def fail(self: Simulation) -> Stepped:
+        if self.frame == 4:
+            raise OSError("the loom is on fire")
+        return step(self)
+
+    monkeypatch.setattr(Simulation, "step", fail)
+    path = tmp_path / "a.mcap"
+    assert main(["run", str(write_scene(tmp_path)), "--no-view", "--record", str(path)]) == 1
+    capsys.readouterr()
+    assert main(["info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "5 frames are recorded" in said and "prepared" not in said
+    assert "the simulation service died: OSError: the loom is on fire" in said
