@@ -67,8 +67,7 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
         {"solver": {"plugin": "rk4", "duration": 1}}, "solver.duration", "no such field", "the scene itself: move",
     ),
     "field of a body": (
-        {"friction": 1, "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0, 0, 0],
-                                                                 "radius": 1}}]},
+        {"friction": 1, "bodies": [{"name": "floor", "collider": {"plugin": "plane"}}]},
         "friction", "no such field", "a field of bodies[0]: move it there",
     ),
     "unknown integrator": ({"solver": {"plugin": "rk5"}}, "solver.plugin", "no plugin 'rk5'", "'rk4'"),

@@ -280,11 +280,11 @@ def test_a_distance_field_is_slid_on_by_its_triangles() -> None:
 def test_what_is_no_closed_mesh_is_refused_by_name() -> None:
     whole = body(meshes.box((1, 1, 1)))
     refused = (
-        (replace(whole, kind=np.zeros(1, np.int8)), "is with meshes"),
+        (replace(whole, kind=np.zeros(1, np.int8)), "is with meshes", "penalty"),
         (replace(whole, kind=np.array([FIELD], np.int8), faces=whole.faces[1:], owner=whole.owner[1:]),
-         "closed meshes, and the mesh has a hole"),
+         "closed meshes, and the mesh has a hole", "bodies: [body]"),
     )  # fmt: skip
-    for geometry, problem in refused:
+    for geometry, problem, remedy in refused:
         with pytest.raises(BadInput, match=problem) as error:
             Sliding().prepare(SlidingConfig(), loose(np.ones((1, 3))), geometry, np.zeros(3))
-        assert error.value.field == "body" and "penalty" in str(error.value.remedy)
+        assert error.value.field == "body" and remedy in str(error.value.remedy)
