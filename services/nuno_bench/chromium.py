@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import itertools
 import json
@@ -18,8 +19,11 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 from PIL import Image
+
+from nuno_bench import machine
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
@@ -72,6 +76,10 @@ class Page:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         os.close(self._out)
         os.close(self._in)
+        browser = psutil.Process(self._process.pid)
+        for process in browser.children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                machine.Others.besides += sum(process.cpu_times()[:2])
         self._process.kill()
         self._process.wait()
 

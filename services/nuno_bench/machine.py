@@ -27,6 +27,9 @@ def cores() -> int:
 class Others:
     """How much of the machine other processes took while something was measured."""
 
+    besides = 0.0
+    """Processor time [s] of processes that this one started and that are not its to wait for, such as a browser's."""
+
     def __init__(self) -> None:
         self.started = time.perf_counter()
         self.before = self._seconds()
@@ -37,7 +40,7 @@ class Others:
         idle = all_times.idle + getattr(all_times, "iowait", 0.0)
         # Guests are counted within user and nice.
         guests = getattr(all_times, "guest", 0.0) + getattr(all_times, "guest_nice", 0.0)
-        return float(sum(all_times) - guests - idle - sum(own[:4]))
+        return float(sum(all_times) - guests - idle - sum(own[:4])) - Others.besides
 
     def share(self) -> float:
         """Share of all cores since the start, 0 to 1."""
