@@ -202,7 +202,7 @@ def test_implausible_numbers_are_said_by_plan_run_and_python(
 
 def test_a_number_that_cannot_be_built_is_asked_about_in_the_error(capsys: pytest.CaptureFixture[str]) -> None:
     """And the error is of a field that the skirt has."""
-    assert main(["plan", "skirt-on-mannequin", "--set", "objects.skirt.model.length=60"]) == 2
+    assert main(["plan", "skirt-hula", "--set", "objects.skirt.model.length=60"]) == 2
     first, *_, remedy = capsys.readouterr().err.strip().splitlines()
     assert "objects[0].model.rows" in first
     assert remedy.strip().startswith("remedy: objects[0].model.length: a bare 60 is 60 m") and "60 cm" in remedy
