@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno import contain
+from nuno import contain, process
 from nuno.handed import CHECKS, check, check_turn, doubts
 from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
@@ -31,9 +33,20 @@ ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fix
 FLOATS = "\nAll that nuno's kernels are given is float64: a method's own buffers, too, as `stages` are"
 
 
+OWN = (__file__, contain.__file__, process.__file__)
+"""Files that stand between a call of a plugin and its own code."""
+
+
 def _hint(error: BaseException) -> str:
     """What a compiler's words do not say by themselves."""
     return FLOATS if type(error).__name__ == "TypingError" and "float32" in str(error) else ""
+
+
+def _place(error: BaseException) -> str:
+    """The last line of the plugin's own folder on the way to an error, "" where there is none."""
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename not in OWN]
+    own = [one for one in frames if Path(one.filename).parent == Path(frames[0].filename).parent]
+    return f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
 
 
 class Lacking(BadInput, AttributeError):
@@ -77,7 +90,8 @@ class Foreign:
         def fail(error: BaseException) -> BaseException:
             if isinstance(error, BadInput | RunFailed):
                 return error
-            return RunFailed(f"{self._who} failed in {name}: {type(error).__name__}: {error}{_hint(error)}")
+            said = f"{type(error).__name__}: {error}{_hint(error)}{_place(error)}"
+            return RunFailed(f"{self._who} failed in {name}: {said}")
 
         return contain.call(fail, method, *args, **named)
 

@@ -136,7 +136,7 @@ def test_one_whose_class_is_abstract_is_told_what_to_write(packages: Packages) -
 FLOAT32 = "raise type('TypingError', (Exception,), {})('array(float32, 2d, C)')"
 """As numba says it of buffers of another kind than `stages`."""
 FAULTS = {
-    "prepare": (force(prepare="raise KeyError('k')"), "failed in prepare: KeyError: 'k'"),
+    "prepare": (force(prepare="raise KeyError('k')"), "failed in prepare: KeyError: 'k' ("),
     "float32": (force(prepare=FLOAT32), "a method's own buffers, too, as `stages` are"),
     "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),
     "infinity": (force("out[2] += np.inf"), "at 0.5 s its force is inf at row 2"),

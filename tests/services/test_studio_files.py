@@ -15,9 +15,11 @@ from recorded_sheet import Sheet, write
 from studio_desk import FILE
 
 from nuno.cli import main
-from nuno.scene import shipped
-from nuno.studio import arrivals
+from nuno.dye.run import build_cloth
+from nuno.scene import scene_file, shipped
+from nuno.studio import arrivals, offers
 from nuno.studio.desk import Desk
+from nuno.studio.seen import look
 from nuno_schemas.errors import BadInput
 
 OWN = shipped.folder()
@@ -217,3 +219,53 @@ def test_a_picture_is_shown_small(desk: Desk) -> None:
     Image.fromarray(np.zeros((900, 1800, 3), np.uint8)).save("large.jpg")
     kind, data = desk.files.picture({"file": ["large.jpg"]})
     assert kind == "image/png" and Image.open(io.BytesIO(data)).size == (640, 320)
+
+
+WIF = """[WIF]
+[WEAVING]
+Shafts=2
+Treadles=2
+[WARP]
+Threads={0}
+{1}
+[WEFT]
+Threads={0}
+{1}
+[THREADING]
+{2}
+[TIEUP]
+1=1
+2=2
+[TREADLING]
+{2}
+"""
+
+
+@pytest.mark.parametrize(
+    ("ends", "lengths", "cells", "coarser"),
+    [(8, "", 320, 1), (8, "Units=centimeters\nSpacing=0.05", 320, 1), (90, "Units=cm\nSpacing=0.1", 1800, 3)],
+    ids=["no spacing", "repeated", "large"],
+)
+def test_all_of_a_draft_is_woven(ends: int, lengths: str, cells: int, coarser: int) -> None:
+    table = "\n".join(f"{k + 1}={k % 2 + 1}" for k in range(ends))
+    Path("a.wif").write_text(WIF.format(ends, lengths, table))
+    scene = scene_file.read(offers.make(Path("a.wif").resolve(), look, "weave", {}))
+    cloth = scene.dyed.cloth.config
+    assert cloth.cells == (cells, cells) and cloth.coarser == coarser
+    build_cloth(scene)
+
+
+def test_a_stencil_in_colour_or_jpg_is_taken_by_its_greys_and_written_once() -> None:
+    shutil.copy(shipped.folder() / "dye" / "draft.wif", "a.wif")
+    colours = np.random.default_rng(1).integers(0, 256, (40, 50, 3)).astype(np.uint8)
+    for name in ("a.png", "a.jpg"):
+        Image.fromarray(colours).save(name)
+        with Image.open(name) as picture:
+            greys = np.asarray(picture.convert("L"))
+        for _ in range(2):
+            scene = scene_file.read(offers.make(Path(name).resolve(), look, "resist", {}))
+            build_cloth(scene)
+            (resist,) = scene.dyed.cloth.config.resist
+            with Image.open(resist.file) as kept:
+                assert np.array_equal(np.asarray(kept), greys)
+    assert len(list(Path().glob("a-grey*.png"))) == 2

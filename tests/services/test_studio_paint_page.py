@@ -37,6 +37,7 @@ def paint(page: Page, server: Server, name: str) -> None:
     assert page.value("document.getElementById('verdict').textContent") == "No mistakes"
     page.click("cloth-paint")
     page.wait("nuno.scene.cloth.paint.on && document.getElementById('paint').clientWidth > 400")
+    assert page.value("document.getElementById('cloth-flat').clientWidth") == 0  # one picture, which is painted on
 
 
 @pytest.fixture

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,8 +31,12 @@ def weave(scene: Path, draft: str, stencil: str) -> Path:
     image = {"kind": "image", "file": stencil and _grey(scene.parent, stencil), "fit": "stretch"}
     changes = [_as("description", told), _as("dye.cloth.resist", [image] if stencil else [])]
     if draft:
-        changes += [_as("dye.cloth.weave.file", draft)]
-        cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
+        changes.append(_as("dye.cloth.weave.file", draft))
+        try:
+            cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
+        except BadInput:  # the file may not say how far its yarns are apart: then they are as those of other weaves
+            changes.append(_as("dye.cloth.weave.measured", False))
+            cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
         nx, ny = (n * math.ceil(FEWEST_CELLS / n) for n in cells.fibre.shape[:0:-1])
         changes.append(_as("dye.cloth.cells", [nx, ny]))
         for times in range(math.ceil(max(nx, ny) / MOST_CELLS), 1, -1):
@@ -56,6 +62,11 @@ def _grey(folder: Path, stencil: str) -> str:
     with Image.open(folder / stencil) as picture:
         if picture.format == "PNG" and picture.mode in ("1", "L", "LA", "I", "I;16"):
             return stencil
-        there = reserve(folder, f"{Path(stencil).stem}-grey.png")
-        picture.convert("LA" if "A" in picture.getbands() else "L").save(there)
+        grey = io.BytesIO()
+        picture.convert("LA" if "A" in picture.getbands() else "L").save(grey, "PNG")
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(grey.getvalue())
+        file.flush()
+        there = reserve(folder, f"{Path(stencil).stem}-grey.png", Path(file.name))
+    there.write_bytes(grey.getvalue())
     return there.name

@@ -13,7 +13,7 @@ from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
 from nuno_bench.peers.process import Point, fastest, is_ours
 from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
-from nuno_bench.report.plots import INK, MARKERS, Curve, Panel, draw
+from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 from nuno_bench.report.result import number, spread_of
 
 HEADINGS = ("peer", "setting", "off [mm]", "strain", "peak", "time [s]", "min - max", "start [s]", "verdict")
@@ -128,7 +128,7 @@ def error_over_time(found: Found) -> Panel:
             [bool(point.score and point.score.stretched) for point in own],
             not kind.name.startswith("nuno-"),
         )
-        curves.append(Curve(kind.name, x, y, i, dashed, marker=MARKERS[i % len(MARKERS)], hollow=hollow, spread=spread))
+        curves.append(Curve(kind.name, x, y, i, dashed, marker=marker_of(i), hollow=hollow, spread=spread))
     return Panel("", curves, "wall time of a simulated second [s]", "centre of mass off by [mm]", log="xy")
 
 

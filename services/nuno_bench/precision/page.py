@@ -25,7 +25,7 @@ from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.horizon import LOST, Horizon
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
-from nuno_bench.report.plots import INK, MARKERS, Curve, Panel, draw
+from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 from nuno_bench.report.result import number, spread_of
 
 LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
@@ -183,7 +183,7 @@ def over_wall_time(found: Findings, name: str) -> Panel:
         errors = [math.inf if not point.done else _or_nan(point.error(name)) for point in own]
         curves.append(
             Curve(solver, np.array([point.median for point in own]), np.array(errors), i,
-                  marker=MARKERS[i % len(MARKERS)], hollow=[point.beyond for point in own],
+                  marker=marker_of(i), hollow=[point.beyond for point in own],
                   spread=[(min(point.seconds), max(point.seconds)) for point in own],
                   labels=[point.setting for point in own])
         )  # fmt: skip

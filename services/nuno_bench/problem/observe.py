@@ -282,9 +282,11 @@ def advance_all(
     # What a diverging run overflows is its result, not a mistake to warn of.
     with np.errstate(all="ignore"):
         for frame in range(1, problem.frames + 1):
+            begun = time.perf_counter()
             try:
                 report, taken = advance(frame)
             except RunFailed as error:
+                seconds += time.perf_counter() - begun
                 return "failed", f"at {frame * problem.frame:.3g} s: {error}", seconds, totals
             seconds += taken
             totals.update({"steps": report.steps} | {name: int(count) for name, count in report.totals.items()})

@@ -150,6 +150,11 @@ def _draw_curve(axis: Any, curve: Curve) -> None:
         axis.plot(x[above], np.full(above.sum(), 1.06), marker="x", markersize=5.5, color=colour, **place)
 
 
+def marker_of(i: int) -> str:
+    """The mark of curve i, which has COLOURS[i]: those that share a colour have marks of their own."""
+    return MARKERS[(i + i // len(COLOURS)) % len(MARKERS)]
+
+
 def pyplot() -> Any:
     """matplotlib.pyplot, drawing without a screen. Raises BadInput where it is missing."""
     require_matplotlib()

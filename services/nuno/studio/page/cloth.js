@@ -52,7 +52,7 @@ export class Cloth {
   build() {
     const button = (id, textContent, title, does) => make("button", { type: "button", id: `cloth-${id}`, textContent, title, onclick: does });
     this.canvas = make("canvas", { id: "cloth", tabIndex: 0, ariaLabel: "The cloth. Drag or arrow keys turn it, with Shift they move it, the wheel or + and - come nearer." });
-    this.flat = make("img", { id: "cloth-flat", alt: "The cloth as it begins, from above" });
+    this.flat = make("img", { id: "cloth-flat", draggable: false, alt: "The cloth as it begins, from above" });
     this.said = make("p", { className: "said", id: "cloth-said", role: "status" });
     this.figures = make("span", { className: "figures", id: "cloth-figures" });
     this.back = button("back", "Back to start", "The cloth as the text has it", () => { this.live = ""; this.built = null; this.update(); });
@@ -70,6 +70,9 @@ export class Cloth {
 
   say(text) { this.said.replaceChildren(text); }
 
+  /** Whether the scene's cloth is dyed and does not move: a run has no positions of it. */
+  get flatly() { return Boolean(this.scene.data?.dye && !this.scene.data.objects?.length); }
+
   get running() { return dock.going && dock.now.scene === this.scene.name; }
 
   /** Whether the start is to be built before a run is followed, for lines that go into the text. */
@@ -83,7 +86,7 @@ export class Cloth {
     if (this.running) this.ran = text;
     else if (this.ran !== text) this.live = "";
     if (!this.visible || document.hidden) this.rest();
-    else if (this.running && !this.startFirst) this.run();
+    else if (this.running && !this.startFirst && !this.flatly) this.run();
     else {
       this.rest();
       if (!this.live) this.start();
@@ -117,10 +120,10 @@ export class Cloth {
   async see() {
     const { value } = this.scene.text;
     this.waiting = null;
-    if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst) || !this.scene.good) return;
+    if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst && !this.flatly) || !this.scene.good) return;
     this.wanted = value;
     if (this.built === null) this.say("Building the cloth …");
-    const flat = Boolean(this.scene.data?.dye && !this.scene.data.objects?.length);
+    const flat = this.flatly;
     const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE });
     if (this.over.signal.aborted || this.wanted !== value) return;
     this.box.classList.toggle("flat", flat);
