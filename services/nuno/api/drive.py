@@ -101,15 +101,14 @@ class Driving:
 def drive(run: str, body: str, *, wait: float = 0.0, connect: str | None = None, config: str | None = None) -> Driving:
     """Move a body of a run whose motion is `{plugin: topic}`: with nuno.drive("last", "hand") as hand: hand.send(...).
 
-    run: its id, the beginning of that, or "last"; body: its name in the scene; wait: how long the run may take to be
-    there, and ready for its first frame [s], `last` being one begun in this folder then; connect and config: endpoint
-    and zenoh configuration, for a run on another host, whose id is then needed in full. Raises BadInput for a run that
-    does not go on, and a body that it has not or does not move so, RunFailed where it cannot be reached.
+    run: its id, the beginning of that, or "last" of this folder; body: its name in the scene; wait: how long the run
+    may take to be there, and ready for its first frame [s]; connect and config: endpoint and zenoh configuration, for a
+    run on another host, whose id is then needed in full. Raises BadInput for a run that does not go on, and a body that
+    it has not or does not move so, RunFailed where it cannot be reached.
     """
     end = time.monotonic() + wait
     with in_python():
-        here = wait > 0.0
-        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run, here), BadInput)
+        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run, here=True), BadInput)
     return Driving(name, body, endpoint, connect is not None, config, end)
 
 
