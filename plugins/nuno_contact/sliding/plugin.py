@@ -67,13 +67,16 @@ def check_meshes(geometry: Geometry) -> None:
                 remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
             )  # fmt: skip
         x, faces = geometry.mesh(primitive)
-        try:
-            check_closed(x, faces)
-            check_crossings(x, faces)
-        except BadInput as error:
-            raise BadInput(
-                f"sliding contact is with closed meshes, and {error.problem}", field=body,
-                value=f"{error.field} {error.value}",
-                remedy=f'--set "cloth_contact={{plugin: offset, thickness: 2 mm, bodies: [{body}]}}" takes its '
-                f"triangles as they are; --set bodies.{body}.collider.mend=true fills holes",
-            ) from None  # fmt: skip
+        # What passes through itself has no hole to be filled.
+        for check, more in (
+            (check_closed, f"; --set bodies.{body}.collider.mend=true fills holes"), (check_crossings, ""),
+        ):  # fmt: skip
+            try:
+                check(x, faces)
+            except BadInput as error:
+                raise BadInput(
+                    f"sliding contact is with closed meshes, and {error.problem}", field=body,
+                    value=f"{error.field} {error.value}",
+                    remedy=f'--set "cloth_contact={{plugin: offset, thickness: 2 mm, bodies: [{body}]}}" takes its '
+                    f"triangles as they are{more}",
+                ) from None  # fmt: skip

@@ -34,7 +34,10 @@ def weave(scene: Path, draft: str, stencil: str) -> Path:
         changes.append(_as("dye.cloth.weave.file", draft))
         try:
             cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
-        except BadInput:  # the file may not say how far its yarns are apart: then they are as those of other weaves
+        except BadInput as error:
+            if not str(error.field).endswith("Spacing"):
+                raise
+            # The file does not say how far its yarns are apart: they are as those of other weaves.
             changes.append(_as("dye.cloth.weave.measured", False))
             cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
         nx, ny = (n * math.ceil(FEWEST_CELLS / n) for n in cells.fibre.shape[:0:-1])
