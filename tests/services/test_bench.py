@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -12,14 +13,15 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.report import page
+from nuno_bench.problem.observe import advance_all
+from nuno_bench.report import page, plots
 from nuno_bench.report.result import Result, number
 from nuno_bench.speed import command as speed
 from nuno_bench.speed import timing
 from nuno_bench.speed.steps import meshes
 from nuno_bench.speed.steps.meshes import net, sheet
 from nuno_bench.speed.timing import watch_compiler
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State
 
 
@@ -154,3 +156,17 @@ def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureF
     refused: Any = main(["bench", *arguments])
     assert refused == 2
     assert "error: " in capsys.readouterr().err
+
+
+def test_forty_curves_of_a_figure_are_told_apart() -> None:
+    assert len({(plots.COLOURS[i % len(plots.COLOURS)], plots.marker_of(i)) for i in range(40)}) == 40
+
+
+def test_a_solver_that_fails_in_its_first_frame_has_taken_time() -> None:
+    """A point at no time at all cannot be drawn over the logarithm of time."""
+
+    def advance(frame: int) -> Any:
+        raise RunFailed("no")
+
+    status, _, seconds, _ = advance_all(SimpleNamespace(frames=2, frame=0.1), advance, lambda report: None, 1.0)
+    assert status == "failed" and seconds > 0.0
