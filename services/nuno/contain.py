@@ -12,9 +12,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from nuno import process
 from nuno.process import refusing_exit, working_folder
 
 T = TypeVar("T")
+OWN_FRAMES = (__file__, process.__file__)
+"""Files that stand between a call and the code that is called."""
 UNWRITTEN = (
     "write it, if the package is yours: docs/reference/protocols.md has what a plugin of each kind is asked for; if "
     "not, update it"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import contain, process
+from nuno import contain
 from nuno.handed import CHECKS, check, check_turn, doubts
 from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
@@ -33,10 +33,6 @@ ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fix
 FLOATS = "\nAll that nuno's kernels are given is float64: a method's own buffers, too, as `stages` are"
 
 
-OWN = (__file__, contain.__file__, process.__file__)
-"""Files that stand between a call of a plugin and its own code."""
-
-
 def _hint(error: BaseException) -> str:
     """What a compiler's words do not say by themselves."""
     return FLOATS if type(error).__name__ == "TypingError" and "float32" in str(error) else ""
@@ -44,7 +40,8 @@ def _hint(error: BaseException) -> str:
 
 def _place(error: BaseException) -> str:
     """The last line of the plugin's own folder on the way to an error, "" where there is none."""
-    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename not in OWN]
+    between = (__file__, *contain.OWN_FRAMES)
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename not in between]
     own = [one for one in frames if Path(one.filename).parent == Path(frames[0].filename).parent]
     return f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
 

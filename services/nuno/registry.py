@@ -9,11 +9,10 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nuno import contain, process
+from nuno import contain
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
-OWN_FRAMES = (contain.__file__, process.__file__)
 OWN = "nuno"
 """The distribution whose plugins are the project's own."""
 
@@ -90,7 +89,7 @@ def offering(group: str, method: str, what: str) -> Any:
 
 
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
-    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in OWN_FRAMES]
+    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in contain.OWN_FRAMES]
     where = [f"{places[-1].filename}:{places[-1].lineno}"] if places else []
     return BadInput(
         f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",

@@ -18,7 +18,7 @@ from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces, surface
 from nuno.exports.corners import cut_corners, read_corners, read_indices
-from nuno.exports.paint import CLOTHS, INSET, read_rgb
+from nuno.exports.paint import INSET, colour_of, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene
@@ -131,7 +131,7 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
         if not 0 <= start <= stop <= number:
             raise ValueError(f"an object of vertices {start} to {stop} of {number}")
         mine, own = _inside(edges, start, stop), _inside(faces, start, stop)
-        colour = item.get("colour") or (None if by_stretch or not own.any() else CLOTHS[len(pieces) % len(CLOTHS)])
+        colour = item.get("colour") or (None if by_stretch or not own.any() else colour_of(len(pieces)))
         pieces.append(
             ShownPiece(
                 str(item["name"]), start, stop, faces[own] - start, edges[mine] - start,

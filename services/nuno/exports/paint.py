@@ -29,6 +29,11 @@ YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
 """Of kinds of yarn in the order of their names, over again where there are more."""
 
 
+def colour_of(place: int) -> str:
+    """Of the object at a place in the scene, where it has no colour of its own."""
+    return CLOTHS[place % len(CLOTHS)]
+
+
 def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
     """(h, w, 3) sRGB of an image file. Raises OSError or ValueError for one that cannot be read."""
     from PIL import Image

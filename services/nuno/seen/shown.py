@@ -13,7 +13,7 @@ from nuno.cloth import build
 from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface
-from nuno.exports.paint import CLOTHS, INSET
+from nuno.exports.paint import INSET, colour_of
 from nuno.scene.scene_file import Loaded
 from nuno.seen.sight import NO_POINTS, Sight
 from nuno.wire.arrays import BadMessage
@@ -79,7 +79,7 @@ def _coloured(pieces: Iterable[build.Piece], faces: Int) -> tuple[build.Piece, .
     first = faces[:, 0] if faces.size else np.zeros(0, np.int32)
     return tuple(
         piece if piece.colour or not ((first >= piece.start) & (first < piece.stop)).any()
-        else replace(piece, colour=CLOTHS[i % len(CLOTHS)])
+        else replace(piece, colour=colour_of(i))
         for i, piece in enumerate(pieces)
     )  # fmt: skip
 
