@@ -18,8 +18,20 @@ FIT = 130 the lowest frequencies squared of a free square plate with 12 edges a 
 heavy strip of 16 clamped edges drops 1 to 2 % too far; half as much leaves 5 and 4 %, and twice as much is as far off
 to the other side, with steps that are half as long.
 
+Few vertices, or vertices on two lines, do not determine all curvatures. The singular values s of the fit say which,
+over the root of the sum of squared weights and with the patch stretched until it spreads alike in all directions, so
+that elongated triangles are as clear as others: 0.4 on grids, 0.23 and more on patterns that are cut and meshed, 0 of a
+ribbon one cell wide. Curvatures of s < WEAK are not read off, since their errors grow as 1 / s and the matrix as 1 /
+s^2. They are unknowns c of least energy instead, where what c does not explain of the fit's coefficient y costs (y - s
+c)^2 as what the fit leaves does, times 1 / (1 - (s / WEAK)^2). At s = WEAK this is the fit, and at s = 0 the curvature
+is free: a ribbon one cell wide curls up across as narrow strips do, and two pieces that share one vertex turn freely
+about it. The matrix is bounded on any mesh and goes on steadily with its vertices. A larger WEAK would change meshes
+that are well determined; with 0.15 steps of ribbons one cell wide whose vertices are off by 0.3 of a cell are two
+thirds as long.
+
 Rejected: hinges, k = B e^2 / (A_1 + A_2), 0.89 to 1.10 of B by the mesh, and with no choice of Poisson's ratio; the
-quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where diagonals alternate.
+quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where diagonals alternate; weak curvatures
+as 0, 1.11 of B for an isotropic ribbon one cell wide along the bias, and no continuous function of its vertices.
 """
 
 from __future__ import annotations
@@ -36,8 +48,10 @@ from nuno_schemas.triangles import Bending
 
 NEAR, STEEP = 1.0, 3
 FIT = 130.0
-LEAST = 1e-6
-"""Curvatures that vertices tell less than this share of the clearest of are not told: of few vertices, in a row."""
+WEAK = 0.22
+"""Singular values, over the root of the sum of squared weights, below which a curvature is not read off a patch."""
+WIDEST = 20.0
+"""Of a patch's reach over the length by which weights fall off: slivers among larger triangles are fitted as these."""
 AT_ONCE = 8192
 """Triangles whose matrices are held at a time."""
 
@@ -67,7 +81,7 @@ def build_bending(
         part = find_patches(sides, of, warp[of], weft[of])
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
-        found = fit(part.flat - middle, base - middle, part.there, side)
+        found = fit(part.flat - middle, base - middle, part.there, side, rigidity[cloth.of[of]])
         matrix = np.empty_like(found.left)
         for k, one in enumerate(cloth.each):
             own = cloth.of[of] == k
@@ -123,11 +137,12 @@ def find_clamp(faces: Int, held: Bool) -> Clamp:
     return Clamp(rigid, behind & ~loose, behind & loose)
 
 
-def fit(flat: Float, base: Float, there: Bool, side: Float) -> Fit:
+def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float) -> Fit:
     """The best one of patches with vertices at flat (f, k, 2) [m] along weft and warp from the point where it is asked
-    for, those that are there (f, k); `side` (f,) is the length [m] by which weights fall off. A vertex whose `base`
-    lies elsewhere is on the tangent there.
+    for, those that are there (f, k); `side` (f,) is the length [m] by which weights fall off, `rigidity` (f, 3, 3) D
+    [N m]. A vertex whose `base` lies elsewhere is on the tangent there.
     """
+    side = np.maximum(side, np.where(there, np.linalg.norm(flat, axis=2), 0.0).max(axis=1) / WIDEST)
     places, base = flat / side[:, None, None], base / side[:, None, None]
     weight = np.where(there, (NEAR + np.linalg.norm(places, axis=2)) ** (-STEEP / 2), 0.0)
     (weft, warp), (weft0, warp0) = np.moveaxis(places, 2, 0), np.moveaxis(base, 2, 0)
@@ -136,16 +151,53 @@ def fit(flat: Float, base: Float, there: Bool, side: Float) -> Fit:
     curved = np.stack(squares, axis=2) * weight[..., None]
     # Planes first, so that they are no curvature also where too few vertices tell all curvatures apart.
     level, upper = np.linalg.qr(plane)
-    u, size, v = np.linalg.svd(curved - level @ (level.transpose(0, 2, 1) @ curved), full_matrices=False)
-    told = size > LEAST * size[:, :1]
-    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=told)
+    bent = curved - level @ (level.transpose(0, 2, 1) @ curved)
+    u, size, v = np.linalg.svd(bent, full_matrices=False)
+    number, total = np.eye(weight.shape[1]), np.sqrt(np.square(weight).sum(axis=1))
+    shape = _even(upper, total)
+    clear = np.linalg.svd(bent @ shape, compute_uv=False)
+    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     second = (v.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
-    number = np.eye(weight.shape[1])
+    known = np.concatenate([level, u], axis=2)
+    left = number - known @ known.transpose(0, 2, 1)
+    weak = np.flatnonzero(clear[:, 2] < WEAK * total)
+    second[weak], left[weak] = _fit_weak(bent[weak], shape[weak], level[weak], total[weak], rigidity[weak])
     slopes = np.linalg.solve(upper, level.transpose(0, 2, 1) @ (number - curved @ second))[:, 1:]
-    known = np.concatenate([level, u * told[:, None, :]], axis=2)
-    left = (number - known @ known.transpose(0, 2, 1)) / np.sqrt(np.square(weight).sum(axis=1))[:, None, None]
+    left /= total[:, None, None]
     scale, length = weight[:, None, :], side[:, None, None]
     return Fit(slopes * scale / length, second * scale / length**2, left * scale / length**2)
+
+
+def _fit_weak(bent: Float, shape: Float, level: Float, total: Float, rigidity: Float) -> tuple[Float, Float]:
+    """Second derivatives (f, 3, k) by weighted heights, and what is left of these (f, k, k), where some are weak: of
+    weighted heights (f, k, 3) of unit curvatures without their planes, which are `level` (f, k, 3).
+    """
+    u, size, v = np.linalg.svd(bent @ shape, full_matrices=False)
+    share, coefficient = size / total[:, None], u.transpose(0, 2, 1)
+    weak = share < WEAK
+    gain = np.where(weak, 1.0 / np.maximum(1.0 - np.square(share / WEAK), np.finfo(float).eps), 1.0)
+    way = shape @ v.transpose(0, 2, 1)
+    length = np.linalg.norm(way, axis=1)
+    way, size = way / length[:, None, :], size / length
+    stiffness = rigidity / np.maximum(rigidity.max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+    pull = FIT * np.sqrt(stiffness[:, 0, 0] * stiffness[:, 1, 1])[:, None] * gain * size / np.square(total)[:, None]
+    matrix = way.transpose(0, 2, 1) @ stiffness @ way + (pull * size)[:, :, None] * np.eye(3)
+    # Of cloth that does not bend along one yarn there may be no least energy, but many: the pseudo-inverse takes one.
+    inverse = np.linalg.pinv(np.where(weak[:, :, None], matrix, np.eye(3)))
+    curvature = inverse @ (np.divide(1.0, size, out=pull, where=~weak)[:, :, None] * coefficient)
+    known = np.concatenate([level, u * ~weak[:, None, :]], axis=2)
+    beyond = np.sqrt(gain)[:, :, None] * (coefficient - size[:, :, None] * curvature) - coefficient
+    left = np.eye(u.shape[1]) - known @ known.transpose(0, 2, 1) + (u * weak[:, None, :]) @ beyond
+    return way @ curvature, left
+
+
+def _even(upper: Float, total: Float) -> Float:
+    """(f, 3, 3) curvatures along warp and weft and between them, by those of a patch that is stretched until its
+    weighted vertices are spread alike in all directions: by the triangular factor of their planes.
+    """
+    (a, c), (b, d) = np.moveaxis(np.linalg.inv(upper[:, 1:, 1:]) * total[:, None, None], 0, 2)
+    columns = (a * a, b * b, a * b), (c * c, d * d, c * d), (2.0 * a * c, 2.0 * b * d, a * d + b * c)
+    return np.moveaxis(np.array(columns), 2, 0).transpose(0, 2, 1) * [1.0, 1.0, np.sqrt(0.5)]
 
 
 def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:

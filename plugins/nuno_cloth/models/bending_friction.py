@@ -13,7 +13,7 @@ import numpy as np
 
 from nuno_cloth.fabrics.material import FabricChoice, Materials, resolve
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.bending import AT_ONCE, Clamp, find_clamp, fit
+from nuno_cloth.models.bending import AT_ONCE, Clamp, find_clamp, fit, plate
 from nuno_cloth.models.patches import Patches, find_patches, find_sides
 from nuno_cloth.models.triangles import face_areas
 from nuno_schemas.fabric import Bool, Float, Int
@@ -52,16 +52,17 @@ def build_friction(
     face, corner = loose[place // 3], place % 3
     area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(held))[of].astype(np.float64)
     limit, slip = 0.5 * np.take(widths, face, axis=1), np.full(len(of), SLIP)
+    rigidity = np.array([plate(one) for one in cloth.each])[cloth.of[face]]
     sides, parts = find_sides(corners, faces), []
     for at in range(0, len(of), AT_ONCE):
         part = slice(at, at + AT_ONCE)
         patches = find_patches(sides, face[part], warp[face[part]], weft[face[part]])
-        derived = _derive(patches, corner[part], area[part], clamp)
+        derived = _derive(patches, corner[part], area[part], clamp, rigidity[part])
         parts.append(BendingFriction(*derived, area[part], limit[:, part], slip[part]))
     return BendingFriction.join(parts)
 
 
-def _derive(patches: Patches, corner: Any, area: Float, clamp: Clamp) -> tuple[Int, Float]:
+def _derive(patches: Patches, corner: Any, area: Float, clamp: Clamp, rigidity: Float) -> tuple[Int, Float]:
     """(f, k) vertices near a corner of each triangle, that first, and (f, 5, k) by how much derivatives there move with
     them.
     """
@@ -73,6 +74,6 @@ def _derive(patches: Patches, corner: Any, area: Float, clamp: Clamp) -> tuple[I
         np.take_along_axis(patches.there, near, axis=1),
     )
     flat = np.take_along_axis(flat, near[..., None], axis=1)
-    derived = fit(flat, clamp.base(vertices, flat, there), there, np.sqrt(2.0 / np.sqrt(3.0) * area))
+    derived = fit(flat, clamp.base(vertices, flat, there), there, np.sqrt(2.0 / np.sqrt(3.0) * area), rigidity)
     shares = np.where(there[:, None], np.concatenate([derived.first, derived.second], axis=1), 0.0)
     return np.where(there, vertices, vertices[:, :1]).astype(np.int32), shares

@@ -1,0 +1,185 @@
+"""Ribbons, few triangles and slivers of a measured fabric: stiffness and step where curvatures hardly show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse
+from test_mesh_bending import matrix
+
+from nuno.scene.files import SceneFiles
+from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.bending import build_bending, plate
+from nuno_cloth.models.bending_friction import build_friction
+from nuno_cloth.models.mesh import Mesh, MeshConfig
+from nuno_cloth.models.triangles import face_areas, yarn_axes
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
+
+CELL = 0.01
+CLOTH = Material(0.05, 400.0, 400.0, 30.0, 5e-5, 5e-5)
+CURLS = replace(CLOTH, bend_poisson=0.3)
+LONG = 32
+
+
+def ribbon(wide: int, alternate: bool, jitter: float, across: bool = True, seed: int = 0) -> tuple[Float, Int, Bool]:
+    """Points [cells] and triangles of LONG cells; those of the first cell are held. Others are off by `jitter` cells,
+    on the border `across` it, too.
+    """
+    column, row = (part.reshape(-1) for part in np.meshgrid(np.arange(LONG + 1), np.arange(wide + 1), indexing="ij"))
+    corner = (np.arange(LONG)[:, None] * (wide + 1) + np.arange(wide)).reshape(-1)
+    a, b, c, d = corner, corner + wide + 1, corner + wide + 2, corner + 1
+    other = (alternate & ((column[a] + row[a]) % 2 == 1))[:, None, None]
+    one, two = (
+        np.stack([np.stack(t, 1) for t in pair], 1) for pair in (((a, b, d), (b, c, d)), ((a, b, c), (a, c, d)))
+    )
+    off = np.random.default_rng(seed).uniform(-jitter, jitter, (len(column), 2))
+    off[(column == 0) | (column == LONG), 0] = 0.0
+    off[((row == 0) | (row == wide)) & (not across), 1] = 0.0
+    held = column <= 1
+    points = np.column_stack([column, row]) + np.where(held[:, None], 0.0, off)
+    return points, np.where(other, two, one).reshape(-1, 3).astype(np.int32), held
+
+
+def cut(points: Float, faces: Int, held: Bool, material: Material, angle: float = 0.0) -> Fabric:
+    """Points in cells, the warp at an angle to x [degrees]."""
+    x = CELL * np.column_stack([points, np.zeros(len(points))])
+    axes = yarn_axes(x[faces], np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0]))
+    share = np.repeat(face_areas(x[faces]) * material.density / 3, 3)
+    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
+    bending = build_bending(material, x[faces], faces, *axes, held)
+    return Fabric("cut", x, 0.0 * x, mass, held, faces, bending=bending)
+
+
+def rigidity(material: Material, angle: float) -> float:
+    """Of a narrow strip at this angle to the warp, per width [N m]."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    moment = np.array([c * c, s * s, -2.0 * c * s])
+    return float(1.0 / (moment @ np.linalg.solve(plate(material), moment)))
+
+
+def drop(fabric: Fabric) -> Float:
+    """(n,) of a fabric under 1 m/s^2, so slightly that its slopes stay small."""
+    free, found = ~fabric.pinned, np.zeros(fabric.number)
+    found[free] = scipy.sparse.linalg.spsolve(matrix(fabric)[free][:, free], fabric.mass[free])
+    return found
+
+
+def expected_drop(x: Float, mass: Float, wide: int, stiffness: float) -> float:
+    """Of the end of a beam that is as wide at each place as a ribbon along x (n, 2) and bears its masses there."""
+    place = np.linspace(CELL, x[:, 0].max(), 4000)
+    low, high = (np.interp(place, *x[row :: wide + 1].T) for row in (0, wide))
+    moment = (mass * np.maximum(x[:, 0] - place[:, None], 0.0)).sum(axis=1)
+    return float(np.trapezoid(moment / (stiffness * (high - low)) * (place[-1] - place), place))
+
+
+def highest(fabric: Fabric) -> float:
+    """Square of the highest frequency of what is free [1/s^2]."""
+    free, root = ~fabric.pinned, 1.0 / np.sqrt(fabric.mass)
+    scaled = matrix(fabric).toarray() * root * root[:, None]
+    return float(np.linalg.eigvalsh(scaled[free][:, free])[-1])
+
+
+@pytest.mark.parametrize(("jitter", "across", "narrowest"), [
+    (1e-9, True, 1), (1e-5, True, 1), (1e-3, True, 1), (1e-2, True, 1), (0.1, True, 1), (0.2, False, 1), (0.3, True, 2),
+])  # fmt: skip
+def test_a_ribbon_drops_as_its_rigidity_asks_for_wherever_its_vertices_are(
+    jitter: float, across: bool, narrowest: int
+) -> None:
+    """One to eight cells wide, however cut: within 2 %, at a step that is as long as on a regular one, or a third."""
+    for wide in range(narrowest, 9):
+        for alternate in (False, True) if wide == 1 else (wide % 2 == 0,):
+            points, faces, held = ribbon(wide, alternate, jitter, across)
+            fabric = cut(points, faces, held, CLOTH)
+            found = drop(fabric)[-wide - 1 :].mean()
+            assert found == pytest.approx(expected_drop(fabric.position[:, :2], fabric.mass, wide, 5e-5), rel=0.02), (
+                wide,
+                alternate,
+            )
+            if wide <= 2:
+                even = cut(*ribbon(wide, alternate, 0.0), CLOTH)
+                assert highest(fabric) < (1.2 if jitter < 0.02 else 9.0) * highest(even)
+
+
+@pytest.mark.parametrize("material", [CLOTH, CURLS])
+@pytest.mark.parametrize("angle", [0.0, 30.0, 45.0, 90.0])
+def test_a_ribbon_one_cell_wide_is_a_narrow_strip_along_any_direction(material: Material, angle: float) -> None:
+    """It is free to curl up across: 1 - nu^2 of the rigidity with the width held."""
+    for jitter in (0.0, 1e-6, 1e-3, 0.05):
+        points, faces, held = ribbon(1, True, jitter)
+        fabric = cut(points, faces, held, material, angle)
+        expected = expected_drop(fabric.position[:, :2], fabric.mass, 1, rigidity(material, angle))
+        assert drop(fabric)[-2:].mean() == pytest.approx(expected, rel=0.01)
+
+
+def test_bending_goes_on_steadily_as_a_curvature_fades() -> None:
+    """No threshold is felt: a move of 1e-6 of a cell changes the matrix by as little, however far off two lines."""
+    points, faces, held = ribbon(1, True, 0.3)
+    flat = np.round(points)
+    for off in np.linspace(0.0, 1.0, 40):
+        near, far = (cut(flat + k * (points - flat), faces, held, CLOTH) for k in (off, off + 1e-6))
+        change = np.abs((matrix(near) - matrix(far)).toarray()).max()
+        assert change < 1e-3 * np.abs(matrix(near).toarray()).max()
+
+
+def test_pieces_that_share_a_vertex_turn_freely_about_it() -> None:
+    """So do triangles alone: what is flat in each piece costs nothing, and nothing makes a step short."""
+    bow = np.array([[0.0, 0.0], [1.0, 0.2], [1.0, -0.2], [-1.0, 0.2], [-1.0, -0.2]])
+    apart = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [3.0, 0.0], [4.0, 0.0], [3.0, 1.0]])
+    for points, faces in ((bow, [[0, 2, 1], [0, 3, 4]]), (apart, [[0, 1, 2], [3, 4, 5]])):
+        fabric = cut(points, np.array(faces, np.int32), np.zeros(len(points), bool), CLOTH, 20.0)
+        assert np.abs(matrix(fabric).toarray()).max() < 1e-12 * 5e-5 / CELL**2
+
+
+@pytest.mark.parametrize("weft", [0.0, 1e-9])
+def test_cloth_that_hardly_bends_along_one_yarn_has_a_bounded_step(weft: float) -> None:
+    for jitter in (0.0, 1e-6, 1e-2, 0.3):
+        points, faces, held = ribbon(1, True, jitter)
+        fabric = cut(points, faces, held, replace(CLOTH, bend_weft=weft), 20.0)
+        assert highest(fabric) < 10.0 * highest(cut(*ribbon(1, True, 0.0), CLOTH))
+
+
+def test_a_vertex_that_comes_near_another_or_an_edge_keeps_the_step() -> None:
+    """Slivers of any height among larger triangles: at most ten times the square of the frequency."""
+    points, faces, held = ribbon(4, False, 0.0)
+    one = next(k for k, face in enumerate(faces) if set(face) == {82, 83, 87})  # of the ribbon's middle
+    even = highest(cut(points, faces, held, CLOTH))
+    for height in (0.1, 1e-2, 1e-3, 1e-5, 1e-8):
+        edge = points[[83, 87]].mean(axis=0)
+        more = np.vstack([points, edge + height * (points[82] - edge)])
+        around = [[82, 87, 165], [87, 83, 165], [83, 82, 165]]
+        cloth = cut(more, np.vstack([np.delete(faces, one, 0), around]).astype(np.int32), np.append(held, False), CLOTH)
+        assert highest(cloth) < 10.0 * even
+
+
+def test_friction_of_a_ribbon_is_bounded_too() -> None:
+    """What a change of curvature holds, at most five times as much as on a ribbon two cells wide."""
+    rubs = replace(CLOTH, hysteresis_warp=1e-3, hysteresis_weft=1e-3)
+    sizes = []
+    for wide, jitter in ((2, 0.0), (1, 0.0), (1, 1e-6), (1, 1e-4), (1, 1e-2), (1, 0.1), (1, 0.3)):
+        points, faces, held = ribbon(wide, True, jitter)
+        x = CELL * np.column_stack([points, np.zeros(len(points))])
+        friction = build_friction(rubs, x[faces], faces, *yarn_axes(x[faces], np.array([0.8, 0.6, 0.0])), held)
+        assert friction is not None
+        sizes.append(np.abs(friction.shares).max())
+    assert max(sizes) < 5.0 * sizes[0]
+
+
+def test_files_of_a_ribbon_and_of_a_bow_bend_as_they_are_drawn(shared_data: Path) -> None:
+    """Written with 3 to 15 decimals of a metre a ribbon is as stiff, and its step as long."""
+    cases = shared_data / "cases"
+    fabric = {"density": 0.05, "warp": 400, "weft": 400, "shear": 30, "bend_warp": 5e-5, "bend_weft": 5e-5}
+    found = {}
+    for decimals in (15, 8, 7, 6, 5, 4, 3):
+        config = {"file": f"ribbon-{decimals}.obj", "warp": (0.8660254, 0.5, 0), "pin": (0, 1, 2, 3), "fabric": fabric}
+        files = SceneFiles(cases / "32-strip-one-cell-wide")
+        built = Mesh().build(MeshConfig.model_validate(config), files, 0)
+        along = built.position[:, :2] @ np.array([[3**0.5, -1.0], [1.0, 3**0.5]]) / 2.0
+        found[decimals] = highest(built)
+        assert drop(built)[-2:].mean() == pytest.approx(expected_drop(along, built.mass, 1, 5e-5), rel=0.02)
+        assert found[decimals] == pytest.approx(found[15], rel=0.01 if decimals > 3 else 0.3)
+    config = {"file": "deg-bowtie.obj", "fabric": "denim"}
+    bow = Mesh().build(MeshConfig.model_validate(config), SceneFiles(cases / "31-bowtie-hang"), 0)
+    assert highest(bow) < 1.0
