@@ -19,8 +19,11 @@ class Solver(Choice):
     """What steps the cloth, or spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
     dt: Interval | Literal["auto"] = Field(
-        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
+        default="auto",
+        description="step [s]; the nearest is taken of which whole ones make a frame; auto: the largest "
+        "that is safely stable",
     )
+    strict: bool = Field(default=False, description="refuse a dt of which no whole number makes a frame")
 
     @model_validator(mode="before")
     @classmethod

@@ -11,6 +11,7 @@ from typing import Any
 from nuno.scene.explain import EMPTY
 from nuno.scene.plausible import implausible_numbers
 from nuno.scene.scene_file import Loaded
+from nuno.scene.step import MOST_STEPS, ROUNDING, nearest_steps
 
 MOST_STRETCH = 1.0
 """No woven or knitted thread is twice as long as it was and still cloth."""
@@ -25,7 +26,7 @@ TOLERANCE = 1e-6
 def scene_warnings(loaded: Loaded) -> list[str]:
     """Warnings that follow from a scene alone."""
     empty = [f"{field} is empty: {EMPTY}; null is none on purpose" for field in loaded.empty]
-    return [*rounded_times(loaded), *empty, *implausible_numbers(loaded)]
+    return [*rounded_times(loaded), *rounded_steps(loaded), *empty, *implausible_numbers(loaded)]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:
@@ -44,6 +45,22 @@ def rounded_times(loaded: Loaded) -> list[str]:
         frames = f"{seconds * scene.frame_rate:.4g} frames at {scene.frame_rate:.7g} Hz"
         what = "the run ends at" if field == "duration" else "taken as"
         told.append(f"{field}: {seconds:.7g} s is {frames}: {what} {taken:.7g} s; change it, or frame_rate")
+    return told
+
+
+def rounded_steps(loaded: Loaded) -> list[str]:
+    """Steps of cloth and dye of which no whole number makes a frame, and what is taken for them."""
+    scene, told = loaded.scene, list[str]()
+    solvers = [("solver.dt", scene.solver, 1.0)] if scene.moves else []
+    solvers += [("dye.solver.dt", scene.dye.solver, scene.dye.speed)] if scene.dye is not None else []
+    for field, solver, speed in solvers:
+        frame = speed / scene.frame_rate
+        if solver.dt == "auto" or solver.strict or not frame <= MOST_STEPS * solver.dt:
+            continue
+        steps = nearest_steps(solver.dt, frame)
+        if abs(frame / steps - solver.dt) > ROUNDING * solver.dt:
+            asked, taken = f"{frame / solver.dt:.6g} steps of {solver.dt:.7g} s", f"{steps} of {frame / steps:.7g} s"
+            told.append(f"{field}: a frame is {asked}: {taken} are taken; strict: true refuses that")
     return told
 
 

@@ -25,6 +25,7 @@ from nuno.scene.json_schema import scene_schema
 from nuno.service import Options
 from nuno.supervision import supervisor
 from nuno.verification import verify
+from nuno.warnings import scene_warnings
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
@@ -187,7 +188,11 @@ def test_an_automatic_step_is_stable(tmp_path: Path) -> None:
         ({"frame_rate": 60, "speed": 60}, "dye.solver.dt", "a dye.speed of at least 108"),
         ({"speed": "3 m/s"}, "dye.speed", "cannot be converted"),
         ({"speed": 0}, "dye.speed", "more than 0"),
-        ({"frame_rate": 0.4}, "dye.solver.dt", "not a whole number of steps"),
+        (
+            {"frame_rate": 0.4, "solver": {"plugin": "explicit", "dt": "1.8 s", "strict": True}},
+            "dye.solver.dt",
+            "not a whole number of steps",
+        ),
         ({"dyes": [BLUE | {"isotherm": {"plugin": "langmuire", "K": 2}}]}, "dye.dyes[0].isotherm.plugin", "langmuir"),
         ({"dyes": [BLUE | {"isotherm": {"plugin": "freundlich", "k": 1, "b": 0.05}}]}, "dye.dyes[0].isotherm.b", "0.1"),
         ({"dyes": [{"name": "blue", "D0": 1e-10, "adsorption": 1}]}, "dye.dyes[0].adsorption", "isotherm"),
@@ -262,8 +267,15 @@ def test_amounts_are_a_table(tmp_path: Path) -> None:
     )
 
 
+def test_the_nearest_step_of_dye_is_taken_and_told_of(tmp_path: Path) -> None:
+    loaded = scene_file.read(write_scene(tmp_path), ["dye.solver={plugin: explicit, dt: 0.5 s}"])
+    dyeing = DyeRun(loaded, 1)
+    assert dyeing.steps == 4 and dyeing.dt == pytest.approx(0.45)
+    assert [text.partition(":")[0] for text in scene_warnings(loaded)] == ["dye.solver.dt"]
+
+
 def test_a_step_given_on_the_command_line_is_told_to_stand_there(tmp_path: Path) -> None:
-    loaded = scene_file.read(write_scene(tmp_path), ["dye.solver={plugin: explicit, dt: 1.7 s}"])
+    loaded = scene_file.read(write_scene(tmp_path), ["dye.solver={plugin: explicit, dt: 1.7 s, strict: true}"])
     with pytest.raises(BadInput, match="not a whole number of steps") as refused:
         DyeRun(loaded, 1)
     assert str(refused.value).startswith("--set: dye.solver.dt: a frame is not a whole number of steps\n")

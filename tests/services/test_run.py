@@ -28,6 +28,7 @@ from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verification import verify
+from nuno.warnings import scene_warnings
 from nuno.wire.asked import Asked
 from nuno.wire.sessions import hub_at
 from nuno_schemas.bodies import Poses
@@ -179,16 +180,65 @@ def test_step_above_the_limit_is_refused_with_limit_and_remedy(tmp_path: Path) -
 def test_a_step_that_is_too_long_and_divides_no_frame_is_refused_for_its_length_first(tmp_path: Path) -> None:
     """What is named as a remedy for the other fault must not be above the limit."""
     for dt, problem in (("19 ms", "above the stability limit"), ("0.99 ms", "not a whole number of steps")):
-        scene = write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": dt})
+        scene = write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": dt, "strict": True})
         with pytest.raises(BadInput, match=problem) as caught:
             nuno.run(scene)
         assert "dt: auto" in str(caught.value)
 
 
+@pytest.mark.parametrize(("dt", "steps"), [("0.139 ms", 120), ("0.97 ms", 17), ("0.99 ms", 17), ("1/6000 s", 100)])
+def test_of_a_step_that_divides_no_frame_the_nearest_is_taken_that_does(dt: str, steps: int, tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, frame_rate=60, solver={"plugin": "symplectic_euler", "dt": dt})
+    loaded = scene_file.read(scene)
+    simulation, said = Simulation(loaded, None, None, 1), scene_warnings(loaded)
+    assert (simulation.steps, simulation.dt) == (steps, 1.0 / 60.0 / steps)
+    asked = loaded.scene.solver.dt
+    assert isinstance(asked, float)
+    assert all(abs(simulation.dt - asked) <= abs(1.0 / 60.0 / n - asked) for n in range(1, 200))
+    if dt == "1/6000 s":
+        assert said == []
+    else:
+        assert [text.partition(":")[0] for text in said] == ["solver.dt"]
+        assert f"{steps} of {simulation.dt:.7g} s are taken" in said[0] and "strict" in said[0]
+
+
+def test_a_rounded_step_is_told_of_in_plan_and_report(tmp_path: Path) -> None:
+    scene = write_scene(
+        tmp_path, frame_rate=60, duration=2 / 60, solver={"plugin": "symplectic_euler", "dt": "0.139 ms"}
+    )
+    words = "solver.dt: a frame is 119.904 steps of 0.000139 s: 120 of 0.0001388889 s are taken"
+    assert f"WARNING   {words}" in str(nuno.plan(scene))
+    with pytest.warns(UserWarning, match=re.escape(words)):
+        report = nuno.run(scene).report
+    assert (report["dt"], report["steps_per_frame"]) == (1.0 / 60.0 / 120, 120)
+
+
+def test_the_nearest_step_is_no_longer_than_what_is_stable(tmp_path: Path) -> None:
+    """Where only the step itself is below the limit, the error names one that divides a frame and is stable."""
+
+    def made(dt: float) -> Simulation:
+        scene = write_scene(tmp_path, frame_rate=rate, solver={"plugin": "symplectic_euler", "dt": dt})
+        return Simulation(scene_file.read(scene), None, None, 1)
+
+    rate = 60.0
+    limit = made(1e-4).limit.dt
+    rate = 1.0 / (10.03 * limit)  # ten steps are just too long
+    assert made(0.9999 / rate / 11).steps == 11
+    with pytest.raises(BadInput, match="above the stability limit") as caught:
+        made(0.999 * limit)
+    found = re.search(r"dt: ([\d.e-]+) s", str(caught.value))
+    assert found is not None and "the nearest to" in str(caught.value)
+    assert made(float(found[1])).steps == 11
+    rate = 2.0 / limit
+    with pytest.raises(BadInput, match="a frame is shorter than a step"):
+        made(0.9 * limit)
+
+
 @pytest.mark.parametrize("frame_rate", [30.0, 48.0, 59.94])
 def test_what_is_named_as_a_remedy_for_a_step_is_taken(frame_rate: float, tmp_path: Path) -> None:
     def made(dt: str) -> Simulation:
-        scene = write_scene(tmp_path, frame_rate=frame_rate, solver={"plugin": "symplectic_euler", "dt": dt})
+        solver = {"plugin": "symplectic_euler", "dt": dt, "strict": True}
+        scene = write_scene(tmp_path, frame_rate=frame_rate, solver=solver)
         return Simulation(scene_file.read(scene), None, None, 1)
 
     with pytest.raises(BadInput, match="not a whole number of steps") as caught:

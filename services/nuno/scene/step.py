@@ -38,12 +38,18 @@ def find_limit(loaded: Loaded, solver: Any, system: System, start: State) -> Ste
     return found
 
 
+def nearest_steps(dt: float, frame: float) -> int:
+    """Whole steps that make a frame [s], each as near as can be to dt [s]."""
+    return max(1, round(frame / dt))
+
+
 def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: bool = False) -> tuple[int, float]:
     """Steps a frame and the step [s], of the cloth or of dyeing: the scene's, or the largest safe one for `dt: auto`.
 
-    `limit` [s] is the longest stable step; auto does not exceed `resolved` [s] either (StepLimit). Raises BadInput for
-    a step that does not divide a frame, and for one above the limit unless the scene allows it: of its cloth it is then
-    taken as it is, of dye in several shorter ones.
+    Of a step that does not divide a frame the nearest is taken that does. `limit` [s] is the longest stable step; auto
+    does not exceed `resolved` [s] either (StepLimit). Raises BadInput for a step that is longer than a frame, for one
+    that does not divide it where the solver is strict, and for one above the limit unless the scene allows it: of its
+    cloth it is then taken as it is, of dye in several shorter ones.
     """
     scene, dye = loaded.scene, loaded.scene.dye if dyed else None
     solver, field = (scene.solver, "solver") if dye is None else (dye.solver, "dye.solver")
@@ -58,33 +64,41 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: 
         _require_few(loaded, f"{field}.dt", frame, longest, f"{softer}, or a higher frame_rate")
         steps = max(1, math.ceil(frame / longest))
         return steps, frame / steps
-    if dyed and dt > frame * (1.0 + ROUNDING):
-        remedy = f"a frame_rate of at most {speed / dt:.9g} Hz, a dye.speed of at least {dt * scene.frame_rate:.9g}"
-        error = BadInput("a frame is shorter than a step", value=_said(dt, frame), remedy=f"{remedy}, or a smaller dt")
-        raise loaded.at(f"{field}.dt", error)
-    # Before what divides a frame: the nearest step that does may be above the limit as well.
-    above = dt > limit * (1.0 + ROUNDING)
+    _require_few(loaded, f"{field}.dt", frame, dt, "a larger dt, or a higher frame_rate")
+    whole = dt <= frame * (1.0 + ROUNDING)
+    steps = nearest_steps(dt, frame)
+    taken = frame / steps if whole else dt
+    above = taken > limit * (1.0 + ROUNDING)
     allowed = "allow_unstable: true" if dye is None else "substeps: allowed"
-    if above and not (scene.allow_unstable if dye is None else dye.solver.substeps == "allowed"):
+    if (
+        (whole or not dyed)
+        and above
+        and not (scene.allow_unstable if dye is None else dye.solver.substeps == "allowed")
+    ):
+        nearest = "" if abs(taken - dt) <= ROUNDING * dt else f", the nearest to {dt:g} s that divides a frame"
+        shorter = f"dt: {frame / (steps + 1):.7g} s" if nearest and dt <= limit else "a smaller dt"
         error = BadInput(
             "the step is above the stability limit",
-            value=f"{dt:g} s",
+            value=f"{taken:g} s{nearest}",
             limit=f"{limit:.4g} s for {solver.plugin}",
-            remedy=f"use dt: auto, a smaller dt, {softer}, or {allowed}",
+            remedy=f"use dt: auto, {shorter}, {softer}, or {allowed}",
         )
         raise loaded.at(f"{field}.dt", error)
-    _require_few(loaded, f"{field}.dt", frame, dt, "a larger dt, or a higher frame_rate")
-    steps = max(1, round(frame / dt))
-    if abs(frame / steps - dt) > ROUNDING * dt:
+    if not whole:
+        faster = f", a dye.speed of at least {dt * scene.frame_rate:.9g}" if dyed else ""
+        remedy = f"a frame_rate of at most {speed / dt:.9g} Hz{faster}, or a smaller dt"
+        error = BadInput("a frame is shorter than a step", value=_said(dt, frame), remedy=remedy)
+        raise loaded.at(f"{field}.dt", error)
+    if solver.strict and abs(taken - dt) > ROUNDING * dt:
         near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
         choices = " or ".join(f"{frame / n:.7g} s ({n} steps)" for n in near)
-        remedy = f"nearest that divide it: {choices}; or dt: auto"
+        remedy = f"nearest that divide it: {choices}; or dt: auto, or strict: false"
         error = BadInput("a frame is not a whole number of steps", value=_said(dt, frame), remedy=remedy)
         raise loaded.at(f"{field}.dt", error)
     if not (dyed and above):
         return steps, frame / steps
     _require_few(loaded, f"{field}.dt", frame, limit, f"{softer}, or a higher frame_rate")
-    parts = math.ceil(dt / limit * (1.0 - ROUNDING))
+    parts = math.ceil(taken / limit * (1.0 - ROUNDING))
     return steps * parts, frame / steps / parts
 
 
