@@ -208,6 +208,29 @@ def test_momentum_is_kept_in_a_collision() -> None:
     assert np.abs(kept() - before)[3:].max() < 1e-12 * np.abs(mass * pile.state.v).sum()
 
 
+def test_friction_changes_the_moment_of_momentum_by_the_gap_alone() -> None:
+    """Two sheets that rub keep their momentum to rounding. Friction, equal and opposite on both sides of the gap, is a
+    couple: what one sheet loses along it, times a part of the thickness.
+    """
+    pile = Pile(*piles.collision(), gravity=np.zeros(3), friction=0.3, damping=0.5, dt=5e-5)
+    mass, upper = pile.fabric.mass[:, None], pile.state.v[:, 1] < 0.0
+    pile.state.v[:, 0] += np.where(upper, 1.0, -1.0) * np.abs(pile.state.v).max()
+
+    def kept() -> tuple[Float, Float, float]:
+        along = mass * pile.state.v
+        return along.sum(axis=0), np.cross(pile.state.x, along).sum(axis=0), float(along[upper, 0].sum())
+
+    before = kept()
+    pile.go(400)
+    after = kept()
+    lost = before[2] - after[2]
+    assert lost > 0.05 * before[2]
+    assert np.abs(after[0] - before[0]).max() < 1e-12 * before[2]
+    change = after[1] - before[1]
+    assert 0.5 * piles.THICKNESS * lost < abs(change[2]) < piles.THICKNESS * lost
+    assert np.abs(change[:2]).max() < 0.01 * abs(change[2])
+
+
 def test_an_undamped_bounce_gains_no_energy() -> None:
     """Once the sheets have parted; in between, what passes from feature to feature changes it by some hundredths."""
     pile = collision(0.0)
