@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from nuno.collision import mesh as mesh_module
 from nuno.collision.distance import penetration, signed_distance
+from nuno.collision.mesh import distances, make_columns
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
 
@@ -121,3 +123,25 @@ def test_depth_in_a_mesh_is_that_in_the_box_it_has_the_shape_of() -> None:
     assert np.abs(signed_distance(points, mesh, poses) - signed_distance(points, plain, poses)).max() < 1e-14
     back = decode_geometry(encode_geometry(mesh))
     assert np.array_equal(back.faces, faces) and np.array_equal(back.vertices, x)
+
+
+def test_the_distance_to_a_mesh_is_that_to_all_its_triangles_by_looking_at_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of triangles of unlike sizes, slivers among them: near, far, on them, and as near to many."""
+    ball = trimesh.creation.icosphere(4)
+    box = trimesh.creation.box((8.0, 6.0, 10.0))
+    fan = trimesh.Trimesh([[2, 0, 0], [3, 0, 0], [2.5, 1e-9, 0], [2.5, 0, 2]], [[0, 1, 2], [2, 1, 3]], process=False)
+    mesh = trimesh.util.concatenate([ball, box, fan])
+    columns = make_columns(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32))
+    rng, looked = np.random.default_rng(4), []
+    points = np.concatenate(
+        [rng.uniform(-6, 6, (80, 3)), 0.99 * ball.vertices[:80], mesh.vertices[-9:], np.zeros((1, 3))]
+    )
+    original = mesh_module._to_triangles
+    monkeypatch.setattr(mesh_module, "_to_triangles", lambda p, *t: (looked.append(len(p)), original(p, *t))[1])
+    found = distances(points, columns)
+    _, expected, _ = trimesh.proximity.closest_point_naive(mesh, points)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert (found[-10:-1] < 1e-15).all()
+    assert sum(looked) < 0.1 * len(points) * len(mesh.faces)
+    monkeypatch.setattr(mesh_module, "AT_ONCE", 1000)
+    assert distances(points, columns).tobytes() == found.tobytes()

@@ -104,11 +104,12 @@ def _bent(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool)
 
 
 def _to_mesh(p: Float, columns: Columns, inside_only: bool) -> Float:
-    vertices, faces, inside = columns.vertices, columns.faces, are_inside(p, columns)
+    inside = are_inside(p, columns)
     if not inside_only:
-        return np.where(inside, -1.0, 1.0) * distances(p, vertices, faces)
+        return np.where(inside, -1.0, 1.0) * distances(p, columns)
     distance = np.full(len(p), np.inf)
-    distance[inside] = -distances(p[inside], vertices, faces)
+    if inside.any():
+        distance[inside] = -distances(p[inside], columns)
     return distance
 
 

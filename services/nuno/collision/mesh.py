@@ -3,16 +3,19 @@
 A point is inside where a ray from it along x crosses the mesh an odd number of times. Triangles are listed by
 the cells of a grid over y and z, so that a ray looks at those of its own cell. Which side of an edge a ray
 passes is computed from the edge's ends in the order of their numbers, and so with the same bits for both of
-its triangles: a ray that hits an edge or a vertex crosses exactly one. Only of points inside is the distance taken,
-to every triangle in turn.
+its triangles: a ray that hits an edge or a vertex crosses exactly one. Only of points inside is the distance taken, to
+the triangles that reach as near as the nearest middle of one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from nuno.collision.pairs import Boxes, boxes_of, overlap
 from nuno_schemas.bodies import Geometry
@@ -21,7 +24,7 @@ from nuno_schemas.fabric import Bool, Float, Int
 AT_ONCE = 2_000_000
 """Pairs of a point and a triangle whose distances are taken together."""
 ROUNDING = 1e-9
-"""Share of a cell by which a triangle may be crossed beside its box."""
+"""Share of a cell by which a triangle may be crossed beside its box, and of a distance by which its bound is off."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,28 @@ class Columns:
     start: NDArray[np.int64]
     listed: NDArray[np.int64]
     reached: Boxes
+
+    @cached_property
+    def corners(self) -> tuple[Float, Float, Float]:
+        """(f, 3) each [m]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return a, b, c
+
+    @cached_property
+    def trees(self) -> tuple[Any, list[tuple[Any, float, NDArray[np.int64]]]]:
+        """A tree of the triangles' middles, and for triangles of like size one of theirs, the largest distance of a
+        corner from its middle [m], and which they are.
+        """
+        a, b, c = self.corners
+        middle = (a + b + c) / 3.0
+        size = np.max([np.linalg.norm(corner - middle, axis=1) for corner in self.corners], axis=0)
+        alike = [np.flatnonzero(np.frexp(size)[1] == like) for like in np.unique(np.frexp(size)[1])]
+        return _tree(middle), [(_tree(middle[which]), float(size[which].max()), which) for which in alike]
+
+
+def _tree(points: Float) -> Any:
+    """Not balanced: that takes longer than it saves, since what bends has a new one in every frame."""
+    return KDTree(points, compact_nodes=False, balanced_tree=False)
 
 
 def make_columns(vertices: Float, faces: Int) -> Columns:
@@ -98,29 +123,39 @@ def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
     return np.asarray(around & (height * normal[:, 0] < 0.0))
 
 
-def distances(points: Float, vertices: Float, faces: Int) -> Float:
-    """(n,) distance [m] of points (n, 3) to the nearest triangle, by looking at all of them."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    chunk = max(1, AT_ONCE // len(faces))
-    parts = [_to_triangles(points[k : k + chunk], a, b, c) for k in range(0, len(points), chunk)]
-    return np.concatenate([np.zeros(0), *parts])
+def distances(points: Float, columns: Columns) -> Float:
+    """(n,) distance [m] of points (n, 3) to the nearest triangle."""
+    near, groups = columns.trees
+    bound = near.query(points)[0] * (1.0 + ROUNDING)
+    least = np.full(len(points), np.inf)
+    for tree, size, which in groups:
+        reach = bound + size
+        count = np.cumsum(tree.query_ball_point(points, reach, return_length=True))
+        at = 0
+        while at < len(points):
+            end = max(at + 1, int(np.searchsorted(count, (count[at - 1] if at else 0) + AT_ONCE, side="right")))
+            found = tree.query_ball_point(points[at:end], reach[at:end])
+            point = np.repeat(np.arange(at, end), [len(one) for one in found])
+            face = which[np.concatenate([*found, []]).astype(np.int64)]
+            np.minimum.at(least, point, _to_triangles(points[point], *(corner[face] for corner in columns.corners)))
+            at = end
+    return least
 
 
 def _to_triangles(p: Float, a: Float, b: Float, c: Float) -> Float:
+    """(m,) of points (m, 3) to a triangle each."""
     least: Float = np.full(len(p), np.inf)
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
     unit = normal / np.where(length > 0.0, length, 1.0)[:, None]
-    within = np.broadcast_to(length > 0.0, (len(p), len(a)))
-    height = p @ unit.T - (a * unit).sum(axis=1)
+    within = length > 0.0
     for start, end in ((a, b), (b, c), (c, a)):
-        along, off = end - start, p[:, None] - start
+        along, off = end - start, p - start
         square = (along * along).sum(axis=1)
-        part = np.clip((off * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-        away = np.linalg.norm(off - part[..., None] * along, axis=-1)
-        least = np.minimum(least, away.min(axis=1))
-        within = within & ((np.cross(along, off) * unit).sum(axis=-1) >= 0.0)
-    return np.asarray(np.minimum(least, np.where(within, np.abs(height), np.inf).min(axis=1)))
+        part = np.clip((off * along).sum(axis=1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        least = np.minimum(least, np.linalg.norm(off - part[:, None] * along, axis=1))
+        within &= (np.cross(along, off) * unit).sum(axis=1) >= 0.0
+    return np.where(within, np.minimum(least, np.abs(((p - a) * unit).sum(axis=1))), least)
 
 
 _COLUMNS: dict[int, tuple[Geometry, Columns]] = {}
