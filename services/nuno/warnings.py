@@ -12,6 +12,7 @@ from nuno.scene.explain import EMPTY
 from nuno.scene.plausible import implausible_numbers
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import MOST_STEPS, ROUNDING, nearest_steps
+from nuno_schemas.errors import BadInput
 
 MOST_STRETCH = 1.0
 """No woven or knitted thread is twice as long as it was and still cloth."""
@@ -26,7 +27,18 @@ TOLERANCE = 1e-6
 def scene_warnings(loaded: Loaded) -> list[str]:
     """Warnings that follow from a scene alone."""
     empty = [f"{field} is empty: {EMPTY}; null is none on purpose" for field in loaded.empty]
-    return [*rounded_times(loaded), *rounded_steps(loaded), *empty, *implausible_numbers(loaded)]
+    return [*rounded_times(loaded), *rounded_steps(loaded), *empty, *implausible_numbers(loaded), *left_out(loaded)]
+
+
+def left_out(loaded: Loaded) -> list[str]:
+    """What of its weave a dyed cloth has not, where its plugin says that by `left_out(config, files)`."""
+    if loaded.dye is None or not hasattr(loaded.dye.cloth.plugin, "left_out"):
+        return []
+    try:
+        known = loaded.dye.cloth.plugin.left_out(loaded.dye.cloth.config, loaded.files)
+    except BadInput:  # which is refused where the cloth is built
+        return []
+    return [f"dye.cloth: {text}" for text in known]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from wif_texts import DOBBY, FLOOR_LOOM, SINKING
 
+from nuno_dye.drafts.drawing import draw_draft
 from nuno_dye.drafts.weaves import draw_plain, draw_twill
 from nuno_dye.drafts.wif import read_wif
 from nuno_schemas.errors import BadInput
@@ -115,7 +118,6 @@ def test_colours_of_a_wider_range_and_written_out(write) -> None:  # type: ignor
         ("8=4", "8=5", r"\[THREADING\] 8: not a shaft\n.*5.*\n.*0 to 4"),
         ("7=3\n8=4\n", "", r"\[THREADING\]: fewer lines.*\n.*6 ends.*\n.*8 ends"),
         ("4=1\n", "4=7\n", r"\[TREADLING\] 4: not a treadle\n.*7.*\n.*0 to 6"),
-        ("4=4,1", "7=4,1", r"\[TIEUP\] 7: no such treadle"),
         ("2=2,3", "2=2,-3", r"\[TIEUP\] 2: not a shaft"),
         ("Threads=8", "Threads=1000000000", r"\[WARP\] THREADS.*\n.*1000000000.*\n.*16384"),
         ("Threads=8", "Threads=9999999999999999999", r"\[WARP\] THREADS"),
@@ -130,13 +132,68 @@ def test_colours_of_a_wider_range_and_written_out(write) -> None:  # type: ignor
         ("Range=0,255", "Range=0,1,255", r"\[COLOR PALETTE\] RANGE"),
         ("0,51,102", "0,51,256", r"\[COLOR TABLE\] 2: not a colour\n.*256.*\n.*0 to 255"),
         ("Rising Shed=true", "Rising Shed=perhaps", r"\[WEAVING\] RISING SHED: neither true nor false"),
-        ("[WARP COLORS]\n3=1", "[WARP COLORS]\n9=1", r"\[WARP COLORS\] 9: no such yarn"),
+        ("[WARP COLORS]\n3=1", "[WARP COLORS]\n0=1", r"\[WARP COLORS\] 0: no such yarn"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_place(write, old: str, new: str, said: str) -> None:  # type: ignore[no-untyped-def]
     assert old in FLOOR_LOOM
     with pytest.raises(BadInput, match=said):
         read_wif(write(FLOOR_LOOM.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize(("lines", "named"), [
+    ("[TIEUP]\n7=1\n8=9,bad\n", "[TIEUP] has lines of treadles that there are not (6 are stated): 7, 8"),
+    ("[WARP COLORS]\n9=1\n10=77\n", "[WARP COLORS] has lines of ends that there are not (8 are stated): 9, 10"),
+    ("[WEFT COLORS]\n5=1\n", "[WEFT COLORS] has lines of picks that there are not (4 are stated): 5"),
+    ("[WARP SPACING]\n999=3\n", "[WARP SPACING] has lines of ends that there are not (8 are stated): 999"),
+    ("[WEFT THICKNESS]\n6=1\n", "[WEFT THICKNESS] has lines of picks that there are not (4 are stated): 6"),
+])  # fmt: skip
+def test_lines_beyond_the_yarns_and_treadles_are_left_out_and_named(write, lines: str, named: str) -> None:  # type: ignore[no-untyped-def]
+    expected, found = read_wif(write(FLOOR_LOOM)), read_wif(write(FLOOR_LOOM + lines))
+    assert expected.left_out == () and found.left_out == (named,)
+    assert np.array_equal(found.drawdown, expected.drawdown)
+    for one, other in ((found.warp, expected.warp), (found.weft, expected.weft)):
+        for values, right in zip(astuple(one), astuple(other), strict=True):
+            np.testing.assert_array_equal(values, right)
+    assert draw_draft(found).facts["left out"] == named and "left out" not in draw_draft(expected).facts
+
+
+def test_a_treadle_beyond_those_that_are_stated_is_not_pressed_in_silence(write) -> None:  # type: ignore[no-untyped-def]
+    text = FLOOR_LOOM.replace("[TREADLING]\n1=4", "7=1\n[TREADLING]\n1=7")
+    with pytest.raises(BadInput, match=r"\[TREADLING\] 1: not a treadle"):
+        read_wif(write(text))
+
+
+@pytest.mark.parametrize("lost", ["7=3\n8=4\n", "3=2\n4=1\n"])
+def test_the_remedy_for_missing_lines_weaves_what_there_is(write, lost: str) -> None:  # type: ignore[no-untyped-def]
+    """And no empty ends or picks."""
+    whole, text = read_wif(write(FLOOR_LOOM)).drawdown, FLOOR_LOOM[::-1].replace(lost[::-1], "", 1)[::-1]
+    with pytest.raises(BadInput) as refused:
+        read_wif(write(text))
+    count, section = re.findall(r"Threads=(\d+) in \[(\w+)\]", str(refused.value))[0]
+    found = read_wif(write(re.sub(rf"(\[{section}\]\nThreads=)\d+", rf"\g<1>{count}", text))).drawdown
+    assert np.array_equal(found, whole[: found.shape[0], : found.shape[1]])
+    assert found.shape == ((4, int(count)) if section == "WARP" else (int(count), 8)) and found.any(axis=1).all()
+
+
+def test_picks_at_which_no_shaft_moves_are_told_of(write) -> None:  # type: ignore[no-untyped-def]
+    facts = draw_draft(read_wif(write(FLOOR_LOOM.replace("3=2\n4=1\n", "3=2\n4=0\n")))).facts
+    assert facts["without shafts"] == "1 pick, at which no shaft moves: 4"
+
+
+def test_files_with_lines_too_many_are_woven_as_without_them(write, shared_data: Path) -> None:  # type: ignore[no-untyped-def]
+    for name, section, first in (("extra_treadles_tieup", "TIEUP", 5), ("colors_extra", "WARP COLORS", 9)):
+        path = shared_data / "cases" / "11-wif" / f"{name}.wif"
+        found, text = read_wif(path), path.read_text()
+        own = re.search(rf"\[{section}\][^\[]*", text)
+        assert own is not None
+        kept = "\n".join(
+            line for line in own[0].splitlines() if not line[:1].isdigit() or int(line.split("=")[0]) < first
+        )
+        expected = read_wif(write(text.replace(own[0], kept + "\n")))
+        assert found.left_out and not expected.left_out and found.left_out[0].startswith(f"[{section}]")
+        assert np.array_equal(found.drawdown, expected.drawdown)
+        np.testing.assert_array_equal(found.warp.colour, expected.warp.colour)  # type: ignore[arg-type]
 
 
 def test_gigantic_sizes_are_refused_before_they_are_allocated(write) -> None:  # type: ignore[no-untyped-def]

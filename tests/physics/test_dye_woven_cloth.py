@@ -206,3 +206,22 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, scene: dict[str, Any], sai
 def test_numbers_out_of_range_are_refused(tmp_path: Path, scene: dict[str, Any], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         build(tmp_path, **scene)
+
+
+@pytest.mark.parametrize(("weave", "cells", "told"), [
+    ({"plugin": "wif", "file": "draft.wif"}, [20, 20], None),
+    ({"plugin": "wif", "file": "draft.wif"}, [200, 200], None),
+    ({"plugin": "wif", "file": "draft.wif"}, None, None),
+    ({"plugin": "wif", "file": "draft.wif"}, [10, 20], "1 of 2 ends and 2 of 2 picks"),
+    ({"plugin": "wif", "file": "draft.wif", "measured": True}, [100, 40], "2 of 2 ends and 1 of 2 picks"),
+    ({"plugin": "wif", "file": "draft.wif", "measured": True}, [100, 80], None),
+    ({"plugin": "matrix", "rows": ["1010", "0101", "1100"]}, [400, 20], "4 of 4 ends and 2 of 3 picks"),
+    ({"plugin": "satin", "ends": 64, "step": 5}, None, "20 of 64 ends and 20 of 64 picks"),
+])  # fmt: skip
+def test_what_cells_cut_off_is_told(tmp_path: Path, weave: dict[str, Any], cells: Any, told: str | None) -> None:
+    """In even yarns of ten cells, and as measured, of 0.5 mm and 0.4 mm, in cells of 0.01 mm."""
+    (tmp_path / "draft.wif").write_text(WIF)
+    given = {"weave": weave, "cells": cells, "cell_size": 1e-5, "tau2": 0.47, "tau3": {"I": 0.1, "II": 0.1, "III": 0.1}}
+    config = WovenClothConfig.model_validate(given)
+    found = WovenCloth().left_out(config, Folder(tmp_path))  # type: ignore[arg-type]
+    assert len(found) == (told is not None) and all(told is not None and told in text for text in found)

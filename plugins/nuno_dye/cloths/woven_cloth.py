@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 
 from nuno_dye.cloths.cloth import Cloth, Tau3Config
 from nuno_dye.cloths.coarse import Lay
-from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells, lay_measured
+from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells, lay_evenly, lay_measured
 from nuno_dye.drafts.drawing import draw_draft
 from nuno_dye.drafts.weaves import (
     MatrixConfig,
@@ -76,6 +76,21 @@ class WovenCloth(Cloth):
         cells, state = self.undyed(config, cells, files, len(dyes))
         dye_yarns(config.ikat, cells, state, dyes, files, seed)
         return cells, state
+
+    def left_out(self, config: WovenClothConfig, files: Files) -> tuple[str, ...]:
+        """What of the weave the cloth has not, in words: what a file has beyond its yarns, and what cells cut off."""
+        draft = read_draft(config, files)
+        config = fit_draft(config, draft)
+        drawdown, lays = draw_weave(config, draft)
+        (nx, ny), weft, warp = config.extent, config.weft, config.warp
+        laid = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
+        picks, ends = (int(lay.yarn.max()) + 1 for lay in laid)
+        told = list(draft.left_out) if draft is not None else []
+        if picks < drawdown.shape[0] or ends < drawdown.shape[1]:
+            of = f"{min(ends, drawdown.shape[1])} of {drawdown.shape[1]} ends"
+            of += f" and {min(picks, drawdown.shape[0])} of {drawdown.shape[0]} picks"
+            told.append(f"cells: [{nx}, {ny}] hold {of} of the weave; the others are cut off")
+        return tuple(told)
 
     def draw_draft(self, path: Path) -> DrawnDraft:
         """A WIF file as weavers draw it. Raises BadInput for one that does not say how to weave."""

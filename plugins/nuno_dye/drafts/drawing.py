@@ -6,10 +6,9 @@ is at the top and end 1 at the left, as in pictures of cloth; shaft 1 and treadl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from nuno_dye.drafts.text import listed
 from nuno_dye.drafts.wif import Draft
 from nuno_dye.drafts.yarns import Yarns
 from nuno_schemas.colour import to_linear, to_srgb
@@ -62,20 +61,19 @@ def draw_draft(draft: Draft) -> DrawnDraft:
     }  # fmt: skip
     if across is not None and down is not None:
         facts["size"] = f"{1e3 * across.sum():.4g} mm x {1e3 * down.sum():.4g} mm"
-    idle = np.flatnonzero(~loom.threading.any(axis=1)) + 1
-    if len(idle):
-        facts["on no shaft"] = (
-            f"{len(idle)} end{'s' if len(idle) > 1 else ''}, which never rise: {_listed(idle.tolist())}"
-        )
+    idle, empty = (np.flatnonzero(~used.any(axis=1)) + 1 for used in (loom.threading, loom.moved))
+    for name, of, which, numbers in (
+        ("on no shaft", "end", "which never rise", idle), ("without shafts", "pick", "at which no shaft moves", empty),
+    ):  # fmt: skip
+        if len(numbers):
+            many = "s" if len(numbers) > 1 else ""
+            facts[name] = f"{len(numbers)} {of}{many}, {which}: {listed(numbers.tolist())}"
     bare = [name for name, yarns in (("warp", draft.warp), ("weft", draft.weft)) if yarns.colourless]
     if bare:
         facts["colours"] = f"the file numbers those of {' and '.join(bare)}, but has no [COLOR TABLE]: left out"
+    if draft.left_out:
+        facts["left out"] = "; ".join(draft.left_out)
     return DrawnDraft(out, pixel, facts)
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    """The first few of them."""
-    return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
 
 
 def _follow(start: int, *lengths: int) -> tuple[slice, ...]:

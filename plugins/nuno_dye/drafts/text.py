@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -99,9 +99,17 @@ class Section:
             )  # fmt: skip
         return entry
 
-    def numbered(self, most: int, what: str) -> Iterator[tuple[int, Entry]]:
-        """Entries whose keys are numbers from 1 to `most`. Raises BadInput for any other key."""
+    def beyond(self, most: int) -> list[int]:
+        """Keys that are numbers above `most`."""
+        return sorted(int(key) for key in self.entries if _WHOLE.fullmatch(key) and int(key) > most)
+
+    def numbered(self, most: int, what: str, beyond: bool = False) -> Iterator[tuple[int, Entry]]:
+        """Entries whose keys are numbers from 1 to `most`. Raises BadInput for any other key; those `beyond` are passed
+        over where that is allowed.
+        """
         for entry in self.entries.values():
+            if beyond and _WHOLE.fullmatch(entry.key) and int(entry.key) > most:
+                continue
             if not _WHOLE.fullmatch(entry.key) or not 1 <= int(entry.key) <= most:
                 entry.refuse(f"no such {what}", f"keys from 1 to {most}, the number of {what}s that the file states")
             yield int(entry.key), entry
@@ -148,6 +156,11 @@ class Sections:
                 field=f"[{name}]", limit=why,
             )  # fmt: skip
         return section
+
+
+def listed(numbers: Sequence[int]) -> str:
+    """The first few of them."""
+    return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
 
 
 def _tidy(name: str) -> str:

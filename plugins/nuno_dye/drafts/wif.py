@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.drafts.text import Section, Sections
+from nuno_dye.drafts.text import Section, Sections, listed
 from nuno_dye.drafts.weaves import MOST_CROSSINGS, MOST_YARNS, check_interlacing
 from nuno_dye.drafts.yarns import Yarns, read_yarns
 from nuno_schemas.errors import BadInput
@@ -47,12 +47,15 @@ class Loom:
 
 @dataclass(frozen=True)
 class Draft:
-    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above."""
+    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above; what of the file is left out,
+    in words.
+    """
 
     drawdown: Bool
     warp: Yarns
     weft: Yarns
     loom: Loom
+    left_out: tuple[str, ...]
 
 
 def read_wif(path: Path) -> Draft:
@@ -73,7 +76,21 @@ def read_wif(path: Path) -> Draft:
     _check_work(section, int(loom.threading.sum()) * picks)
     drawdown = weave(loom.threading, lifts)
     check_interlacing(drawdown, sections.file)
-    return Draft(drawdown, read_yarns(sections, "WARP", ends), read_yarns(sections, "WEFT", picks), loom)
+    warp, weft = read_yarns(sections, "WARP", ends), read_yarns(sections, "WEFT", picks)
+    return Draft(drawdown, warp, weft, loom, find_left_out(sections, ends, picks, loom))
+
+
+def find_left_out(sections: Sections, ends: int, picks: int, loom: Loom) -> tuple[str, ...]:
+    """Lines on yarns and treadles beyond those that there are, which nothing is woven with."""
+    kinds, yarns = ("COLORS", "SPACING", "THICKNESS"), (("WARP", ends, "end"), ("WEFT", picks, "pick"))
+    numbers = {f"{name} {kind}": (number, yarn) for name, number, yarn in yarns for kind in kinds}
+    if loom.tie_up is not None:
+        numbers["TIEUP"] = len(loom.tie_up), "treadle"
+    beyond = {name: sections.get(name).beyond(number) for name, (number, _) in numbers.items()}
+    return tuple(
+        f"[{name}] has lines of {numbers[name][1]}s that there are not ({numbers[name][0]} are stated): {listed(keys)}"
+        for name, keys in beyond.items() if keys
+    )  # fmt: skip
 
 
 def count_yarns(sections: Sections) -> tuple[int, int]:
@@ -130,18 +147,19 @@ def weave(threading: Bool, lifts: Bool) -> Bool:
 def _read_table(section: Section, rows: int, columns: int, what: str, entry: str, sparse: bool = False) -> Bool:
     """(rows, columns) the numbers listed for each key; 0 is none.
 
-    Raises BadInput for keys and numbers beyond, and where the last keys are missing: then the counts do not agree.
+    Raises BadInput for numbers beyond, and, where the table is not sparse, for keys beyond and where the last keys are
+    missing: then the counts do not agree.
     """
     table = np.zeros((rows, columns + 1), np.bool_)
     last = 0
-    for key, line in section.numbered(rows, what):
+    for key, line in section.numbered(rows, what, beyond=sparse):
         table[key - 1, line.wholes(0, columns, entry)] = True
         last = max(last, key)
     if last < rows and not sparse:
         raise BadInput(
             "fewer lines than the file says there are", file=section.file, line=section.line,
             field=f"[{section.name}]", value=f"{last} {what}s", limit=f"{rows} {what}s",
-            remedy=f"the missing lines, or {rows}=0 where nothing more follows",
+            remedy=f"the missing lines, or Threads={last} in [{'WARP' if what == 'end' else 'WEFT'}]",
         )  # fmt: skip
     return np.ascontiguousarray(table[:, 1:])
 

@@ -46,7 +46,7 @@ def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
         for what in ("SPACING", "THICKNESS")
     )
     colour = _read_colours(sections, section, number)
-    listed = [line for _, line in sections.get(f"{section.name} COLORS").numbered(number, "yarn")]
+    listed = [line for _, line in sections.get(f"{section.name} COLORS").numbered(number, "yarn", beyond=True)]
     named = [line for line in (section.get("COLOR"), *listed) if line and any(line.wholes(0, 10**9, "a colour"))]
     return Yarns(colour, spacing, thickness, bool(named) and colour is None)
 
@@ -55,7 +55,7 @@ def _read_lengths(section: Section, listed: Section, what: str, unit: float, num
     """(number,) lengths [m]; 0 says nothing. None where some yarn has none."""
     default = section.get(what)
     values = np.full(number, default.real(f"a {what.lower()}") if default else 0.0)
-    for key, line in listed.numbered(number, "yarn"):
+    for key, line in listed.numbered(number, "yarn", beyond=True):
         values[key - 1] = (line.real(f"a {what.lower()}") if line.bare else 0.0) or values[key - 1]
     return values * unit if values.all() else None
 
@@ -68,7 +68,7 @@ def _read_colours(sections: Sections, section: Section, number: int) -> Float | 
     found = palette.find(default) if default else None
     colours = np.tile(np.array(found or UNDYED), (number, 1))
     known = found is not None
-    for key, line in listed.numbered(number, "yarn"):
+    for key, line in listed.numbered(number, "yarn", beyond=True):
         own = palette.find(line)
         if own is not None:
             colours[key - 1], known = own, True
