@@ -62,7 +62,7 @@ def rounded_times(loaded: Loaded) -> list[str]:
 
 def rounded_steps(loaded: Loaded) -> list[str]:
     """Steps of cloth and dye of which no whole number makes a frame, and what is taken for them."""
-    scene, told = loaded.scene, list[str]()
+    scene, found = loaded.scene, list[str]()
     solvers = [("solver.dt", scene.solver, 1.0)] if scene.moves else []
     solvers += [("dye.solver.dt", scene.dye.solver, scene.dye.speed)] if scene.dye is not None else []
     for field, solver, speed in solvers:
@@ -72,8 +72,8 @@ def rounded_steps(loaded: Loaded) -> list[str]:
         steps = nearest_steps(solver.dt, frame)
         if abs(frame / steps - solver.dt) > ROUNDING * solver.dt:
             asked, taken = f"{frame / solver.dt:.6g} steps of {solver.dt:.7g} s", f"{steps} of {frame / steps:.7g} s"
-            told.append(f"{field}: a frame is {asked}: {taken} are taken; strict: true refuses that")
-    return told
+            found.append(f"{field}: a frame is {asked}: {taken} are taken; strict: true refuses that")
+    return found
 
 
 def result_warnings(report: Mapping[str, Any]) -> list[str]:

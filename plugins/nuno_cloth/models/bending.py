@@ -25,9 +25,7 @@ ribbon one cell wide. Curvatures of s < WEAK are not read off, since their error
 s^2. They are unknowns c of least energy instead, where what c does not explain of the fit's coefficient y costs (y - s
 c)^2 as what the fit leaves does, times 1 / (1 - (s / WEAK)^2). At s = WEAK this is the fit, and at s = 0 the curvature
 is free: a ribbon one cell wide curls up across as narrow strips do, and two pieces that share one vertex turn freely
-about it. The matrix is bounded on any mesh and goes on steadily with its vertices. A larger WEAK would change meshes
-that are well determined; with 0.15 steps of ribbons one cell wide whose vertices are off by 0.3 of a cell are two
-thirds as long.
+about it. The matrix is bounded on any mesh and goes on steadily with its vertices.
 
 Rejected: hinges, k = B e^2 / (A_1 + A_2), 0.89 to 1.10 of B by the mesh, and with no choice of Poisson's ratio; the
 quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where diagonals alternate; weak curvatures
@@ -49,7 +47,8 @@ from nuno_schemas.triangles import Bending
 NEAR, STEEP = 1.0, 3
 FIT = 130.0
 WEAK = 0.22
-"""Singular values, over the root of the sum of squared weights, below which a curvature is not read off a patch."""
+"""Singular values, over the root of the sum of squared weights, below which a curvature is not read off a patch: less
+than the least of patterns as they are cut and meshed here, whose matrix stays as it was."""
 WIDEST = 20.0
 """Of a patch's reach over the length by which weights fall off: slivers among larger triangles are fitted as these."""
 AT_ONCE = 8192
@@ -197,7 +196,7 @@ def _even(upper: Float, total: Float) -> Float:
     """
     (a, c), (b, d) = np.moveaxis(np.linalg.inv(upper[:, 1:, 1:]) * total[:, None, None], 0, 2)
     columns = (a * a, b * b, a * b), (c * c, d * d, c * d), (2.0 * a * c, 2.0 * b * d, a * d + b * c)
-    return np.moveaxis(np.array(columns), 2, 0).transpose(0, 2, 1) * [1.0, 1.0, np.sqrt(0.5)]
+    return np.asarray(np.moveaxis(np.array(columns), 2, 0).transpose(0, 2, 1) * [1.0, 1.0, np.sqrt(0.5)])
 
 
 def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:

@@ -84,13 +84,12 @@ class WovenCloth(Cloth):
         drawdown, lays = draw_weave(config, draft)
         (nx, ny), weft, warp = config.extent, config.weft, config.warp
         laid = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
-        picks, ends = (int(lay.yarn.max()) + 1 for lay in laid)
-        told = list(draft.left_out) if draft is not None else []
-        if picks < drawdown.shape[0] or ends < drawdown.shape[1]:
-            of = f"{min(ends, drawdown.shape[1])} of {drawdown.shape[1]} ends"
-            of += f" and {min(picks, drawdown.shape[0])} of {drawdown.shape[0]} picks"
-            told.append(f"cells: [{nx}, {ny}] hold {of} of the weave; the others are cut off")
-        return tuple(told)
+        held = [min(int(lay.yarn.max()) + 1, number) for lay, number in zip(laid, drawdown.shape, strict=True)]
+        found = list(draft.left_out) if draft is not None else []
+        if held != list(drawdown.shape):
+            part = f"{held[1]} of {drawdown.shape[1]} ends and {held[0]} of {drawdown.shape[0]} picks"
+            found.append(f"cells: [{nx}, {ny}] hold {part} of the weave; the others are cut off")
+        return tuple(found)
 
     def draw_draft(self, path: Path) -> DrawnDraft:
         """A WIF file as weavers draw it. Raises BadInput for one that does not say how to weave."""

@@ -47,9 +47,7 @@ class Loom:
 
 @dataclass(frozen=True)
 class Draft:
-    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above; what of the file is left out,
-    in words.
-    """
+    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above; lines left out, in words."""
 
     drawdown: Bool
     warp: Yarns
@@ -82,14 +80,12 @@ def read_wif(path: Path) -> Draft:
 
 def find_left_out(sections: Sections, ends: int, picks: int, loom: Loom) -> tuple[str, ...]:
     """Lines on yarns and treadles beyond those that there are, which nothing is woven with."""
-    kinds, yarns = ("COLORS", "SPACING", "THICKNESS"), (("WARP", ends, "end"), ("WEFT", picks, "pick"))
-    numbers = {f"{name} {kind}": (number, yarn) for name, number, yarn in yarns for kind in kinds}
-    if loom.tie_up is not None:
-        numbers["TIEUP"] = len(loom.tie_up), "treadle"
-    beyond = {name: sections.get(name).beyond(number) for name, (number, _) in numbers.items()}
+    found = [(f"{name} {kind}", number, yarn) for name, number, yarn in (("WARP", ends, "end"), ("WEFT", picks, "pick"))
+             for kind in ("COLORS", "SPACING", "THICKNESS")]  # fmt: skip
+    found += [("TIEUP", len(loom.tie_up), "treadle")] if loom.tie_up is not None else []
     return tuple(
-        f"[{name}] has lines of {numbers[name][1]}s that there are not ({numbers[name][0]} are stated): {listed(keys)}"
-        for name, keys in beyond.items() if keys
+        f"[{name}] has lines of {what}s that there are not ({number} are stated): {listed(keys)}"
+        for name, number, what in found if (keys := sections.get(name).beyond(number))
     )  # fmt: skip
 
 

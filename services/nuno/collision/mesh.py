@@ -45,19 +45,13 @@ class Columns:
     reached: Boxes
 
     @cached_property
-    def corners(self) -> tuple[Float, Float, Float]:
-        """(f, 3) each [m]."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return a, b, c
-
-    @cached_property
     def trees(self) -> tuple[Any, list[tuple[Any, float, NDArray[np.int64]]]]:
         """A tree of the triangles' middles, and for triangles of like size one of theirs, the largest distance of a
         corner from its middle [m], and which they are.
         """
-        a, b, c = self.corners
-        middle = (a + b + c) / 3.0
-        size = np.max([np.linalg.norm(corner - middle, axis=1) for corner in self.corners], axis=0)
+        corners = self.vertices[self.faces]
+        middle = corners.mean(axis=1)
+        size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         alike = [np.flatnonzero(np.frexp(size)[1] == like) for like in np.unique(np.frexp(size)[1])]
         return _tree(middle), [(_tree(middle[which]), float(size[which].max()), which) for which in alike]
 
@@ -125,7 +119,7 @@ def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
 
 def distances(points: Float, columns: Columns) -> Float:
     """(n,) distance [m] of points (n, 3) to the nearest triangle."""
-    near, groups = columns.trees
+    (near, groups), corners = columns.trees, columns.vertices[columns.faces]
     bound = near.query(points)[0] * (1.0 + ROUNDING)
     least = np.full(len(points), np.inf)
     for tree, size, which in groups:
@@ -137,7 +131,7 @@ def distances(points: Float, columns: Columns) -> Float:
             found = tree.query_ball_point(points[at:end], reach[at:end])
             point = np.repeat(np.arange(at, end), [len(one) for one in found])
             face = which[np.concatenate([*found, []]).astype(np.int64)]
-            np.minimum.at(least, point, _to_triangles(points[point], *(corner[face] for corner in columns.corners)))
+            np.minimum.at(least, point, _to_triangles(points[point], *corners[face].transpose(1, 0, 2)))
             at = end
     return least
 

@@ -70,11 +70,8 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: 
     taken = frame / steps if whole else dt
     above = taken > limit * (1.0 + ROUNDING)
     allowed = "allow_unstable: true" if dye is None else "substeps: allowed"
-    if (
-        (whole or not dyed)
-        and above
-        and not (scene.allow_unstable if dye is None else dye.solver.substeps == "allowed")
-    ):
+    accepted = scene.allow_unstable if dye is None else dye.solver.substeps == "allowed"
+    if above and not accepted and (whole or not dyed):
         nearest = "" if abs(taken - dt) <= ROUNDING * dt else f", the nearest to {dt:g} s that divides a frame"
         shorter = f"dt: {frame / (steps + 1):.7g} s" if nearest and dt <= limit else "a smaller dt"
         error = BadInput(
