@@ -15,6 +15,8 @@ from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 from nuno.cli import main
 from nuno.cli.sew import _remind
 from nuno.scene import scene_file
+from nuno_schemas.bodies import UNITS as UNITS_OF_FILES
+from nuno_schemas.bodies import unit_of
 
 GROWTH = 0.9
 """Of a column's girth, from its top down [1/m]."""
@@ -202,7 +204,11 @@ def test_what_looks_wrong_is_told_before_it_is_put_on(tmp_path: Path, capsys: py
         assert ("loose panel" in said and "--check" in said) if name == "loose" else not said
 
 
-@pytest.mark.parametrize(("unit", "named"), [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm")])
+UNITS = [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm"), (0.0254, "1inch"), (0.3048, "1ft"), (0.1, "1dm"), (10.0, "10m"),
+         (100.0, "100m")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "named"), UNITS)
 def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
     unit: float, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,6 +218,27 @@ def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
     assert (f"taken as {named}" if named else "scene") in capsys.readouterr().out
     scene = yaml.safe_load((tmp_path / "tube-worn.yaml").read_text())
     assert scene["bodies"][0]["collider"].get("scale", "") == named
+
+
+def test_a_body_that_fits_no_one_in_any_unit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, faces = column((0.08, 0.06), (0.0, 1.7))
+    trimesh.Trimesh(1.7 * x, faces, process=False).export(tmp_path / "scan.obj")
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--write") == 2
+    said = capsys.readouterr().err
+    assert "fits no one" in said and "1.2 m high" in said and not (tmp_path / "tube-worn.yaml").exists()
+
+
+@pytest.mark.parametrize("height", [1.05, 1.2, 1.66, 2.0])
+@pytest.mark.parametrize("name", UNITS_OF_FILES)
+def test_a_person_is_one_in_every_unit_with_and_without_a_pattern(name: str, height: float) -> None:
+    size = height / UNITS_OF_FILES[name]
+    assert {unit_of(size, worn) for worn in (0.0, 0.66 * height, 1.1 * height)} == {name}
+
+
+def test_a_doll_in_metres_is_known_by_its_pattern() -> None:
+    assert unit_of(0.166, 0.14) == "1m" and unit_of(0.166, 1.4) == "10m" and unit_of(2.8, 1.4) == ""
 
 
 def test_a_file_that_is_missing_is_answered_with_the_one_of_nearly_its_name(
