@@ -15,6 +15,7 @@ from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 from nuno.cli import main
 from nuno.cli.sew import _remind
 from nuno.scene import scene_file
+from nuno.scene.files import SceneFiles
 from nuno_schemas.bodies import UNITS as UNITS_OF_FILES
 from nuno_schemas.bodies import unit_of
 
@@ -228,6 +229,19 @@ def test_a_body_that_fits_no_one_in_any_unit_is_refused(
     assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--write") == 2
     said = capsys.readouterr().err
     assert "fits no one" in said and "1.2 m high" in said and not (tmp_path / "tube-worn.yaml").exists()
+
+
+def test_a_body_with_its_origin_at_the_pelvis_is_refused_with_the_shift_that_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, faces = column((0.08, 0.06), (-1.12, 0.54))
+    trimesh.Trimesh(x, faces, process=False).export(tmp_path / "scan.obj")
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--edge", "6 cm") == 2
+    said = capsys.readouterr().err
+    assert "-1.12 to 0.54" in said and "does not stand where the garment's panels are placed" in said
+    move = said.partition("--set ")[2].partition(", or")[0]
+    collider = scene_file.read(tmp_path / "tube-worn.yaml", [move]).colliders[0]
+    assert collider.plugin.build(collider.config, None, SceneFiles(tmp_path)).vertices[:, 1].min() == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("height", [1.05, 1.2, 1.66, 2.0])

@@ -15,7 +15,7 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import find_texture
-from nuno_cloth.models.stance import check_stance
+from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import sound
@@ -144,6 +144,7 @@ class Pattern:
         texture = find_texture(config.texture, files)
         sewn = _sewn(config, files)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
+        check_place(sewn.placed, x, config.over.body)
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
