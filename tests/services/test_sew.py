@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -274,6 +275,29 @@ def test_an_edge_that_is_none_is_refused_before_a_scene_is_written(
     said = capsys.readouterr().err
     assert "--edge" in said and edge in said and "2 cm" in said
     assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of the name beside the scene, two patterns of one name, and a pattern in a folder below; the command that
+    is printed finds each.
+    """
+    here = tmp_path / "here"
+    named = "../one/tube.json", "../two/tube.json", "below/tube.json", "../one/other.json", "../two/column.obj"
+    for name in (*named, "tube.json", "column.obj"):
+        (here / name).parent.mkdir(parents=True, exist_ok=True)
+        (here / name).write_text(json.dumps(tube()))
+    x, faces = column((0.08, 0.06), (0.9, 1.4))
+    trimesh.Trimesh(x, faces, process=False).export(here / named[-1])
+    monkeypatch.chdir(here)
+    assert main(["sew", *named[:4], "--body", named[4], "--write", "--scene", "worn.yaml"]) == 0
+    command = shlex.split(capsys.readouterr().out.partition("nuno run ")[2].partition(")")[0])
+    loaded = scene_file.read(Path(command[0]), roots=[Path(root) for root in command[2::2]])
+    written = yaml.safe_load(Path("worn.yaml").read_text())
+    files = [one["model"]["file"] for one in written["objects"]] + [written["bodies"][0]["collider"]["file"]]
+    assert [loaded.files.resolve(file) for file in files] == [(here / name).resolve() for name in named]
+    assert files[2:4] == ["below/tube.json", "other.json"]
 
 
 def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

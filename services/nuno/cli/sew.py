@@ -84,17 +84,18 @@ def wear(args: argparse.Namespace) -> int:
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
-    each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
-    garments = [Garment(name, pattern.name, fabric) for name, pattern, fabric in each]
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
     scale = _find_unit(args.body, args.patterns) if "body" in beside else ""
-    moved = {"body": None} | {what: file.name for what, file in beside.items()}
+    roots = [root for root in dict.fromkeys(file.resolve().parent for _, file in files)
+             if not root.is_relative_to(scene.resolve().parent)]  # fmt: skip
+    known = SceneFiles(scene.parent, tuple(roots))
+    each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
+    garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
+    moved = {"body": None} | {what: _name_in(known, file) for what, file in beside.items()}
     scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
-    roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
-    command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
-                                    for word in ("--root", root))]  # fmt: skip
+    command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     for pattern in args.patterns:
         _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
@@ -103,6 +104,15 @@ def wear(args: argparse.Namespace) -> int:
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)
+
+
+def _name_in(files: SceneFiles, path: Path) -> str:
+    """What a scene calls a file: by its place below the scene's folder, else by its name, or, where another file of
+    that name would be read first, by its whole path.
+    """
+    place, folder = path.resolve(), files.folder.resolve()
+    name = place.relative_to(folder).as_posix() if place.is_relative_to(folder) else place.name
+    return name if files.resolve(name) == place else str(place)
 
 
 def _check_fabrics(fabrics: list[str]) -> None:
