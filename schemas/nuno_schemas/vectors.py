@@ -45,7 +45,7 @@ def sides(a: Float, b: Float, c: Float) -> Int:
     a, b, c = np.broadcast_arrays(a, b, c)
     (ux, uy), (vx, vy) = np.moveaxis(a - c, -1, 0), np.moveaxis(b - c, -1, 0)
     found = ux * vy - uy * vx
-    sign = np.sign(found).astype(np.int32)
+    sign: Int = np.sign(found).astype(np.int32)
     for at in zip(*np.nonzero(np.abs(found) < CERTAIN * (np.abs(ux * vy) + np.abs(uy * vx))), strict=True):
         (x, y), (u, v), (p, q) = ([Fraction(value) for value in point[at].tolist()] for point in (a, b, c))
         turn = (x - p) * (v - q) - (y - q) * (u - p)
