@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -163,16 +162,32 @@ def rotation_matrices(q: Float) -> Float:
 
 SMALLEST, LARGEST = 0.02, 5.0
 """Longest side of the box about a body that can wear something [m]: from a doll's leg to twice a person."""
-UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1m": 1.0, "1km": 1e3}
-"""Lengths that a file's unit may be [m]; that is proposed which makes the body about a metre long."""
+PERSON = 0.95, 2.35
+"""How tall a person is who stands, from a small child on [m]: units differ by more, so that only one makes a person."""
+METRES = 0.3, 2.4
+"""A body of this size in metres, or a part of one, is taken as it is: no other unit would make a person of it [m]."""
+WORN = 0.8, 1.9
+"""How tall the wearer of a garment is, of the height up to which its pattern is placed [-]: from a hood to a waist."""
+UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1dm": 0.1, "1ft": 0.3048, "1m": 1.0,
+         "10m": 10.0, "100m": 100.0, "1km": 1e3}  # fmt: skip
+"""Lengths that a file's unit may be [m]; those over a metre for bodies that were divided by 10 to 1000."""
 
 
-def unit_of(x: Float) -> str:
-    """The unit of points (n, 3) that are too far apart, or too near, for metres; empty where they are not."""
-    size = float(np.ptp(x, axis=0).max())
-    if SMALLEST <= size <= LARGEST or not size > 0.0:
-        return ""
-    return min(UNITS, key=lambda name: abs(math.log(size * UNITS[name])))
+def fits_person(height: float) -> bool:
+    """Whether a person is so tall [m]."""
+    return PERSON[0] <= height <= PERSON[1]
+
+
+def unit_of(size: float, worn: float = 0.0) -> str:
+    """The unit of a body's file by the longest side of the box about it, in that unit; empty where none fits.
+
+    `worn` is the height up to which the pattern of a garment is placed that it is to wear [m], 0 if it is not known.
+    """
+    if METRES[0] <= size <= METRES[1]:
+        return "1m"
+    wearers = [(WORN[0] * worn, WORN[1] * worn)] if worn > 0.0 else []
+    fits = (name for low, high in (*wearers, PERSON) for name, unit in UNITS.items() if low <= size * unit <= high)
+    return next(fits, "")
 
 
 def check_size(x: Float, body: str, scale: float) -> None:
@@ -182,11 +197,11 @@ def check_size(x: Float, body: str, scale: float) -> None:
     size = float(np.ptp(x, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         return
-    unit, here = unit_of(x / scale), f"bodies.{body}.collider.scale"
+    unit, here = unit_of(size / scale), f"bodies.{body}.collider.scale"
     said = "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
-    metres = f"it seems to be in metres: leave {here} out, or --set {here}=1m"
+    remedy = f"say how long its unit is: --set {here}={unit or 'LENGTH'}"
     raise BadInput(
         f"the body is too small or too large to wear anything: its file may be in another unit than {said}",
         field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
-        remedy=f"say how long its unit is: --set {here}={unit}" if unit else metres,
+        remedy=f"it seems to be in metres: leave {here} out, or --set {here}=1m" if unit == "1m" else remedy,
     )  # fmt: skip

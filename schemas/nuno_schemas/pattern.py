@@ -47,10 +47,13 @@ class Opening:
 
 @dataclass(frozen=True)
 class Checked:
-    """A pattern: its panels, seams by number and length in all [m], openings, and what is to be said of it."""
+    """A pattern: its panels, seams by number and length in all [m], openings, what is to be said of it, and the height
+    up to which panels are placed [m], 0 of none.
+    """
 
     panels: tuple[PanelSize, ...]
     seams: int
     length: float
     openings: tuple[Opening, ...]
     remarks: tuple[Remark, ...]
+    high: float = 0.0

@@ -276,6 +276,8 @@ class Mover:
     pose: Callable[[float], tuple[Float, Float]]
     live: Live | None = None
     """Of joints that are told where to be while the run goes on; `pose` is then its own."""
+    notes: tuple[str, ...] = ()
+    """What the user should know of it, in words."""
 
 
 class Collider(Plugin, Protocol):

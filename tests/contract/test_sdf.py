@@ -17,6 +17,7 @@ from nuno.scene.scene_file import read
 from nuno_contact.colliders.sdf import SdfCollider, SdfConfig
 from nuno_contact.fields import cache as field_cache
 from nuno_contact.fields.sample import sample_field
+from nuno_contact.penalty.plugin import check
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import BodyShape
@@ -172,3 +173,16 @@ def test_what_makes_no_field_is_refused(
 def test_a_tolerance_that_is_no_length_is_refused_by_its_name(tolerance: object) -> None:
     with pytest.raises(ValueError, match="tolerance"):
         SdfConfig.model_validate({"shape": "leg", "tolerance": tolerance})
+
+
+def test_penalty_takes_a_scan_that_passes_through_itself_as_a_field(files: Folder) -> None:
+    """What sliding and cloth contact advise for cloth that starts in its folds."""
+    ball = trimesh.creation.icosphere(3, 0.3)
+    other = ball.copy()
+    other.apply_translation([0.4, 0.04, 0.02])
+    trimesh.util.concatenate([ball, other]).export(files.folder / "both.obj")
+    shape = build(files, file="both.obj", tolerance="2 cm")
+    check(geometry_of(shape))
+    folds, world = np.array([[0.2, 0.0, 0.0], [0.2, 0.4, 0.0]]), Poses(0.0, np.eye(4)[:1], np.zeros((1, 3)))
+    inside = signed_distance(folds, geometry_of(shape), world) < 0.0
+    assert inside.tolist() == [True, False]

@@ -182,3 +182,31 @@ def test_real_patterns_have_their_right_sides_outside(name: str, shared_data: Pa
         away = np.sign(one.area) * one.rotation[:, 2]
         middle = np.mean([one.place(edge.ends()) for edge in one.edges], axis=(0, 1))
         assert away @ [0.0, 0.0, 1.0] * middle[2] > 0.0, one.name
+
+
+def test_a_pattern_of_2021_has_the_curves_of_today(shared_data: Path) -> None:
+    file = "skirt2021.json"
+    folder = shared_data / "cases" / "18-legacy-pattern"
+    found = read_pattern(SceneFiles(folder), file)
+    data = json.loads((folder / file).read_text())
+    bent = data["pattern"]["panels"]["front"]["edges"][2]["curvature"]
+    (side,) = found.panels["front"].edges[2:3]
+    # Half of the way along, and by half of a tenth of it to the left.
+    start, end = (np.array(data["pattern"]["panels"]["front"]["vertices"][k]) / 100 for k in (2, 3))
+    left = np.array([-(end - start)[1], (end - start)[0]])
+    np.testing.assert_allclose(
+        side.curve.at(np.array([0.5]))[0], 0.5 * (start + end) + 0.5 * bent[1] * left, atol=1e-12
+    )
+    assert not [one for one in check_pattern(SceneFiles(folder), file, 2.0).remarks if one.wrong]
+
+
+def test_a_control_point_that_is_none_is_refused_as_written_in_2021(tmp_path: Path) -> None:
+    data = tube()
+    data["pattern"]["panels"]["front"]["edges"][0]["curvature"] = [0.5]
+    with pytest.raises(BadInput) as refusal:
+        read(tmp_path, data)
+    assert "edges[0].curvature" in str(refusal.value) and refusal.value.line is not None
+
+
+def test_a_notched_hem_can_be_sewn(shared_data: Path) -> None:
+    assert read_pattern(SceneFiles(shared_data / "cases" / "38-notched-hem"), "notch.json").panels["front"].area > 0.1

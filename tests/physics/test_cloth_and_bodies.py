@@ -58,10 +58,29 @@ def test_small_cloth_runs_on_several_threads_where_it_meets_a_fine_body(monkeypa
         assert (packing.thread_count(system) > 1) is several
 
 
+def tent(side: int) -> Any:
+    """A sheet whose vertices are all outside of the cube, and which is clear of it where its edges are short."""
+    cloth = above(0.04, side)
+    x = cloth.position.copy()
+    x[:, 1] = 0.021 - 1.5 * np.maximum(0.0, np.abs(x[:, 0]) - 0.0195)
+    return replace(cloth, position=x)
+
+
+def test_shorter_edges_are_advised_where_edges_go_in_and_out_again_and_help() -> None:
+    """Not where vertices are inside, which no shorter edge brings out."""
+    with pytest.raises(BadInput, match=r"passes through .* where it starts") as refused:
+        Met(tent(8), shapes=[CUBE])
+    assert "shorter edges" in str(refused.value.remedy) and "untangle" not in str(refused.value.remedy)
+    Met(tent(64), shapes=[CUBE])
+    with pytest.raises(BadInput, match=r"passes through .* where it starts") as refused:
+        Met(above(0.0), shapes=[BALL])
+    assert "untangle" in str(refused.value.remedy) and "shorter edges" not in str(refused.value.remedy)
+
+
 def test_what_contact_of_vertices_lets_through_is_seen() -> None:
     """The judge: the same sheet, laid over the cube so that its vertices are outside, has edges through it."""
     met = Met(above(0.04), shapes=[CUBE])
-    met.state.x[:, 1] = 0.021 - 1.5 * np.maximum(0.0, np.abs(met.state.x[:, 0]) - 0.0195)
+    met.state.x[:] = tent(8).position
     assert (np.abs(met.state.x) > 0.02).any(axis=1).all()
     assert met.crossed
 

@@ -120,8 +120,10 @@ def test_an_opening_tells_which_parts_of_the_body_go_through_it(angle: float) ->
     tapes = [128 * r * np.sin(np.pi / 64) for r in (0.08, 0.06)]
     through = sorted((one.through for one in fit.openings), key=len)
     assert through[0] == pytest.approx(tapes[1:]) and through[1] == pytest.approx(tapes)
+    assert "goes through" not in describe(fit)
     fit = measure("tube", (x - [0.0, 1.0, 0.0]) @ turn.T + there, membrane, wearer, {})
     assert [one.through for one in fit.openings] == [(), ()]
+    assert "nothing of the body goes through opening 1 (of no panel), 2 (of no panel)" in describe(fit)
 
 
 @pytest.mark.parametrize("angle", [0.0, 40.0, 180.0])

@@ -56,10 +56,28 @@ def test_a_circle_skirt_goes_round_trunk_and_legs_and_no_arm(tmp_path: Path, hal
         assert turns(cloth, np.array([x, 1.0, 0.0]), UP) == [0, 0]
 
 
+@pytest.mark.quick(half=[85.0])
+@pytest.mark.parametrize("half", [40.0, 60.0, 85.0])
+def test_a_wide_skirt_whose_panels_are_laid_through_the_hands_starts_narrower(tmp_path: Path, half: float) -> None:
+    """Of less than a circle, as wide as the arms are apart: round trunk and legs, inside of the hands."""
+    body, inner = with_arms(), 90.0 / 4.0 / np.radians(half)
+    cloth = put_on(tmp_path, skirt(inner, inner + 50.0, half), body, 0.05)
+    for x in (-0.08, 0.0, 0.08):
+        assert turns(cloth, np.array([x, 1.0, 0.0]), UP) == [-1, 1]
+    a, b = (cloth.position[cloth.faces[:, k]] for k in range(2))
+    points = np.concatenate([(1.0 - s) * a + s * b for s in np.linspace(0.0, 1.0, 5)])
+    assert np.asarray(closest_points(build_tree(*body), points).distance).min() > 0.0
+    # Where the hands are the cloth is between them.
+    there = cloth.position[np.abs(cloth.position[:, 1] - 0.9) < 0.1]
+    assert np.abs(there[np.abs(there[:, 2]) < 0.04, 0]).max() < 0.4
+
+
 def test_a_skirt_that_starts_with_arms_through_it_is_refused_by_its_panel(tmp_path: Path) -> None:
-    """One of less than a whole circle, which stays as flat as it is placed."""
+    """Of arms that are held out level, far beyond the hem, no skirt that is narrow comes clear."""
+    level = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    body = together(with_arms(), moved(column((0.04, 0.04), (-0.8, 0.8)), level, [0, 0.75, 0]))
     with pytest.raises(BadInput, match=r"panel (front|back) cannot be put round wearer, and starts in it"):
-        put_on(tmp_path, skirt(16.0, 66.0, 85.0), with_arms(), 0.03)
+        put_on(tmp_path, skirt(16.0, 66.0, 85.0), body, 0.06)
 
 
 def test_what_is_less_than_half_a_ring_stays_as_it_is_placed(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from nuno_cloth.fabrics.material import Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.elements import build_triangles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
+from nuno_cloth.models.placement import require_bare
 from nuno_cloth.models.shirt import Shirt, ShirtConfig
 from nuno_cloth.sewing.layers import enclose
 from nuno_contact.offset.tree import make_tree
@@ -108,6 +110,20 @@ def test_a_shirt_goes_on_a_bare_body() -> None:
     config = ShirtConfig.model_validate({"over": {"body": "wearer"}, "fabric": "denim"})
     with pytest.raises(BadInput, match="put on a bare body"):
         Shirt().build_over(config, SceneFiles(Path()), 0, *BODY, [_cloth(*_tube(0.10, 1.0, 1.3))])
+
+
+@pytest.mark.parametrize(("name", "other"), [("shirt", "skirt"), ("skirt", "shirt")])
+def test_of_two_that_are_cut_to_a_bare_body_neither_is_told_to_come_first(name: str, other: str) -> None:
+    """A pattern goes over what is worn, whatever it is: the way that is said leads out."""
+    worn = [replace(_cloth(*_tube(0.10, 1.0, 1.3)), name=other)]
+    with pytest.raises(BadInput) as refused:
+        require_bare(worn, name, "wearer")
+    said = str(refused.value.remedy)
+    assert "come first" not in said and other in said and "plugin: pattern" in said
+    require_bare([], name, "wearer")
+    with pytest.raises(BadInput, match="bare body") as refused:
+        require_bare([_cloth(*_tube(0.10, 1.0, 1.3))], name, "wearer")
+    assert refused.value.remedy == f"let the {name} come first among the objects"
 
 
 def test_panels_of_one_fabric_each_are_as_if_cut_alone() -> None:

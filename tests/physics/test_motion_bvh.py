@@ -6,6 +6,7 @@ import numpy as np
 import pybvh
 import pytest
 
+from nuno_contact.colliders.skeleton import Skeleton, SkeletonConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_schemas.errors import BadInput
 
@@ -100,7 +101,7 @@ def turn(axis, degrees):
 
 def kinematics(nodes, row):
     """World positions of all nodes: homogeneous matrices, channels applied in the file's order.
-    Channels of the root's position replace its offset.
+    Channels of a position replace the offset.
     """
     values, world, found = iter(row), [], []
     for _, parent, offset, channels in nodes:
@@ -108,12 +109,10 @@ def kinematics(nodes, row):
         local[:3, 3] = 0.0 if parent < 0 else offset
         for channel in channels:
             value = next(values)
-            step = np.eye(4)
             if channel.endswith("position"):
-                step["XYZ".index(channel[0]), 3] = value
+                local["XYZ".index(channel[0]), 3] = value
             else:
-                step = turn(channel[0], value)
-            local = local @ step
+                local = local @ turn(channel[0], value)
         world.append(local if parent < 0 else world[parent] @ local)
         found.append(world[-1][:3, 3])
     return np.array(found)
@@ -237,7 +236,7 @@ def test_ramp_starts_from_rest_and_then_lags_by_half_of_it(tiny):
         (TINY.replace("OFFSET 0.0 2.0 0.0", "OFFSET 0.0 inf 0.0"), "not finite"),
         ("not a motion\n", "read as BVH"),
         (TINY.replace("JOINT LeftUpLeg", "JOINT Spine"), "same name"),
-        (TINY.replace("Frame Time: 0.25", "Frame Time: -1"), "frame_time"),
+        (TINY.replace("Frame Time: 0.25", "Frame Time: -1"), "no time between two frames"),
     ],
     ids=["empty", "no motion", "truncated", "nan", "inf", "text", "twice", "backwards"],
 )
@@ -252,3 +251,185 @@ def test_a_bad_file_is_refused_by_name(tmp_path, text, words):
 def test_a_part_without_frames_is_refused(tiny):
     with pytest.raises(BadInput, match="no frame"):
         prepare(tiny, start=3.0)
+
+
+STANDING = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Spine
+  {
+    OFFSET 0 0.2 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    JOINT Head
+    {
+      OFFSET 0 0.4 0
+      CHANNELS 3 Zrotation Xrotation Yrotation
+      End Site
+      {
+        OFFSET 0 0.2 0
+      }
+    }
+  }
+  JOINT LeftUpLeg
+  {
+    OFFSET 0.1 0 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    JOINT LeftLeg
+    {
+      OFFSET 0 -0.5 0
+      CHANNELS 3 Zrotation Xrotation Yrotation
+      End Site
+      {
+        OFFSET 0 -0.4 0
+      }
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.04
+0 0.9 0  0 0 0  0 0 0  0 0 0  0 0 0  0 0 0
+0 0.9 0  0 0 0  0 0 0  0 0 0  0 0 0  9 0 0
+"""
+"""1.7 units from the feet to the top."""
+
+
+def written(folder, text, name="it.bvh", encoding="utf-8"):
+    path = folder / name
+    path.write_text(text, encoding=encoding)
+    return path
+
+
+def lying(text):
+    """The same poses of a skeleton whose bones all run along x at rest: turns about z undo that."""
+    for old, new in (("0 0.2 0", "0.2 0 0"), ("0 0.4 0", "0.4 0 0"), ("0 -0.5 0", "0.5 0 0"), ("0 -0.4 0", "0.4 0 0")):
+        text = text.replace(f"OFFSET {old}", f"OFFSET {new}")
+    return text.replace("0 0.9 0  0 0 0  0 0 0  0 0 0  0 0 0", "0 0.9 0  90 0 0  0 0 0  0 0 0  -180 0 0").replace(
+        "OFFSET 0.1 0 0", "OFFSET 0 -0.1 0"
+    )
+
+
+def test_a_person_is_as_tall_as_the_scene_says_however_its_skeleton_rests(tmp_path):
+    """And its capsules are as thick."""
+    standing = prepare(written(tmp_path, STANDING), height=1.7)
+    lies = prepare(written(tmp_path, lying(STANDING)), height=1.7)
+    for t in (0.0, 0.03):
+        np.testing.assert_allclose(lies.pose(t)[1], standing.pose(t)[1], atol=1e-12)
+    assert np.ptp(lies.pose(0.0)[1][:, 1]) == pytest.approx(1.7, rel=1e-12)
+    radii = [Skeleton().build(SkeletonConfig(), mover, Anywhere()).radius for mover in (standing, lies)]
+    np.testing.assert_allclose(radii[1], radii[0], rtol=1e-12)
+
+
+def test_raised_arms_do_not_make_a_person_taller(tmp_path):
+    arms = """  JOINT LeftArm
+  {
+    OFFSET 0.2 0.5 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0.8 0 0
+    }
+  }
+}
+MOTION"""
+    text = (
+        STANDING.replace("}\nMOTION", arms)
+        .replace("  0 0 0\n", "  0 0 0  90 0 0\n")
+        .replace("9 0 0\n", "9 0 0  90 0 0\n")
+    )
+    plain, raised = (prepare(written(tmp_path, lying(one)), height=1.7) for one in (STANDING, text))
+    assert np.linalg.norm(raised.offsets[4]) == pytest.approx(np.linalg.norm(plain.offsets[4]), rel=1e-12)
+
+
+def test_a_file_whose_rest_lies_stands_as_tall_as_told(shared_data):
+    path = shared_data / "cases" / "04-bvh-lying-rest" / "rest_along_x.bvh"
+    for t in (0.0, 0.05):
+        assert np.ptp(prepare(path, height="1.72 m").pose(t)[1][:, 1]) == pytest.approx(1.72, rel=1e-12)
+    assert "along y, 171 units" in BVH().describe_motion(path)["stands"]
+
+
+def z_up(text):
+    return text.replace("0 0.9 0  0 0 0", "0 0 0.9  0 90 0")
+
+
+def test_a_body_along_z_is_asked_about_and_both_remedies_work(tmp_path):
+    path = written(tmp_path, z_up(STANDING))
+    with pytest.raises(BadInput, match="the body lies") as refused:
+        prepare(path)
+    assert refused.value.field == "up" and "up: z" in refused.value.remedy and "up: y" in refused.value.remedy
+    assert np.ptp(prepare(path, up="z").pose(0.0)[1], axis=0)[1] == pytest.approx(1.7, rel=1e-12)
+    assert np.ptp(prepare(path, up="y", scale=1).pose(0.0)[1], axis=0)[2] == pytest.approx(1.7, rel=1e-12)
+    assert BVH().describe_motion(path)["stands"].startswith("along z, 1.7 units")
+
+
+@pytest.mark.parametrize(("written_rate", "rate"), [("30", "30 Hz"), ("30", "0.033333333 Hz"), ("33.3333", "30 Hz")])
+def test_a_frame_time_that_is_a_rate_is_asked_about(written_rate, rate, tmp_path):
+    path = written(tmp_path, STANDING.replace("Time: 0.04", f"Time: {written_rate}"))
+    with pytest.raises(BadInput, match="no time between two frames") as refused:
+        prepare(path)
+    assert "frame_rate: " in refused.value.remedy and "Hz" in refused.value.remedy
+    mover = prepare(path, frame_rate=rate, up="y")
+    dt = 1.0 / float(rate.split()[0])
+    assert np.abs(mover.pose(0.99 * dt)[1] - mover.pose(dt)[1]).max() > 0.0
+    np.testing.assert_array_equal(mover.pose(dt)[1], mover.pose(9.0 * dt)[1])
+
+
+@pytest.mark.parametrize(("scale", "unit"), [("1 m", "1cm"), ("1 cm", ""), ("1 inch", "1cm"), ("1 mm", "1cm")])
+def test_a_scale_that_makes_no_person_is_told_with_the_one_that_does(scale, unit, tmp_path):
+    text = STANDING
+    for value in ("0.1", "0.2", "0.4", "-0.5", "-0.4", "0.9"):
+        text = text.replace(f" {value} ", f" {100 * float(value):g} ")
+    (*said,) = prepare(written(tmp_path, text), scale=scale).notes
+    assert len(said) == bool(unit) and all(f"scale: {unit}" in one for one in said)
+
+
+@pytest.mark.parametrize("name", ["six_same", "some_six"])
+def test_positions_of_inner_joints_are_used(name, shared_data):
+    assert_shape_agrees(shared_data / "cases" / "12-bvh-six-channels" / f"{name}.bvh", 1.0 / 30.0, range(3))
+
+
+SIX = """CHANNELS 6 Zposition Xposition Yposition Xrotation Yrotation Zrotation"""
+
+
+def test_joints_that_move_against_their_parents(tiny, tmp_path):
+    """Positions in any order; also counted from the offset, as some programs do, where 0 is the skeleton's own."""
+    rows = [row.split() for row in TINY.splitlines()[-5:]]
+    for name, base in (("instead.bvh", (0.0, 0.3, -1.0)), ("added.bvh", (0.0, 0.0, 0.0))):
+        values = [[*row[:9], *(f"{a + 0.02 * k}" for a in base), *row[9:]] for k, row in enumerate(rows)]
+        head = TINY.replace("CHANNELS 3 Xrotation Yrotation Zrotation", SIX).partition("0 4 0 ")[0]
+        written(tmp_path, head + "\n".join(map(" ".join, values)) + "\n", name)
+    instead = assert_shape_agrees(tmp_path / "instead.bvh", 0.25, range(5))
+    added = prepare(tmp_path / "added.bvh", scale=1)
+    lengths = [np.linalg.norm(instead.pose(t)[1][3] - instead.pose(t)[1][0]) for t in (0.0, 1.0)]
+    assert lengths[1] - lengths[0] != pytest.approx(0.0, abs=1e-3)
+    for t in (0.0, 0.1, 0.5, 1.0):
+        np.testing.assert_allclose(added.pose(t)[1], instead.pose(t)[1], atol=1e-12)
+
+
+def test_one_rotation_channel_and_positions_last(tmp_path):
+    text = STANDING.replace("CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation",
+                            "CHANNELS 6 Yrotation ZROTATION Xrotation Yposition Zposition Xposition")  # fmt: skip
+    text = text.replace("OFFSET 0 -0.5 0\n      CHANNELS 3 Zrotation Xrotation Yrotation",
+                        "OFFSET 0 -0.5 0\n      CHANNELS 1 Xrotation")  # fmt: skip
+    head = text.partition("0 0.9 0")[0]
+    path = written(
+        tmp_path, head + "10 20 30 1 2 3  1 2 3  4 5 6  7 8 9  10\n30 20 10 2 3 1  3 2 1  6 5 4  9 8 7  40\n"
+    )
+    nodes, motion = parse(path.read_text().replace("ZROTATION", "Zrotation"))
+    mover, shift = prepare(path, scale=1, up="y"), None
+    for k in range(2):
+        # The root's place is not turned, wherever its channels stand.
+        nodes[0][3].sort(key=lambda channel: channel.endswith("rotation"))
+        row = np.concatenate([motion[k][3:6], motion[k][:3], motion[k][6:]])
+        expected, found = kinematics(nodes, row), mover.pose(k * 0.04)[1]
+        shift = found[0] - expected[0] if shift is None else shift
+        np.testing.assert_allclose(found, expected + shift, atol=1e-12)
+
+
+def test_names_in_latin_1_and_a_byte_order_mark(tmp_path):
+    text = STANDING.replace("JOINT Head", "JOINT Tête-Head")
+    one, other = (prepare(written(tmp_path, text, f"{how}.bvh", how)) for how in ("latin-1", "utf-8-sig"))
+    assert one.joints == other.joints and "Tête-Head" in one.joints
+    np.testing.assert_array_equal(one.pose(0.01)[1], other.pose(0.01)[1])

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sewing_patterns import Body, column, moved, together
 
-from nuno_cloth.models.stance import check_stance
+from nuno_cloth.models.stance import check_place, check_stance
 from nuno_schemas.errors import BadInput
 
 OUT = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
@@ -55,3 +55,35 @@ def test_a_body_that_lies_is_refused(axis: str, angle: float) -> None:
     with pytest.raises(BadInput, match="the body lies") as caught:
         check_stance(x, faces, "wearer")
     assert "m high" in str(caught.value.value)
+
+
+def box(*spans: tuple[float, float]) -> Body:
+    return np.array(spans).T, np.zeros((0, 3), np.int32)
+
+
+SHIRT, SKIRT, DRESS, HOODED = ((low, high) for low, high in ((0.9, 1.42), (0.1, 1.09), (0.11, 1.41), (0.03, 1.89)))
+AROUND = (-0.9, 0.9), (-0.2, 0.2)
+
+
+@pytest.mark.parametrize("worn", [SHIRT, SKIRT, DRESS, HOODED])
+def test_a_garment_is_placed_round_a_body_that_stands_on_the_floor_or_it_is_asked_to(worn: tuple[float, float]) -> None:
+    """Origins at the pelvis, in the middle, above the head, below the feet; and beside. The move that is said helps."""
+    panels, (wide, deep) = box(AROUND[0], worn, AROUND[1])[0], AROUND
+    for shift in ([0, 0, 0], [0, -1.12, 0], [0, -0.85, 0], [0, -1.8, 0], [3.0, 0, 0], [0, -1.12, -1.5], [0, 0.6, 0]):
+        x = box(wide, (0.0, 1.7), deep)[0] + shift
+        if not any(shift) or (worn is SHIRT and shift[1] > 0):  # which it could as well wear there
+            check_place(panels, x, "wearer")
+            continue
+        with pytest.raises(BadInput, match="does not stand where") as caught:
+            check_place(panels, x, "wearer")
+        move = re.search(r"bodies\.wearer\.collider\.centre=\[(.*)\]", str(caught.value.remedy))
+        assert move
+        np.testing.assert_allclose([float(one) for one in move[1].split(",")], -np.array(shift, float), atol=1e-9)
+        check_place(panels, x + [float(one) for one in move[1].split(",")], "wearer")
+
+
+def test_a_garment_may_hang_below_a_bust_and_be_placed_at_a_body_of_another_origin() -> None:
+    wide, deep = AROUND
+    for worn in (SHIRT, SKIRT):
+        check_place(box(wide, worn, deep)[0], box(wide, (0.8, 1.5), deep)[0], "bust")
+    check_place(box(wide, (-0.2, 0.3), deep)[0], box(wide, (-1.12, 0.54), deep)[0], "wearer")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from sewing_patterns import back, column, front, panel, pattern, stitch, tube
 from nuno.cli import main
 from nuno.cli.sew import _remind
 from nuno.scene import scene_file
+from nuno.scene.files import SceneFiles
+from nuno_schemas.bodies import UNITS as UNITS_OF_FILES
+from nuno_schemas.bodies import unit_of
 
 GROWTH = 0.9
 """Of a column's girth, from its top down [1/m]."""
@@ -202,7 +206,11 @@ def test_what_looks_wrong_is_told_before_it_is_put_on(tmp_path: Path, capsys: py
         assert ("loose panel" in said and "--check" in said) if name == "loose" else not said
 
 
-@pytest.mark.parametrize(("unit", "named"), [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm")])
+UNITS = [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm"), (0.0254, "1inch"), (0.3048, "1ft"), (0.1, "1dm"), (10.0, "10m"),
+         (100.0, "100m")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "named"), UNITS)
 def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
     unit: float, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,6 +220,40 @@ def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
     assert (f"taken as {named}" if named else "scene") in capsys.readouterr().out
     scene = yaml.safe_load((tmp_path / "tube-worn.yaml").read_text())
     assert scene["bodies"][0]["collider"].get("scale", "") == named
+
+
+def test_a_body_that_fits_no_one_in_any_unit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, faces = column((0.08, 0.06), (0.0, 1.7))
+    trimesh.Trimesh(1.7 * x, faces, process=False).export(tmp_path / "scan.obj")
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--write") == 2
+    said = capsys.readouterr().err
+    assert "fits no one" in said and "1.2 m high" in said and not (tmp_path / "tube-worn.yaml").exists()
+
+
+def test_a_body_with_its_origin_at_the_pelvis_is_refused_with_the_shift_that_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, faces = column((0.08, 0.06), (-1.12, 0.54))
+    trimesh.Trimesh(x, faces, process=False).export(tmp_path / "scan.obj")
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--edge", "6 cm") == 2
+    said = capsys.readouterr().err
+    assert "-1.12 to 0.54" in said and "does not stand where the garment's panels are placed" in said
+    move = said.partition("--set ")[2].partition(", or")[0]
+    collider = scene_file.read(tmp_path / "tube-worn.yaml", [move]).colliders[0]
+    assert collider.plugin.build(collider.config, None, SceneFiles(tmp_path)).vertices[:, 1].min() == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("height", [1.05, 1.2, 1.66, 2.0])
+@pytest.mark.parametrize("name", UNITS_OF_FILES)
+def test_a_person_is_one_in_every_unit_with_and_without_a_pattern(name: str, height: float) -> None:
+    size = height / UNITS_OF_FILES[name]
+    assert {unit_of(size, worn) for worn in (0.0, 0.66 * height, 1.1 * height)} == {name}
+
+
+def test_a_doll_in_metres_is_known_by_its_pattern() -> None:
+    assert unit_of(0.166, 0.14) == "1m" and unit_of(0.166, 1.4) == "10m" and unit_of(2.8, 1.4) == ""
 
 
 def test_a_file_that_is_missing_is_answered_with_the_one_of_nearly_its_name(
@@ -233,6 +275,29 @@ def test_an_edge_that_is_none_is_refused_before_a_scene_is_written(
     said = capsys.readouterr().err
     assert "--edge" in said and edge in said and "2 cm" in said
     assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of the name beside the scene, two patterns of one name, and a pattern in a folder below; the command that
+    is printed finds each.
+    """
+    here = tmp_path / "here"
+    named = "../one/tube.json", "../two/tube.json", "below/tube.json", "../one/other.json", "../two/column.obj"
+    for name in (*named, "tube.json", "column.obj"):
+        (here / name).parent.mkdir(parents=True, exist_ok=True)
+        (here / name).write_text(json.dumps(tube()))
+    x, faces = column((0.08, 0.06), (0.9, 1.4))
+    trimesh.Trimesh(x, faces, process=False).export(here / named[-1])
+    monkeypatch.chdir(here)
+    assert main(["sew", *named[:4], "--body", named[4], "--write", "--scene", "worn.yaml"]) == 0
+    command = shlex.split(capsys.readouterr().out.partition("nuno run ")[2].partition(")")[0])
+    loaded = scene_file.read(Path(command[0]), roots=[Path(root) for root in command[2::2]])
+    written = yaml.safe_load(Path("worn.yaml").read_text())
+    files = [one["model"]["file"] for one in written["objects"]] + [written["bodies"][0]["collider"]["file"]]
+    assert [loaded.files.resolve(file) for file in files] == [(here / name).resolve() for name in named]
+    assert files[2:4] == ["below/tube.json", "other.json"]
 
 
 def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.vectors import sides
 
 INSET = 0.6
 """Least distance of points inside from the outline, in spacings: nearer ones would give flat triangles."""
@@ -40,11 +41,11 @@ def is_inside(points: Float, outline: Float) -> Bool:
     times.
     """
     a, b = outline, np.roll(outline, -1, axis=0)
-    x, y = points[:, :1], points[:, 1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    crossed = ((a[:, 1] > y) != (b[:, 1] > y)) & (x < at)
-    return np.asarray(crossed.sum(axis=1) % 2 == 1)
+    above = points[:, 1:]
+    point, side = np.nonzero((a[:, 1] > above) != (b[:, 1] > above))
+    # To the left of a side that goes up, to the right of one that goes down.
+    crossed = sides(a[side], b[side], points[point]) == np.where(a[side, 1] < b[side, 1], 1, -1)
+    return np.asarray(np.bincount(point[crossed], minlength=len(points)) % 2 == 1)
 
 
 def _distance(points: Float, outline: Float) -> Float:

@@ -15,7 +15,7 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import find_texture
-from nuno_cloth.models.stance import check_stance
+from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
 from nuno_cloth.sewing.assemble import sound
@@ -23,7 +23,7 @@ from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.fields import PatternFile
-from nuno_cloth.sewing.flare import flare
+from nuno_cloth.sewing.flare import LESS, WIDE, flare
 from nuno_cloth.sewing.layers import enclose
 from nuno_cloth.sewing.pattern import Pattern as Drawn
 from nuno_cloth.sewing.refine import refine
@@ -144,16 +144,22 @@ class Pattern:
         texture = find_texture(config.texture, files)
         sewn = _sewn(config, files)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
+        check_place(sewn.placed, x, config.over.body)
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
-        placed = flare(sewn, wrap(sewn, x, faces, clearance), x, faces, clearance)
-        sewn, body = replace(sewn, placed=placed), build_tree(x, faces)
-        if worn:
-            position = _drawn(sewn, edges, build_tree(*enclose(x, faces, worn, clearance)), 0.0)
-        else:
-            position = _drawn(sewn, edges, body, clearance)
-        _require_outside(position, edges, sewn, body, config.over.body)
+        body, wrapped = build_tree(x, faces), wrap(sewn, x, faces, clearance)
+        around, clear = (build_tree(*enclose(x, faces, worn, clearance)), 0.0) if worn else (body, clearance)
+        # A flared panel that is laid through a hand starts narrower, in waves, and opens.
+        for wide in (WIDE, LESS):
+            sewn = replace(sewn, placed=flare(sewn, wrapped, x, faces, clearance, wide))
+            position = _drawn(sewn, edges, around, clear)
+            try:
+                _require_outside(position, edges, sewn, body, config.over.body)
+                break
+            except BadInput:
+                if wide == LESS:
+                    raise
         return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, position, (x, faces)))
 
     def _fabric(

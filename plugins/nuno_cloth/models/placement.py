@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,7 +12,7 @@ from pydantic import AfterValidator, Field
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.quantities import Angle, Length, Metres, Number, Speed
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import compose, norm
 
@@ -58,6 +59,8 @@ class Over(Config):
     clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
 
 
+CUT_TO_BARE = "shirt", "skirt"
+"""Models of garments that are cut to a bare body; patterns go over what it wears."""
 STILL = (0.0, 0.0, 0.0)
 VELOCITY = "of all free vertices at the start [m/s]"
 TEXTURE = "an image beside the scene, shown on the outside and the inside"
@@ -116,6 +119,18 @@ def vertices(pins: tuple[str | int, ...], number: int, pinned: Bool) -> None:
                 remedy="vertices are numbered row * columns + column",
             )
         pinned[pin] = True
+
+
+def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:
+    """Raises BadInput for a body that wears cloth already, of a garment that is cut to a bare one."""
+    if not worn:
+        return
+    others = [one.name for one in worn if one.name in CUT_TO_BARE]
+    remedy = f"let the {name} come first among the objects"
+    if others:
+        remedy = f"so is the {others[0]}: sew one from a pattern, model: {{plugin: pattern}}, and let that come last"
+    raise BadInput(f"a {name} is put on a bare body, and this one wears cloth already", field="over.body", value=body,
+                   remedy=remedy)  # fmt: skip
 
 
 def find_texture(texture: str | None, files: Files) -> str | None:

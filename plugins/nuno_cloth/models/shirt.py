@@ -13,7 +13,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
-from nuno_cloth.models.placement import TEXTURE, Over, find_texture
+from nuno_cloth.models.placement import TEXTURE, Over, find_texture, require_bare
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
@@ -83,9 +83,7 @@ class Shirt:
         Raises BadInput for a body without armpits and arms, for one that wears a garment
         already, and for a shirt that would start inside of it.
         """
-        if worn:
-            raise BadInput("a shirt is put on a bare body, and this one wears cloth already", field="over.body",
-                           value=config.over.body, remedy="let the shirt come first among the objects")  # fmt: skip
+        require_bare(worn, self.name, config.over.body)
         check_stance(x, faces, config.over.body)
         wearer = find_wearer(x, faces)
         sizes, fit = take_measures(wearer, config)

@@ -26,7 +26,7 @@ from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.outside import require_outside
-from nuno_cloth.models.placement import Attach, find_texture
+from nuno_cloth.models.placement import Attach, find_texture, require_bare
 from nuno_cloth.models.sheet import build_grid, bytes_of_grid, texture_coordinates
 from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
 from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
@@ -95,9 +95,7 @@ class Skirt:
         already, and for a skirt that is too narrow for it or would start inside of it.
         """
         assert config.over is not None
-        if worn:
-            raise BadInput("a skirt is put on a bare body, and this one wears cloth already", field="over.body",
-                           value=config.over.body, remedy="let the skirt come first among the objects")  # fmt: skip
+        require_bare(worn, self.name, config.over.body)
         check_stance(x, faces, config.over.body)
         falls = np.linspace(0.0, config.length, len(_round(config)) if config.cut != "cone" else config.rows)
         wearing = measure(config.over, x, faces, falls)

@@ -1,4 +1,4 @@
-"""Whether a body stands and faces as a garment is put on it: upright, y up, towards +z."""
+"""Whether a body stands and faces as a garment is put on it: upright, y up, towards +z, where its panels are placed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from nuno_cloth.models.wearer import TURN
 from nuno_kernels.meshes.loops import cut_mesh
+from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -19,6 +20,10 @@ TOES = 0.012
 """Feet reach forward of the ankles by more than this share of the height; with less there is nothing to tell by."""
 SIDEWAYS = 45.0
 """Farther off +z than this a body faces another way [deg]."""
+OFF = 0.05
+"""A garment may be beyond a body's ends by so much more than if it stood on y = 0, as a share of its height."""
+BESIDE = 0.5
+"""Panels are placed before, behind and beside a body, but no farther off than this [m]."""
 
 
 def check_stance(x: Float, faces: Int, body: str) -> None:
@@ -36,6 +41,34 @@ def check_stance(x: Float, faces: Int, body: str) -> None:
     if off > SIDEWAYS:
         value = f"{body}, whose feet point {off:.0f} degrees off +z"
         raise BadInput("the body faces another way", field="over.body", value=value, limit="towards +z", remedy=TURN)
+
+
+def check_place(placed: Float, x: Float, body: str) -> None:
+    """Raises BadInput for a body x (v, 3) [m] that is not where panels (n, 3) [m] are placed, with the shift that would
+    bring it onto y = 0, round the y axis, as patterns expect.
+
+    A garment may hang below a bust. One above a head, or below a whole person's feet, that would not be there were the
+    body on y = 0, is not where it is meant to be.
+    """
+    (low, high), (least, most) = ((part.min(axis=0), part.max(axis=0)) for part in (x, placed))
+
+    def beyond(shift: float) -> float:
+        below = low[1] + shift - least[1] if fits_person(high[1] - low[1]) else 0.0
+        return max(float(most[1] - high[1] - shift), 0.0) + max(float(below), 0.0)
+
+    beside = np.maximum(low - most, least - high) > BESIDE
+    beside[1] = beyond(0.0) - beyond(-low[1]) > OFF * (high[1] - low[1])
+    if not beside.any():
+        return
+    centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    shown = ",".join(f"{along:.4g}" for along in np.where(beside, -centre, 0.0) + 0.0)
+    boxes = (low, high), (least, most)
+    spans = [", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(*box, strict=True)) for box in boxes]
+    raise BadInput(
+        "the body does not stand where the garment's panels are placed", field="over.body",
+        value=f"{body} at {spans[0]} m (x, y, z), panels at {spans[1]} m", limit="on y = 0, round x = z = 0",
+        remedy=f"move the body: --set bodies.{body}.collider.centre=[{shown}], or place the panels round it",
+    )  # fmt: skip
 
 
 def _middle(x: Float, faces: Int, height: float) -> Float:

@@ -43,6 +43,7 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     _note_lengths(pattern, gather, note)
     _note_turned(pattern, note)
     _note_edges(pattern, note)
+    corners = [panel.place(edge.ends())[:, 1] for panel in pattern.panels.values() for edge in panel.edges]
     # Of a pattern that lacks a panel or a seam it cannot be said what stays open.
     openings = [] if broken else find_openings(pattern)
     if not broken:
@@ -52,7 +53,7 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     ordered = sorted(remarks, key=lambda remark: not remark.wrong)
     return Checked(
         tuple(_size(panel, pattern) for panel in pattern.panels.values()), len(pattern.seams), length,
-        tuple(_opening(pattern, edges) for edges in openings), tuple(ordered),
+        tuple(_opening(pattern, edges) for edges in openings), tuple(ordered), float(np.max(corners, initial=0.0)),
     )  # fmt: skip
 
 

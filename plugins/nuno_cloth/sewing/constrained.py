@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nuno_cloth.models.delaunay import triangulate
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import CERTAIN, sides
 
 Edge = tuple[int, int]
 FAR, CORNERS = 3.0, np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -66,16 +67,18 @@ def _recover(points: Float, faces: Int, wanted: list[Edge]) -> Int:
     place = [(float(x), float(y)) for x, y in points]
 
     def side(a: int, b: int, c: int) -> float:
-        """Twice the area of a triangle: more than 0 where c lies to the left of the way from a to b."""
+        """More than 0 where c lies to the left of the way from a to b, less to the right, 0 on the line."""
         (ax, ay), (bx, by), (cx, cy) = place[a], place[b], place[c]
-        return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        one, other = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
+        sure = abs(one - other) > CERTAIN * (abs(one) + abs(other))
+        return one - other if sure else float(sides(points[[a]], points[[b]], points[[c]])[0])
 
     def cross(a: int, b: int, c: int, d: int) -> bool:
         return (side(a, b, c) > 0.0) != (side(a, b, d) > 0.0) and (side(c, d, a) > 0.0) != (side(c, d, b) > 0.0)
 
     for a, b in wanted:
-        sides = [(c, d) for c, d in third if c < d and (d, c) in third and not {a, b} & {c, d}]
-        waiting = [(c, d) for c, d in sides if cross(a, b, c, d)]
+        others = [(c, d) for c, d in third if c < d and (d, c) in third and not {a, b} & {c, d}]
+        waiting = [(c, d) for c, d in others if cross(a, b, c, d)]
         for _ in range(50 * (len(waiting) + 1) ** 2):
             if not waiting:
                 break

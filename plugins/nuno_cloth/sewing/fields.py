@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from nuno_schemas.plugin import Config
 
@@ -37,11 +37,20 @@ class Circle(Config):
     )
 
 
+def _as_curve(given: Any) -> Any:
+    """What files of 2021 have, one control point, as a curve (Korosteleva & Lee 2021, Generating Datasets of 3D
+    Garments with Sewing Patterns).
+    """
+    return {"type": "quadratic", "params": [given]} if isinstance(given, list | tuple) else given
+
+
 class EdgeFields(Config):
     endpoints: tuple[int, int] = Field(
         description="numbers of the vertices where it starts and ends", examples=[[0, 1]]
     )
-    curvature: Annotated[Quadratic | Cubic | Circle, Field(discriminator="type")] | None = None
+    curvature: Annotated[
+        Annotated[Quadratic | Cubic | Circle, Field(discriminator="type")] | None, BeforeValidator(_as_curve)
+    ] = None
     label: str | None = None
 
 

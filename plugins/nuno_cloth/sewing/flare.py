@@ -19,8 +19,8 @@ from nuno_kernels.meshes.loops import Loop, cut_mesh
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.fabric import Float, Int
 
-WIDE = np.pi
-"""A panel is a ring if its free edge goes round farther than this [rad]."""
+WIDE, LESS = np.pi, 1.0
+"""A panel is a ring if its free edge goes round farther than this [rad]; less makes rings of panels that are flared."""
 SLOPES = np.radians([30.0, 45.0, 60.0, 75.0])
 """Of the cone below level: the first at which it is out of the body. Where it is steeper, waves are deeper."""
 SMALLER = 0.5
@@ -44,9 +44,11 @@ class Ring:
     inner: float
 
 
-def flare(sewn: Sewn, placed: Float, body: Float, faces: Int, clearance: float) -> Float:
-    """(m, 3) where cut vertices start [m] beside a body (v, 3), faces (f, 3): as `placed` (m, 3), but for rings."""
-    rings = {panel: ring for panel in range(len(sewn.names)) if (ring := find_ring(sewn, panel)) is not None}
+def flare(sewn: Sewn, placed: Float, body: Float, faces: Int, clearance: float, wide: float = WIDE) -> Float:
+    """(m, 3) where cut vertices start [m] beside a body (v, 3), faces (f, 3): as `placed` (m, 3), but for rings, whose
+    free edges go round farther than `wide` [rad].
+    """
+    rings = {panel: ring for panel in range(len(sewn.names)) if (ring := find_ring(sewn, panel, wide)) is not None}
     if not rings:
         return placed
     placed, tree = placed.copy(), build_tree(body, faces)
@@ -60,9 +62,9 @@ def flare(sewn: Sewn, placed: Float, body: Float, faces: Int, clearance: float) 
     return placed
 
 
-def find_ring(sewn: Sewn, panel: int) -> Ring | None:
+def find_ring(sewn: Sewn, panel: int, wide: float = WIDE) -> Ring | None:
     """A panel as a ring: free edges in a row, between two that are sewn to other panels and point away from one centre,
-    round which the free ones go farther than WIDE.
+    round which the free ones go farther than `wide` [rad].
     """
     edges, name = sewn.edges[panel], sewn.names[panel]
     joined = [pair for one in sewn.seams for pair in permutations((one.seam.one, one.seam.other))]
@@ -74,12 +76,12 @@ def find_ring(sewn: Sewn, panel: int) -> Ring | None:
         before, after = (first - 1) % len(edges), (first + len(row)) % len(edges)
         if row and {sewn_to.get(before, name), sewn_to.get(after, name)}.isdisjoint({name}):
             hem = np.concatenate([sewn.flat[edges[k]] for k in row])
-            if (ring := _ring(sewn.flat[edges[before][0]], hem, sewn.flat[edges[after][-1]])) is not None:
+            if (ring := _ring(sewn.flat[edges[before][0]], hem, sewn.flat[edges[after][-1]], wide)) is not None:
                 return ring
     return None
 
 
-def _ring(left: Float, hem: Float, right: Float) -> Ring | None:
+def _ring(left: Float, hem: Float, right: Float, wide: float) -> Ring | None:
     """Of points (k, 2) along the hem, and the other ends of the sides that begin at its first and last one."""
     ways = np.stack([hem[0] - left, hem[-1] - right], axis=1)
     if abs(np.linalg.det(ways)) < 1e-9 * np.linalg.norm(ways) ** 2:
@@ -87,7 +89,7 @@ def _ring(left: Float, hem: Float, right: Float) -> Ring | None:
     centre = left + np.linalg.solve(ways * [1.0, -1.0], right - left)[0] * ways[:, 0]
     hem = hem - centre
     turn, inner = float(_angle(hem[:-1], hem[1:]).sum()), float(np.linalg.norm(left - centre))
-    if abs(turn) <= WIDE or inner >= float(np.linalg.norm(hem[0])):
+    if abs(turn) <= wide or inner >= float(np.linalg.norm(hem[0])):
         return None
     c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
     middle = np.array([[c, -s], [s, c]]) @ hem[0]

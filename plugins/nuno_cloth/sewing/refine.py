@@ -54,9 +54,11 @@ def _innermost(corners: Float, points: Float, near: Int) -> tuple[Int, Float]:
     a, b, c = (corners[near, i] for i in range(3))
     u, v, w = b - a, c - a, points[:, None] - a
     area = _cross(u, v)
-    one, other = _cross(w, v) / area, _cross(u, w) / area
-    weight = np.stack([1.0 - one - other, one, other], axis=2)
-    best = weight.min(axis=2).argmax(axis=1)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = _cross(w, v) / area, _cross(u, w) / area
+        weight = np.stack([1.0 - one - other, one, other], axis=2)
+    # No point lies in a triangle without area.
+    best = np.where(area > 0.0, weight.min(axis=2), -np.inf).argmax(axis=1)[:, None]
     return np.take_along_axis(near, best, 1)[:, 0], np.take_along_axis(weight, best[:, :, None], 1)[:, 0]
 
 

@@ -11,8 +11,11 @@ A profile lists (where along the part, 0 at its upper or inner end to 1; radius 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
+
+from nuno_schemas.fabric import Bool, Int
 
 PELVIS_HALF_WIDTH = 0.106
 """Half width of the hips, mean of the sections at 0.50 and 0.52."""
@@ -64,6 +67,28 @@ def find_part(joint: str) -> str | None:
         if re.search(pattern, joint.lower()):
             return part
     return None
+
+
+RESTS = 0.85
+"""A skeleton stands at rest if it is then as high as this share of what it is in its tallest pose."""
+
+
+def choose_height(at_rest: float, posed: float) -> float:
+    """A skeleton's, by how high it is at rest and in its tallest pose, both without its arms.
+
+    Many captured files have a skeleton that lies at rest, or has all bones along one axis.
+    """
+    return at_rest if at_rest >= RESTS * posed else posed
+
+
+def find_arms(joints: Sequence[str], parents: Int) -> Bool:
+    """(j,) which joints are of arms, which may be raised, of a skeleton that is more than an arm; parents come before
+    their children.
+    """
+    arm = np.array([find_part(joint) in ("arm", "forearm", "hand") for joint in joints])
+    for j, parent in enumerate(parents):
+        arm[j] |= parent >= 0 and arm[parent]
+    return arm & ~arm.all()
 
 
 def default_radius(part: str, first: float, last: float) -> float:

@@ -10,7 +10,15 @@ from typing import Annotated, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
+from nuno_contact.colliders.radii import (
+    PELVIS_HALF_WIDTH,
+    PIECES,
+    PROFILES,
+    choose_height,
+    default_radius,
+    find_arms,
+    find_part,
+)
 from nuno_contact.motions.rotations import rest_positions
 from nuno_contact.quantities import Size
 from nuno_schemas.bodies import CAPSULE
@@ -68,12 +76,14 @@ class Bone:
 
 def find_height(mover: Mover) -> float:
     """Extent of the skeleton at rest [m] along the axis in which its head lies from its root (the
-    widest, where no joint is called head or neck); for a standing or T-posed one its height.
+    widest, where no joint is called head or neck); of one that does not stand so its height as the motion begins.
     """
     rest = rest_positions(mover.parents, mover.offsets)
     extent = np.ptp(rest, axis=0)
     tops = [j for j, joint in enumerate(mover.joints) if find_part(joint) in ("head", "neck")]
-    return float(extent[np.argmax(np.abs(rest[tops[-1]] - rest[0]))] if tops else extent.max())
+    own = float(extent[np.argmax(np.abs(rest[tops[-1]] - rest[0]))] if tops else extent.max())
+    posed = mover.pose(0.0)[1][~find_arms(mover.joints, mover.parents), 1]
+    return choose_height(own, float(np.ptp(posed)))
 
 
 def name_parts(mover: Mover, named: Collection[str]) -> list[str]:

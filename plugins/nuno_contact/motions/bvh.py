@@ -1,30 +1,41 @@
-"""Captured motion from a BVH file (Biovision hierarchy), read by pybvh."""
+"""Captured motion from a BVH file (Biovision hierarchy)."""
 
 from __future__ import annotations
 
+import io
 import math
-import warnings
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.colliders.radii import choose_height, find_arms, find_part
 from nuno_contact.motions.rotations import AXES, from_axis_angle, multiply, pose_skeleton, rest_positions, slerp
 from nuno_contact.quantities import Later, Point, Rate, Size, Span
-from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.bodies import fits_person, rotation_matrices, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
-from nuno_schemas.vectors import turn
+from nuno_schemas.vectors import norm, turn
 
 LARGEST_FILE = 256 * 2**20
 STEPS = (1e-6, 1e4)
 """Times between two frames that a motion can have [s]."""
+SLOWEST = 1.0
+"""No capture has longer between two frames [s]: a file that says so means frames a second."""
 FARTHEST = 1e6
 """From the origin that a body, or a bone's end from its joint, can be [m]."""
+FINEST = 1e-9
+"""No file's unit is shorter [m]: numbers that would need it are none."""
+CHANNELS = {axis + what for axis in "XYZ" for what in ("position", "rotation")}
+STILL = 1e-4
+"""Joints move against their parents where they do by more than this share of the longest bone: less is rounding."""
+LOOKS = 100
+"""Of so many poses the tallest is found."""
 
 
 class BvhConfig(Config):
@@ -32,7 +43,7 @@ class BvhConfig(Config):
 
     file: str = Field(description="the BVH file, beside the scene")
     height: Size = Field(
-        default=1.7, description="of the body [m]: scales the file's unit so that the skeleton at rest fits"
+        default=1.7, description="of the body as it stands [m]: scales the file's unit so that the skeleton fits"
     )
     scale: Size | None = Field(
         default=None, description="or: length of one of the file's units [m]; goes before height"
@@ -45,7 +56,9 @@ class BvhConfig(Config):
     blend: Span = Field(default=0.25, description="in a loop, time over which the end fades into the beginning [s]")
     ramp: Span = Field(default=0.0, description="the motion starts still and reaches its own speed after this time [s]")
     frame_rate: Rate | None = Field(default=None, description="of the file [Hz]; its own unless given")
-    up: Literal["y", "z"] = Field(default="y", description="vertical axis of the file")
+    up: Literal["y", "z"] | None = Field(
+        default=None, description="vertical axis of the file; y unless given, and then the body must stand along it"
+    )
     position: Point = Field(
         default=(0.0, 0.0, 0.0), description="where the body starts [m]: hips over x and z, its lowest point at y"
     )
@@ -54,56 +67,139 @@ class BvhConfig(Config):
     )
 
 
-def read_bvh(path: Path) -> Any:
-    """A pybvh.Bvh. Raises BadInput for a file that is empty, truncated, not BVH or not finite."""
-    import pybvh
+@dataclass(frozen=True)
+class Captured:
+    """What a BVH file says, lengths in its own unit.
+
+    joints, parents  of j joints, parents before children; an end site is a joint named after its parent, JOINT_end
+    offsets          (j, 3) from the parent: the file's, or the median of a joint's own positions
+    turns            (m, j, 4) rotation of each joint against its parent in m frames
+    places           (m, 1, 3) positions of the root, or (m, j, 3) of all joints from their parents where some move
+    dt               time between two frames [s]
+    """
+
+    joints: tuple[str, ...]
+    parents: Int
+    offsets: Float
+    turns: Float
+    places: Float
+    dt: float
+
+    def pose(self, k: int) -> Float:
+        """(j, 3) where the joints are in a frame."""
+        return _pose(self.parents, self.offsets, self.turns[k], self.places[k])[1]
+
+
+class _Joint(NamedTuple):
+    name: str
+    parent: int
+    offset: list[float]
+    channels: list[str]
+
+
+def read_bvh(path: Path) -> Captured:
+    """Raises BadInput for a file that is empty, truncated, not BVH or not finite."""
+    from pybvh.rotations import euler_to_quat
 
     size = path.stat().st_size
     if not 0 < size <= LARGEST_FILE:
         raise BadInput("empty or too large for BVH", file=str(path), value=size, limit=f"1 to {LARGEST_FILE} bytes")
+    data = path.read_bytes()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = pybvh.read_bvh_file(path, world_up="+y")
-    except Exception as error:  # whatever a broken file makes of the reader
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # names of joints by older programs; every byte is a letter of Latin-1
+        text = data.decode("latin-1")
+    head, *rows = re.split(r"(?m)^\s*MOTION\b", text, maxsplit=1)
+    try:
+        joints = _read_joints(head)
+        frames, dt = _read_frames("".join(rows), sum(len(joint.channels) for joint in joints))
+    except ValueError as error:
         remedy = "is it cut off, or not BVH? Write it anew where it comes from"
         raise BadInput(f"cannot be read as BVH: {error}", file=str(path), remedy=remedy) from None
-    offsets = np.array([node.offset for node in found.nodes])
-    for what, values in (("offsets", offsets), ("positions", found.root_pos), ("angles", found.joint_angles)):
+    offsets = np.array([joint.offset for joint in joints])
+    for what, values in (("offsets", offsets), ("positions or angles", frames)):
         if not np.isfinite(values).all():
             raise BadInput(f"{what} that are not finite numbers", file=str(path))
-    return found
+    turns, places = np.empty((len(frames), len(joints), 4)), np.tile(offsets, (len(frames), 1, 1))
+    columns = iter(frames.T)
+    for j, joint in enumerate(joints):
+        own = {channel: next(columns) for channel in joint.channels}
+        axes = [channel[0] for channel in own if channel.endswith("rotation")]
+        # About the axes that it does not name a joint does not turn.
+        axes += [axis for axis in "XYZ" if axis not in axes]
+        angles = np.stack([own.get(f"{axis}rotation", np.zeros(len(frames))) for axis in axes], axis=1)
+        turns[:, j] = euler_to_quat(np.deg2rad(angles), axes)
+        given, added = places[:, j].copy(), places[:, j].copy()
+        for axis, name in enumerate("XYZ"):
+            column = own.get(f"{name}position")
+            if column is not None:
+                given[:, axis] = column
+                added[:, axis] += column
+        # Positions stand in the offset's place; programs that count them from it are known by bones as long as that.
+        far, near = (norm(np.median(place, axis=0) - offsets[j]) for place in (given, added))
+        places[:, j] = added if j > 0 and near < far else given
+    offsets[1:] = np.median(places[:, 1:], axis=0)
+    if not (np.ptp(places[:, 1:], axis=0) > STILL * np.abs(offsets).max()).any():
+        places = places[:, :1]
+    parents = np.array([joint.parent for joint in joints], np.int32)
+    return Captured(tuple(joint.name for joint in joints), parents, offsets, turns, places, dt)
 
 
-def read_tree(found: Any, path: Path) -> tuple[tuple[str, ...], Int, Float, Int]:
-    """Names, parents and offsets (j, 3) of all nodes, and for each its row of channels or -1.
+def _read_joints(head: str) -> list[_Joint]:
+    """The hierarchy. Raises ValueError."""
+    joints, open_ = list[_Joint](), list[int]()
+    for line, words in enumerate(map(str.split, head.splitlines()), 1):
+        key, *values = words or ["{"]
+        try:
+            if key.upper() in ("ROOT", "JOINT", "END"):
+                parent = open_[-1] if joints else -1
+                name = f"{joints[parent].name}_end" if key.upper() == "END" else " ".join(values)
+                open_.append(len(joints))
+                joints.append(_Joint(name, parent, [], []))
+            elif key.upper() == "OFFSET":
+                joints[open_[-1]].offset.extend(map(float, values))
+            elif key.upper() == "CHANNELS":
+                joints[open_[-1]].channels.extend(word.capitalize() for word in values[1:])
+            elif key == "}":
+                open_.pop()
+            elif key.upper() not in ("{", "HIERARCHY"):
+                raise IndexError
+        except (IndexError, ValueError):
+            raise ValueError(f"line {line}: {' '.join(words)[:60]}") from None
+    for name, _, offset, channels in joints:
+        if len(offset) != 3 or not set(channels) <= CHANNELS or len(set(channels)) < len(channels):
+            raise ValueError(f"{name} has no offset of three numbers, or channels that are none or twice there")
+        if sum(joint.name == name for joint in joints) > 1:
+            raise ValueError(f"two joints have the same name, {name}")
+    if not joints or open_:
+        raise ValueError("its joints have no end" if joints else "it has no ROOT")
+    return joints
 
-    End sites become joints named after their parent, so that a bone ends where the file says.
-    Raises BadInput for two joints of one name.
-    """
-    nodes, names, parents = found.nodes, [], []
-    rows: list[int] = []
-    place = {id(node): j for j, node in enumerate(nodes)}
-    for node in nodes:
-        ending = node.is_end_site()
-        name = f"{node.parent.name}_end" if ending else node.name
-        if name in names:
-            raise BadInput("two joints have the same name", file=str(path), value=name)
-        names.append(name)
-        parents.append(place[id(node.parent)] if node.parent is not None else -1)
-        rows.append(-1 if ending else sum(row >= 0 for row in rows))
-    offsets = np.array([node.offset for node in nodes], np.float64)
-    return tuple(names), np.array(parents, np.int32), offsets, np.array(rows, np.int32)
+
+def _read_frames(rows: str, columns: int) -> tuple[Float, float]:
+    """(m, columns) values, and the time between two frames [s]. Raises ValueError."""
+    found = re.match(r"\s*Frames:\s*(\d+)\s*Frame\s+Time:\s*(\S+)", rows, re.IGNORECASE)
+    if found is None or not rows[found.end() :].strip():
+        raise ValueError("after MOTION come Frames: and Frame Time: and their frames")
+    frames, dt = np.loadtxt(io.StringIO(rows[found.end() :]), ndmin=2), float(found[2])
+    if frames.shape != (int(found[1]), columns):
+        raise ValueError(f"{found[1]} frames of {columns} channels are announced, and {len(frames)} of "
+                         f"{frames.shape[1]} follow")  # fmt: skip
+    # Programs write 0.033333 for thirtieths of a second: a whole rate within 0.01 % is meant.
+    rate = round(1.0 / dt) if STEPS[0] <= dt <= STEPS[1] else 0
+    return frames, 1.0 / rate if rate and abs(1.0 / rate - dt) < 1e-4 * dt else dt
 
 
 @dataclass(frozen=True)
 class _Clip:
-    """Sampled local rotations (m, j, 4) and root positions (m, 3) [m], dt [s] apart."""
+    """Sampled local rotations (m, j, 4) and positions [m], dt [s] apart: of the root (m, 1, 3), or of all joints from
+    their parents (m, j, 3).
+    """
 
     parents: Int
     offsets: Float
     local: Float
-    root: Float
+    places: Float
     dt: float
     loop: bool
     blend: float
@@ -112,16 +208,17 @@ class _Clip:
 
     @property
     def duration(self) -> float:
-        return float(self.root.shape[0] - 1) * self.dt
+        return float(self.places.shape[0] - 1) * self.dt
 
     def sample(self, t: float) -> tuple[Float, Float]:
-        """Local rotations and root position at clip time t, between the two nearest frames."""
-        at = min(max(t / self.dt, 0.0), self.root.shape[0] - 1.0)
-        k = min(int(at), max(self.root.shape[0] - 2, 0))
+        """Local rotations and positions at clip time t, between the two nearest frames."""
+        frames = self.places.shape[0]
+        at = min(max(t / self.dt, 0.0), frames - 1.0)
+        k = min(int(at), max(frames - 2, 0))
         s = at - k
-        if s == 0.0 or self.root.shape[0] == 1:
-            return self.local[k], self.root[k]
-        return slerp(self.local[k], self.local[k + 1], s), (1.0 - s) * self.root[k] + s * self.root[k + 1]
+        if s == 0.0 or frames == 1:
+            return self.local[k], self.places[k]
+        return slerp(self.local[k], self.local[k + 1], s), (1.0 - s) * self.places[k] + s * self.places[k + 1]
 
     def pose(self, t: float) -> tuple[Float, Float]:
         """World rotation (j, 4) and translation (j, 3) at simulation time t [s].
@@ -135,18 +232,23 @@ class _Clip:
             t = 0.5 * t * t / self.ramp if t < self.ramp else t - 0.5 * self.ramp
         period = self.duration - self.blend
         if not self.loop or t <= period or period <= 0.0:
-            local, root = self.sample(t)
+            local, places = self.sample(t)
         else:
             turn, since = divmod(t, period)
-            local, root = self.sample(since)
-            root = root + turn * self.drift
+            local, places = self.sample(since)
+            places = places + turn * self.drift
             if since < self.blend:
                 s = since / self.blend
                 s = s * s * (3.0 - 2.0 * s)
-                old_local, old_root = self.sample(period + since)
-                local, old_root = slerp(old_local, local, s), old_root + (turn - 1.0) * self.drift
-                root = (1.0 - s) * old_root + s * root
-        return pose_skeleton(self.parents, self.offsets, local, root)
+                old_local, old_places = self.sample(period + since)
+                local, old_places = slerp(old_local, local, s), old_places + (turn - 1.0) * self.drift
+                places = (1.0 - s) * old_places + s * places
+        return _pose(self.parents, self.offsets, local, places)
+
+
+def _pose(parents: Int, offsets: Float, local: Float, places: Float) -> tuple[Float, Float]:
+    """As pose_skeleton, with positions (1, 3) of the root or (j, 3) of all joints."""
+    return pose_skeleton(parents, offsets if len(places) == 1 else places, local, places[0])
 
 
 def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
@@ -163,15 +265,33 @@ def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
 
 def place_root(config: BvhConfig, clip: _Clip) -> None:
     """Take the travel out if it is not wanted, then put the clip where it starts, in place."""
-    frames = clip.root.shape[0]
+    root = clip.places[:, 0]
+    frames = root.shape[0]
     if not config.travel and frames > 1:
-        way = (clip.root[-1] - clip.root[0]) * np.array([1.0, 0.0, 1.0])
-        clip.root[:] -= np.linspace(0.0, 1.0, frames)[:, None] * way
+        way = (root[-1] - root[0]) * np.array([1.0, 0.0, 1.0])
+        root -= np.linspace(0.0, 1.0, frames)[:, None] * way
     lowest = min(
-        float(pose_skeleton(clip.parents, clip.offsets, clip.local[k], clip.root[k])[1][:, 1].min())
-        for k in np.unique(np.linspace(0, frames - 1, min(frames, 100)).astype(int))
+        float(_pose(clip.parents, clip.offsets, clip.local[k], clip.places[k])[1][:, 1].min()) for k in _spread(frames)
     )
-    clip.root[:] += np.array(config.position) - np.array([clip.root[0, 0], lowest, clip.root[0, 2]])
+    root += np.array(config.position) - np.array([root[0, 0], lowest, root[0, 2]])
+
+
+def _spread(frames: int) -> Int:
+    """Numbers of LOOKS frames at most, from the first to the last."""
+    return np.unique(np.linspace(0, frames - 1, min(frames, LOOKS)).astype(int))
+
+
+def find_stature(found: Captured, up: int) -> tuple[float, int]:
+    """How high a person stands along the axis `up` (0, 1 or 2), in the file's unit, by the tallest pose or the skeleton
+    at rest; and the axis along which the head lies from the root in most poses.
+    """
+    arm = find_arms(found.joints, found.parents)
+    trunk = [j for j, name in enumerate(found.joints) if not arm[j] and find_part(name) in ("back", "neck", "head")]
+    poses = np.array([found.pose(k) for k in _spread(len(found.turns))])
+    ways = poses[:, trunk[-1]] - poses[:, 0] if trunk else np.eye(3)[[up]]
+    rest = rest_positions(found.parents, found.offsets * (found.parents >= 0)[:, None])
+    height = choose_height(*(float(np.ptp(x[..., ~arm, up], axis=-1).max()) for x in (rest, poses)))
+    return height, int(np.argmax(np.abs(np.median(ways, axis=0))))
 
 
 class BVH:
@@ -183,47 +303,62 @@ class BVH:
     def describe_motion(self, path: Path) -> Mapping[str, str]:
         """What a file says of itself, in words, by name. Raises BadInput for one that cannot be read."""
         found = read_bvh(path)
-        names, dt = read_tree(found, path)[0], float(found.frame_time)
-        ends = sum(name.endswith("_end") for name in names)
-        facts = {"joints": f"{len(names) - ends}, and {ends} ends of bones", "frames": f"{found.frame_count}"}
-        if STEPS[0] <= dt <= STEPS[1]:
-            facts["lasts"] = f"{(found.frame_count - 1) * dt:.3g} s, at {1.0 / dt:.4g} Hz"
-        return facts | {"root": names[0]}
+        ends, frames = sum(name.endswith("_end") for name in found.joints), len(found.turns)
+        facts = {"joints": f"{len(found.joints) - ends}, and {ends} ends of bones", "frames": f"{frames}"}
+        if STEPS[0] <= found.dt <= SLOWEST:
+            facts["lasts"] = f"{(frames - 1) * found.dt:.3g} s, at {1.0 / found.dt:.4g} Hz"
+        axis = find_stature(found, 1)[1]
+        tall = find_stature(found, axis)[0]
+        unit = unit_of(tall)
+        facts["stands"] = f"along {'xyz'[axis]}, {tall:.4g} units high" + (f": {unit} each?" if unit else "")
+        return facts | {"root": found.joints[0]}
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Raises BadInput for a file that cannot be read and a part of it that is empty."""
+        """Raises BadInput for a file that cannot be read, a body that lies, and a part of it that is empty."""
         c = cast(BvhConfig, config)
         path = files.resolve(c.file)
         found = read_bvh(path)
-        names, parents, offsets, rows = read_tree(found, path)
-        dt = 1.0 / c.frame_rate if c.frame_rate else float(found.frame_time)
-        if not STEPS[0] <= dt <= STEPS[1]:
-            limit, remedy = f"{STEPS[0]:g} to {STEPS[1]:g} s", "give frame_rate"
-            raise BadInput("no time between two frames", file=str(path), value=dt, limit=limit, remedy=remedy)
-        part = cut_frames(c, found.frame_count, dt, path)
+        dt = 1.0 / c.frame_rate if c.frame_rate else found.dt
+        if not STEPS[0] <= dt <= (STEPS[1] if c.frame_rate else SLOWEST):
+            limit, remedy = f"{STEPS[0]:g} to {SLOWEST:g} s", "give frame_rate"
+            if dt > SLOWEST:
+                remedy = f"frame_rate: {dt:g} Hz if that is meant; if not, frame_rate: {1.0 / dt:.6g} Hz keeps it"
+            raise BadInput("no time between two frames", str(path), field="Frame Time", value=dt, limit=limit,
+                           remedy=remedy)  # fmt: skip
+        part = cut_frames(c, len(found.turns), dt, path)
+        up = "xyz".index(c.up or "y")
+        height, along = find_stature(found, up)
+        if c.up is None and along != up:
+            axis = "xyz"[along]
+            remedy = ("up: z where z is the file's vertical axis, " if axis == "z" else "") + "up: y where it does lie"
+            raise BadInput("the body lies", str(path), field="up", value=f"from the root the head is along {axis}",
+                           limit="y points up unless the scene says otherwise", remedy=remedy)  # fmt: skip
+        if not height > 0.0:
+            raise BadInput("the skeleton has no height", str(path), field="height", remedy="give a scale")
         upright = from_axis_angle(AXES[0], -0.5 * math.pi if c.up == "z" else 0.0)
-        scale = c.scale or c.height / find_extent(parents, offsets, "xyz".index(c.up), path)
-        _, quaternions = found.to_quat()
-        local = np.zeros((part.stop - part.start, len(names), 4))
-        local[:, :, 0] = 1.0
-        local[:, rows >= 0] = quaternions[part][:, rows[rows >= 0]]
+        scale = c.scale or c.height / height
+        local = found.turns[part]
         local[:, 0] = multiply(upright, local[:, 0])
-        root = turn(rotation_matrices(upright[None])[0], scale * found.root_pos[part])
-        if not (np.abs(scale * offsets).max() <= FARTHEST and np.abs(root).max() <= FARTHEST):
+        places = scale * found.places[part]
+        places[:, 0] = turn(rotation_matrices(upright[None])[0], places[:, 0])
+        farthest = max(np.abs(max(scale, FINEST) * found.offsets).max(), np.abs(places).max())
+        if not farthest <= FARTHEST:
             remedy = "check the file's numbers, or give a scale"
             raise BadInput("a body of no size", file=str(path), limit=f"{FARTHEST:g} m", remedy=remedy)
-        loop = c.end == "loop" and root.shape[0] > 1
-        blend = min(c.blend, 0.25 * (root.shape[0] - 1) * dt) if loop else 0.0
-        clip = _Clip(parents, scale * offsets, local, root, dt, loop, blend, c.ramp, np.zeros(3))
+        loop = c.end == "loop" and len(places) > 1
+        blend = min(c.blend, 0.25 * (len(places) - 1) * dt) if loop else 0.0
+        clip = _Clip(found.parents, scale * found.offsets, local, places, dt, loop, blend, c.ramp, np.zeros((1, 3)))
         place_root(c, clip)
         if loop:
-            clip.drift[:] = (clip.sample(clip.duration - blend)[1] - clip.root[0]) * np.array([1.0, 0.0, 1.0])
-        return Mover(names, parents, clip.offsets, clip.pose)
+            way = clip.sample(clip.duration - blend)[1][0] - clip.places[0, 0]
+            clip.drift[0] = way * np.array([1.0, 0.0, 1.0])
+        return Mover(found.joints, found.parents, clip.offsets, clip.pose, notes=_size_notes(c, height))
 
 
-def find_extent(parents: Int, offsets: Float, axis: int, path: Path) -> float:
-    """Height of the skeleton at rest along `axis`, in the file's unit. Raises BadInput for 0."""
-    extent = float(np.ptp(rest_positions(parents, offsets * (parents >= 0)[:, None])[:, axis]))
-    if not extent > 0.0:
-        raise BadInput("the skeleton at rest has no height", file=str(path), field="height", remedy="give a scale")
-    return extent
+def _size_notes(config: BvhConfig, height: float) -> tuple[str, ...]:
+    """Of a scale by which a body `height` of the file's units high becomes no person."""
+    if config.scale is None or fits_person(config.scale * height):
+        return ()
+    unit = unit_of(height)
+    remedy = f"with scale: {unit} it is one" if unit else "leave scale out, and give height"
+    return (f"by its scale the body is {config.scale * height:.3g} m high, which no person is; {remedy}",)

@@ -62,12 +62,23 @@ def check_start(m: Meeting, fabric: Fabric, pieces: Sequence[str], objects: int)
             remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
         )  # fmt: skip
     cloth, body = (pieces[i] for i in sorted((int(both[0][first]), int(both[1][first]))))
+    remedy = f"add operations: [{{plugin: untangle}}], place or size {cloth}, or move the body, otherwise, or "
+    # An edge that goes in and out again has both ends outside: it is a chord across what is round.
+    of_edge = np.unique(edge[both[0] < objects], return_counts=True)[1]
+    if len(of_edge) and not (of_edge % 2).any():
+        remedy = "give the cloth shorter edges, which go round what these go through; or "
     raise BadInput(
         f"{cloth} passes through {body} where it starts ({len(edge):,} edges through triangles)",
-        field="bodies", value=place, limit="a start in which nothing meets",
-        remedy=f"add operations: [{{plugin: untangle}}], place or size {cloth}, or move the body, otherwise, or leave "
-        f"{body} out here",
+        field="bodies", value=place, limit="a start in which nothing meets", remedy=remedy + _without(body),
     )  # fmt: skip
+
+
+def _without(body: str) -> str:
+    """How a body is met that no start is clear of, as a scan that passes through itself: neither by its triangles, nor
+    by vertices that slide on them.
+    """
+    field = "collider: {plugin: sdf, ...} and contact: {plugin: penalty}"
+    return f"leave {body} out here and give it, if it is no skin, {field}"
 
 
 def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
@@ -86,7 +97,7 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
                 f"cloth starts inside of {name} ({len(inside):,} of {fabric.number:,} vertices)", field="bodies",
                 value=f"vertex {fabric.told(deepest)}, {-1e3 * distance[deepest]:.3g} mm deep, "
                 + place_of(fabric.position[deepest]),
-                remedy=f"place or size the cloth, or move the body, otherwise, or leave {name} out here",
+                remedy=f"place or size the cloth, or move the body, otherwise, or {_without(name)}",
             )  # fmt: skip
 
 

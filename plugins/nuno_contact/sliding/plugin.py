@@ -69,8 +69,9 @@ def check_meshes(geometry: Geometry) -> None:
         x, faces = geometry.mesh(primitive)
         # What passes through itself has no hole to be filled.
         for check, more in (
-            (check_closed, f"; --set bodies.{body}.collider.mend=true fills holes"), (check_crossings, ""),
-        ):  # fmt: skip
+            (check_closed, f"--set bodies.{body}.collider.mend=true fills holes"),
+            (check_crossings, "cloth in its folds wants collider: {plugin: sdf, ...}, contact: {plugin: penalty}"),
+        ):
             try:
                 check(x, faces)
             except BadInput as error:
@@ -78,5 +79,5 @@ def check_meshes(geometry: Geometry) -> None:
                     f"sliding contact is with closed meshes, and {error.problem}", field=body,
                     value=f"{error.field} {error.value}",
                     remedy=f'--set "cloth_contact={{plugin: offset, thickness: 2 mm, bodies: [{body}]}}" takes its '
-                    f"triangles as they are{more}",
+                    f"triangles as they are; {more}",
                 ) from None  # fmt: skip

@@ -110,8 +110,13 @@ def contains(region: All | Disc | Rectangle | Polygon | Stroke, x: Float, y: Flo
 
 
 def _sides(points: Sequence[Place]) -> Iterator[tuple[Place, Place]]:
-    """Of a closed line, from corner to corner."""
-    return zip(points, [*points[1:], points[0]], strict=True)
+    """Of a closed line, each from its upper end: where two parts share a side, rounding puts each place into one."""
+    for ends in zip(points, [*points[1:], points[0]], strict=True):
+        yield min(ends, key=_by_row), max(ends, key=_by_row)
+
+
+def _by_row(place: Place) -> Place:
+    return place[1], place[0]
 
 
 def _to_piece(px: Float, py: Float, dx: float, dy: float) -> tuple[Float, Float]:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
+from nuno import registry
+from nuno.scene.files import SceneFiles
+from nuno_schemas.bodies import METRES, unit_of
+from nuno_schemas.errors import BadInput
+from nuno_schemas.pattern import Checked
 from nuno_schemas.units import to_si
 
 WORN = """\
@@ -72,6 +78,27 @@ def name_garments(stems: Sequence[str]) -> list[str]:
         name = name if re.match("[A-Za-z]", name) else f"garment-{name}"
         found.append(name if name not in found else f"{name}-{len(found) + 1}")
     return found
+
+
+def unit_for(size: float, patterns: Sequence[Path]) -> str:
+    """The unit of the file of a body whose longest side is `size` of them, by how tall persons are and how high
+    patterns are placed. Raises BadInput where none fits.
+    """
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    high = 0.0
+    for pattern in patterns:
+        try:
+            found: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, float("inf"))
+            high = max(high, found.high)
+        except BadInput:  # as the run says
+            continue
+    if unit := unit_of(size, high):
+        return unit
+    raise BadInput(
+        "the body fits no one, in whatever unit its file is", field="body", value=f"{size:.3g} units long",
+        limit=f"{METRES[0]:g} to {METRES[1]:g} m, or what wears a pattern that is placed up to {high:.3g} m high",
+        remedy="scale its file, so that its numbers are metres",
+    )  # fmt: skip
 
 
 def describe_worn(

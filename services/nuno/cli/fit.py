@@ -81,6 +81,10 @@ def describe(fit: Fit) -> str:
             several = "s" if len(one.passed) > 1 else ""
             text = f"what goes out through opening{several} {inner} goes out through opening {i} ({edges}), too"
             lines += ["", f"slipped    {text}: narrow it, or hold it by an elastic"]
+    numbered = enumerate(fit.openings, 1)
+    empty = [f"{i} ({', '.join(one.edges) or 'of no panel'})" for i, one in numbered if not one.through]
+    if empty and not fit.off:
+        lines += ["", f"empty      nothing of the body goes through opening {', '.join(empty)}: is it worn there?"]
     if tight := [one for one in fit.girths if one.ease is not None and one.ease < 0.0]:
         told = ", ".join(f"by {-1e2 * (one.ease or 0.0):.1f} cm at the {one.name}" for one in tight)
         lines += ["", f"smaller    than the body {told}"]

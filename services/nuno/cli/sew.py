@@ -13,13 +13,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from nuno import registry
-from nuno.begin.worn import Garment, describe_worn, is_own, name_garments
+from nuno.begin.worn import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
 from nuno.words import many
-from nuno_schemas.bodies import UNITS, unit_of
+from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
 from nuno_schemas.plugin import BodyShape
@@ -84,17 +84,18 @@ def wear(args: argparse.Namespace) -> int:
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
-    each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
-    garments = [Garment(name, pattern.name, fabric) for name, pattern, fabric in each]
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    scale = _find_unit(args.body) if "body" in beside else ""
-    moved = {"body": None} | {what: file.name for what, file in beside.items()}
+    scale = _find_unit(args.body, args.patterns) if "body" in beside else ""
+    roots = [root for root in dict.fromkeys(file.resolve().parent for _, file in files)
+             if not root.is_relative_to(scene.resolve().parent)]  # fmt: skip
+    known = SceneFiles(scene.parent, tuple(roots))
+    each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
+    garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
+    moved = {"body": None} | {what: _name_in(known, file) for what, file in beside.items()}
     scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
-    roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
-    command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
-                                    for word in ("--root", root))]  # fmt: skip
+    command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     for pattern in args.patterns:
         _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
@@ -103,6 +104,15 @@ def wear(args: argparse.Namespace) -> int:
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)
+
+
+def _name_in(files: SceneFiles, path: Path) -> str:
+    """What a scene calls a file: by its place below the scene's folder, else by its name, or, where another file of
+    that name would be read first, by its whole path.
+    """
+    place, folder = path.resolve(), files.folder.resolve()
+    name = place.relative_to(folder).as_posix() if place.is_relative_to(folder) else place.name
+    return name if files.resolve(name) == place else str(place)
 
 
 def _check_fabrics(fabrics: list[str]) -> None:
@@ -131,17 +141,21 @@ def _check_edge(edge: str) -> None:
         raise BadInput("no length for sides of triangles", field="--edge", value=edge, limit=limit, remedy=remedy)
 
 
-def _find_unit(body: Path) -> str:
-    """The unit of a body's file, told and as a scene says it; empty for the metre, and for what the run refuses."""
+def _find_unit(body: Path, patterns: list[Path]) -> str:
+    """The unit of a body's file, told and as a scene says it; empty for the metre, and for what the run refuses.
+    Raises BadInput for a body that no unit makes a wearer of the patterns of.
+    """
     mesh = registry.load("nuno.colliders", "mesh")
     try:
         shape: BodyShape = mesh.build(mesh.Config(file=body.name, mend=True), None, SceneFiles(body.parent))
     except BadInput:
         return ""
-    if unit := unit_of(shape.vertices):
-        size = float(np.ptp(shape.vertices, axis=0).max())
-        told = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
-        print(f"unit       {body}: {told}", flush=True)
+    size = float(np.ptp(shape.vertices, axis=0).max())
+    unit = unit_for(size, patterns)
+    if unit == "1m":
+        return ""
+    told = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
+    print(f"unit       {body}: {told}", flush=True)
     return unit
 
 

@@ -50,7 +50,8 @@ def build_bodies(loaded: Loaded) -> Bodies:
             raise loaded.at(field, error) from None
         shapes.append(shape)
         movers.append(replace(mover, pose=shape.pose) if mover and shape.pose else mover)
-    notes = (f"{body.name}: {n}" for body, shape in zip(loaded.scene.bodies, shapes, strict=True) for n in shape.notes)
+    each = zip(loaded.scene.bodies, movers, shapes, strict=True)
+    notes = [f"{body.name}: {n}" for body, mover, shape in each for n in (mover.notes if mover else ()) + shape.notes]
     return Bodies(_geometry(loaded, shapes), tuple(movers), tuple(notes))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno.begin.after import write_after
-from nuno.begin.worn import Garment, describe_worn, name_garments
+from nuno.begin.worn import Garment, describe_worn, name_garments, unit_for
 from nuno.scene import shipped
 from nuno.scene.override import as_override as _as
 from nuno.studio.arrivals import reserve
@@ -28,7 +28,7 @@ from nuno.studio.choices import (
     sewn,
     stencils,
 )
-from nuno.studio.seen import Seen
+from nuno.studio.seen import Seen, as_scale
 from nuno.studio.weave import weave
 from nuno_schemas.errors import BadInput, nearest
 
@@ -126,8 +126,8 @@ def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE)
     """As `nuno sew PATTERN --body BODY --motion BVH` writes it; what is not given is chosen."""
     chosen = {"body": body, "pattern": pattern, "motion": motion}
     body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
-    scale = task.see(task.folder / body).scale if body else ""
     pattern = _beside(task.folder, pattern, sewn())
+    scale = as_scale(unit_for(task.see(task.folder / body).longest, [task.folder / pattern])) if body else ""
     motion = _beside(task.folder, motion, shipped.folder())
     scene = task.new(pattern, "worn")
     (name,) = name_garments([Path(pattern).stem])

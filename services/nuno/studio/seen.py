@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +21,7 @@ from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.studio import scenes
-from nuno_schemas.bodies import UNITS, unit_of
+from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
 from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -51,6 +52,7 @@ class Seen:
     crosses   of a mesh: whether it passes through itself
     scale     of a mesh: how long its unit is, where that is hardly the metre
     low, high  (3,) of a mesh: corners of the box about it, in metres
+    longest   of a mesh: the longest side of that box, in the file's unit
     joint, waist  of a motion: what a skirt can be held by, and (3,) [m] where its waist begins on a body of HEIGHT
     fabric    of a laboratory's sheet: as scenes take it
     picture   PNG, where there is one to be shown
@@ -66,6 +68,7 @@ class Seen:
     scale: str = ""
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
+    longest: float = 0.0
     joint: str = ""
     waist: tuple[float, ...] = ()
     fabric: Mapping[str, str] = field(default_factory=dict)
@@ -107,18 +110,28 @@ def _mesh(path: Path) -> Seen:
             mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
     if not len(x):
         return Seen("mesh", title, rows, [_told(one, name) for one in mistakes])
-    unit = unit_of(x)
-    size = np.ptp(x, axis=0) * (UNITS[unit] if unit else 1.0)
-    low, high = ((UNITS[unit] if unit else 1.0) * side for side in (x.min(axis=0), x.max(axis=0)))
+    longest = float(np.ptp(x, axis=0).max())
+    person = unit_of(longest) or "1m"
+    # What is not too small or too large in metres may be a ball as well as a person.
+    unit = "1m" if SMALLEST <= longest <= LARGEST else person
+    size = np.ptp(x, axis=0) * UNITS[unit]
+    low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
     rows = [
         ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "yes" if closed else "no"),
         ("size", " x ".join(f"{side:.3g}" for side in size) + " m (x, y, z; y is up)"), *rows,
     ]  # fmt: skip
-    if unit:
-        rows.append(("unit", f"taken as {unit}: in metres it would be {float(np.ptp(x, axis=0).max()):.3g} m long"))
-    scale = unit.replace("1", "1 ") if unit else ""
+    if unit != "1m":
+        rows.append(("unit", f"taken as {unit}: in metres it would be {longest:.3g} m long"))
+    elif person != "1m":
+        rows.append(("unit", f"taken as metres: a person if it were in {person}, {longest * UNITS[person]:.3g} m long"))
     corners = tuple(map(float, low)), tuple(map(float, high))
-    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses, scale, *corners)
+    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses,
+                as_scale(unit), *corners, longest)  # fmt: skip
+
+
+def as_scale(unit: str) -> str:
+    """As a scene says it; empty for the metre."""
+    return re.sub(r"(\d)(?=[a-z])", r"\1 ", unit) if unit != "1m" else ""
 
 
 def _pattern(path: Path) -> Seen:
@@ -143,7 +156,8 @@ def _pattern(path: Path) -> Seen:
 def _motion(path: Path) -> Seen:
     motion = registry.offering("nuno.motions", "describe_motion", "reads captured motion")
     facts = dict(motion.describe_motion(path))
-    mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, travel=False), SceneFiles(path.parent))
+    up = "z" if facts.get("stands", "").startswith("along z") else "y"
+    mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, up=up, travel=False), SceneFiles(path.parent))
     joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
     hips = mover.pose(0.0)[1][mover.joints.index(joint)]
     waist = tuple(round(float(at), 3) for at in hips + np.array([0.0, WAIST, 0.0]))
