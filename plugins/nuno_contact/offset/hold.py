@@ -140,7 +140,7 @@ def shorten(m: Meeting, x: Float) -> None:
     pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
     share[:] = 1.0
     again = True
-    while again:
+    while again and m.leave[0] == 0:
         again = False
         for q in range(m.number[NEAR]):
             p = m.near[q]
@@ -212,6 +212,8 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 @block_kernel
 def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies; False, and nothing done, where something is lost."""
+    if m.leave[0] != 0:
+        return False
     m.so_far[STEPS] += 1
     dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the lists that there are, and where others find more to be met, with those.

@@ -176,7 +176,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
-        while m.number[LACKING] > 0 and whole > window:
+        while m.number[LACKING] > 0 and whole > window and m.leave[0] == 0:
             # What will be pushed back is taken to go through: for less time it is less.
             shorter = max(0.5, window / whole)
             whole *= shorter
@@ -185,7 +185,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
                 for i in range(last.shape[1]):
                     motion[row, i] *= shorter
             renew_list(m, threads)
-        while m.number[LACKING] > 0 and tighter(spread):
+        while m.number[LACKING] > 0 and m.leave[0] == 0 and tighter(spread):
             clock[LIST_ROOM] *= 0.5
             renew_list(m, threads)
         m.so_far[LEFT_OUT] += m.number[LACKING]

@@ -10,6 +10,7 @@ from typing import Any
 
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
+from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.cloth import build
 from nuno.cloth.texture import texture_size
@@ -50,12 +51,12 @@ def line_of(row: Row) -> str:
     return f"{row[0]:9} {row[1]}"
 
 
-def describe(loaded: Loaded) -> Iterator[Row]:
+def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
     """The rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
     yield "scene", ": ".join(filter(None, (loaded.scene.name, loaded.scene.description)))
     # Before what it is warned of takes long, or fails.
     yield from (("WARNING", text) for text in scene_warnings(loaded))
-    loaded = decide(loaded)
+    loaded = decide(loaded, budget)
     services = make_plan(loaded, Options(record=Path("recordings")))
     rows = [("services", ", ".join(services.services))]
     if loaded.scene.moves:
