@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.layout import Bounds
+from nuno_schemas.skin import Skin
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,14 @@ class Term:
 @dataclass(frozen=True)
 class Carried:
     """Pinned vertices (b,) that move rigidly with frames of bodies: where each is in its frame, local (b, 3) [m], and
-    the frame's number, frame (b,).
+    the frame's number, frame (b,). Or with a skin, which has b vertices: local is where each is as that is bound, and
+    frame (b,) the first of its frames.
     """
 
     vertices: NDArray[Any]
     local: Float
     frame: NDArray[Any]
+    skin: Skin | None = None
 
 
 @dataclass(frozen=True)

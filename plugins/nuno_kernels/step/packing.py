@@ -168,8 +168,7 @@ def _pack_carried(system: System) -> tuple[Any, ...]:
         return ()
     from nuno_kernels.bodies.bindings import make_bindings
 
-    each = [(np.asarray(one.vertices), np.asarray(one.local), np.asarray(one.frame)) for one in system.carried]
-    return (make_bindings(*(np.concatenate(arrays) for arrays in zip(*each, strict=True))),)
+    return (make_bindings(system.carried),)
 
 
 def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:

@@ -134,11 +134,14 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
     """Where the frames that carry cloth start, and whether it starts in a body."""
-    frames = dict.fromkeys(build.frame_of(binding, geometry.frames) for binding in simulation.fabric.bindings)
-    places = {geometry.frames[i]: poses.translation[i] for i in frames}
-    rows = [
-        ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
-        for name, place in places.items()
-    ]
+    rows = []
+    for binding in simulation.fabric.bindings:
+        if (skinned := build.skin_of(binding, geometry)) is not None:
+            rows.append(("attached", f"to the skin of {binding.body}, each vertex to its place on it"))
+            continue
+        frame = build.frame_of(binding, geometry.frames, skinned)
+        place = ", ".join(f"{v:.3g}" for v in poses.translation[frame])
+        rows.append(("attached", f"to {geometry.frames[frame]}, which starts at [{place}] m"))
+    rows = list(dict.fromkeys(rows))
     rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
     return rows
