@@ -150,10 +150,11 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
     anew or the one that there is.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
-    s, near, scale = clock[NOW], motion[3:], window / way
+    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.step[0] == 0.0
     for row in range(3):
         for i in range(last.shape[1]):
-            near[row, i] = scale * u[row, i]
+            # What was cut short is pinched, and comes no farther in the steps to come.
+            near[row, i] = scale * u[row, i] * (pinched[i] if explicit else 1.0)
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
     if renew:
