@@ -4,7 +4,6 @@ too long. Whoever steps is in compiled code meanwhile, and hears nothing.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -48,7 +47,7 @@ class Attendant:
 
     def hear(self, question: Question) -> None:
         """Note a question that ends the run, from whichever thread it arrives in."""
-        if question.name.startswith("finish/") or _stops(question.payload):
+        if question.name.startswith("finish/") or question.json().get("action") == "stop":
             self._asked = self._asked or time.monotonic()
 
     def prepared(self) -> None:
@@ -89,12 +88,3 @@ class Attendant:
             text = f"frame {self._frame} has taken {taken:.3g} s so far, {taken / usual:.0f} times the usual"
             why = self.holds()
             self._context.event("warning", text + (f": {why}" if why else ""), self._frame, self._t)
-
-
-def _stops(payload: bytes) -> bool:
-    """Whether a control request is one to stop."""
-    try:
-        request = json.loads(payload)
-    except ValueError:
-        return False
-    return isinstance(request, dict) and request.get("action") == "stop"
