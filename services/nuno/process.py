@@ -98,8 +98,8 @@ def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) ->
         except BaseException as error:  # whatever it is, it is raised where it is waited for
             done.set_exception(error)
 
-    threading.Thread(target=body, name="attended", daemon=True).start()
     try:
+        threading.Thread(target=body, name="attended", daemon=True).start()
         return done.result()
     finally:
         if not done.done():

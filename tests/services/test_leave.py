@@ -114,17 +114,25 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
 
 def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     """What is measured between frames, and at the end, is not cut short by a stop that came before."""
-    gone = threading.Event()
-    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=gone.is_set)
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=lambda: False)
+    question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
     leave = np.zeros(1, np.int64)
     attendant = Attendant(context, leave)
     attendant.prepared()
-    gone.set()
+    attendant.hear(question)
     time.sleep(attend.PATIENCE + 4 * attend.LOOKS)
     assert not leave[0]
     with attendant.frame(1, 0.1):
         wait_until(lambda: bool(leave[0]))
     attendant.close()
+
+
+def test_preparation_is_left_where_the_supervisor_goes() -> None:
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
+    leave = np.zeros(1, np.int64)
+    Attendant(context, leave)
+    wait_until(lambda: bool(leave[0]))
+    wait_until(lambda: all(thread.name != "dye attendant" for thread in threading.enumerate()))
 
 
 def test_trials_end_with_their_budget_and_what_is_known_is_taken(tmp_path: Path) -> None:

@@ -74,13 +74,16 @@ class Attendant:
     def _look(self) -> None:
         while not self._over.wait(LOOKS):
             now = time.monotonic()
-            if self._asked is None and self._context.orphaned():
-                self._asked = now
+            if gone := self._context.orphaned():
+                self._asked = self._asked or now
             with self._lock:
+                late = self._asked is not None and now - self._asked > PATIENCE
+                if late and self._began is not None:
+                    self._leave[0] = 1
+                if late and (gone or self._leave[0]):
+                    return
                 if self._began is None:
                     continue
-                if self._asked is not None and now - self._asked > PATIENCE:
-                    self._leave[0] = 1
                 taken, usual = now - self._began, median(self._taken) if len(self._taken) >= KNOWN else None
                 if self._said or usual is None or taken < max(LEAST, LONG * usual):
                     continue
