@@ -149,6 +149,16 @@ def test_trials_end_with_their_budget_and_what_is_known_is_taken(tmp_path: Path)
     assert float(found.scene.solver.dt) <= Simulation(plain, None, None, 1).limit.dt
 
 
+@pytest.mark.full
+def test_what_a_run_would_refuse_is_not_tried(tmp_path: Path) -> None:
+    """No explicit solver that needs more steps a frame than a run may have."""
+    path, said = write_scene(tmp_path, solver="auto"), list[str]()
+    net = dict(np.load(tmp_path / "chain.npz"))
+    np.savez(tmp_path / "chain.npz", **net | {"k": np.full_like(net["k"], 1e20)})
+    budget = Budget(600.0, said.append)
+    assert decide(scene_file.read(path), budget).scene.solver.plugin == "tr_bdf2"
+
+
 @pytest.mark.parametrize("text", ["0 s", "-1 s", "soon", "3 kg"])
 def test_a_budget_that_is_none_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from nuno.cli import main

@@ -21,6 +21,7 @@ from nuno.cloth import build
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.process import attended
 from nuno.scene.scene_file import FIRST, Loaded
+from nuno.scene.step import MOST_STEPS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import AUTO, Accuracy
 from nuno_schemas.system import System
@@ -130,7 +131,8 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
     frame = 1.0 / float(loaded.scene.frame_rate)
     with np.errstate(all="ignore"):
         limit = float(plugin.limit(config, system, build.start_state(system.fabric)).dt)
-    if not limit > 0.0:
+    # A run would refuse so many steps.
+    if not limit > 0.0 or (solver.plugin == AUTO and frame > MOST_STEPS * safe * limit):
         return None
     evaluations = EVALUATIONS.get(name, 2 if _reads_velocity(system) else 1)
     if not plugin.explicit:
