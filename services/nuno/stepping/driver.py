@@ -296,5 +296,6 @@ class Driver(Teller):
         times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
         steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
         clock = None if self.clock is None else self.clock.told()
-        both = {"digest": self.digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
+        digest = self.digest if self.abandoned else stepper.digest()
+        both = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
         return end | times | steps | both | self.facts(ended)
