@@ -22,9 +22,9 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
 
-COPIED, HASHED = 1e8, 4
+COPIED, HASHED, CALLS = 1e8, 4, 600_000
 """Bytes that may be copied before a frame, for each second that the last one took: a few hundredths of its time. Those
-of the state are also hashed, which takes so many times as long.
+of the state are also hashed, which takes so many times as long, and what Python does takes as long as so many more.
 """
 
 
@@ -138,7 +138,7 @@ class Stepper(ABC):
         """The present state apart, in case that the next frame is left; None where to copy it would take as long as a
         frame does.
         """
-        size = sum(array.nbytes for array in self.memory.arrays.values())
+        size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
         size += HASHED * sum(array.nbytes for array in self.arrays().values())
         return deepcopy(self.keep()) if size < COPIED * self.taken else None
 
