@@ -109,7 +109,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
     attendant.close()
     ((kind, text, frame),) = said
     assert kind == "warning" and frame == 5 and not leave[0]
-    assert text.startswith("frame 5 has taken ") and text.endswith(" times the usual: 12 vertices of skirt pinched")
+    assert text.startswith("frame 6 has taken ") and text.endswith(" times the usual: 12 vertices of skirt pinched")
 
 
 def test_a_frame_is_left_only_while_it_is_stepped() -> None:

@@ -56,10 +56,10 @@ class Attendant:
             self._began = None
 
     @contextmanager
-    def frame(self, number: int, t: float) -> Iterator[None]:
-        """While a frame is stepped, which ends at t [s]."""
+    def frame(self, last: int, t: float) -> Iterator[None]:
+        """While the frame after the last one is stepped, which ended at t [s]."""
         with self._lock:
-            self._began, self._frame, self._t, self._said = time.monotonic(), number, t, False
+            self._began, self._frame, self._t, self._said = time.monotonic(), last, t, False
         try:
             yield
         finally:
@@ -88,6 +88,6 @@ class Attendant:
                 if self._said or usual is None or taken < max(LEAST, LONG * usual):
                     continue
                 self._said = True
-            text = f"frame {self._frame} has taken {taken:.3g} s so far, {taken / usual:.0f} times the usual"
+            text = f"frame {self._frame + 1} has taken {taken:.3g} s so far, {taken / usual:.0f} times the usual"
             why = self.holds()
             self._context.event("warning", text + (f": {why}" if why else ""), self._frame, self._t)

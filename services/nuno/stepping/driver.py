@@ -88,7 +88,7 @@ class Driver(Teller):
         """Step one frame and publish it."""
         begin, stepper = time.perf_counter(), self.stepper
         before = stepper.copied()
-        with self.attendant.frame(stepper.frame + 1, stepper.t + 1.0 / self.scene.frame_rate):
+        with self.attendant.frame(stepper.frame, stepper.t):
             frame = stepper.step()
         if frame.report.status == LEFT:
             self.abandoned, self.before = True, before
