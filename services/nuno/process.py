@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from types import FrameType
 from typing import NoReturn, TypeVar
 
@@ -20,6 +20,8 @@ end_process = os._exit
 """End the process at once, as nobody else may once `os._exit` is refused."""
 
 T = TypeVar("T")
+LOOKS = 0.2
+"""How often it is looked for signals [s]."""
 _refused = threading.local()
 _command: int | None = None
 """The process of the `nuno` command."""
@@ -100,6 +102,8 @@ def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) ->
 
     try:
         threading.Thread(target=body, name="attended", daemon=True).start()
+        while not wait([done], LOOKS).done:  # a signal that came just before is else heard at the end
+            pass
         return done.result()
     finally:
         if not done.done():
