@@ -35,7 +35,7 @@ from nuno_kernels.step.packing import (
 )
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
-from nuno_schemas.fabric import Fabric, Float, Memory, State
+from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 
 AGAIN = 5.0
@@ -136,6 +136,8 @@ class Compiled(ABC):
         started = time.perf_counter()
         told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
         seconds = time.perf_counter() - started
+        if steps and system.leave[0]:
+            return StepReport("left", 0)
         if work.pace is not None:
             work.pace.took(seconds, told.totals.get("evaluations", told.steps))
         lost = self._say_lost(system, state, work, poses, steps, dt, seconds)
@@ -180,6 +182,11 @@ class Compiled(ABC):
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         return making_lists(work.packed)
+
+    def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
+        """Of each term that tells: pieces (k,) and places (k, 3) [m] of vertices that cannot go on; in a step, too."""
+        work: Work = memory.work  # type: ignore[assignment]
+        return call_each(work.packed, "pinched")
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Integrator."""

@@ -10,6 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nuno_schemas.dye_picture import Layers
 from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Bool, Float, Memory
@@ -115,12 +118,14 @@ class DyeSystem:
     `supply` (dyes, 2, ny, nx) is what supplies keep up: the least mobile dye that a cell holds after every step, 0
     where none does; None where nothing is kept up. It only ever adds: a cell that holds more is left alone, and one
     with less room is kept full. Solvers may keep what they made of arrays in here: give others, do not change them.
+    `leave` is as nuno_schemas.system.System has it.
     """
 
     cells: Cells
     dyes: tuple[Dye, ...]
     threads: int = 1
     supply: Float | None = None
+    leave: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64), compare=False)
 
 
 @dataclass
@@ -139,7 +144,7 @@ class DyeReport:
     `supplied` are the totals that kept-up supplies gave in this frame; empty stands for nothing.
     """
 
-    status: Literal["ok", "diverged", "unconverged"]
+    status: Literal["ok", "diverged", "unconverged", "left"]
     steps: Annotated[int, Bounds(0)]
     mobile: Annotated[tuple[float, ...], "dyes"]
     fixed: Annotated[tuple[float, ...], "dyes"]

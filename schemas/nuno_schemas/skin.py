@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
+
+SMALLEST = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,51 @@ class Skin:
         real, moved = real / length, moved / length
         w, v, e, d = real[:, :1], real[:, 1:], moved[:, :1], moved[:, 1:]
         return np.asarray(_turned(real, x) + 2.0 * (w * d - e * v + np.cross(v, d)))
+
+    def beside(self, points: Float, x: Float, faces: Int) -> Skin:
+        """What carries points (n, 3) beside this skin, whose vertices are x (v, 3) [m], in triangles faces (f, 3): each
+        as its place on the nearest triangle of those round the nearest vertex goes, by the weights of the corners.
+        """
+        whole = np.zeros((len(points), len(self.place)))
+        for point, joints in zip(points, whole, strict=True):
+            nearest = ((x - point) ** 2).sum(axis=1).argmin()
+            around = faces[(faces == nearest).any(axis=1)]
+            a, b, c = (x[around[:, k]] for k in range(3))
+            areas = [np.cross(p - point, q - point) for p, q in ((b, c), (c, a), (a, b))]
+            share = np.maximum((np.stack(areas) * np.cross(b - a, c - a)).sum(axis=2), 0.0)
+            share /= np.maximum(share.sum(axis=0), SMALLEST)
+            off = (share[:, :, None] * np.stack([a, b, c])).sum(axis=0) - point
+            best = (off * off).sum(axis=1).argmin()
+            for corner, own in zip(around[best], share[:, best], strict=True):
+                np.add.at(joints, self.joint[corner], own * self.weight[corner])
+        most = max(1, int((whole > 0.0).sum(axis=1).max(initial=1)))
+        joint = np.argsort(-whole, axis=1, kind="stable")[:, :most].astype(np.int32)
+        weight = np.take_along_axis(whole, joint, axis=1)
+        return Skin(self.place, joint, weight / weight.sum(axis=1, keepdims=True))
+
+    def unbend(self, x: Float, rotation: Float, translation: Float) -> Float:
+        """(v, 3) where vertices that are bent to x (v, 3) are as the skin is bound [m]: the way back of `bend`."""
+        origin, *axes = (
+            self.bend(np.broadcast_to(at, x.shape), rotation, translation) for at in (np.zeros(3), *np.eye(3))
+        )
+        return np.stack([((x - origin) * (axis - origin)).sum(axis=1) for axis in axes], axis=1)
+
+
+NO_SKIN = Skin(np.zeros((0, 3)), np.zeros((0, 1), np.int32), np.zeros((0, 1)))
+
+
+def join_skins(skins: Sequence[Skin]) -> Skin:
+    """All of them as one, on the frames of one after the other; of as many weights as the one that has most."""
+    if not skins:
+        return NO_SKIN
+    most = max(skin.joint.shape[1] for skin in skins)
+    starts = np.cumsum([0, *(len(skin.place) for skin in skins)])
+    joint = [
+        np.pad(skin.joint + np.int32(at), ((0, 0), (0, most - skin.joint.shape[1])), "edge")
+        for skin, at in zip(skins, starts, strict=False)
+    ]
+    weight = [np.pad(skin.weight, ((0, 0), (0, most - skin.weight.shape[1]))) for skin in skins]
+    return Skin(*(np.concatenate(part) for part in ([skin.place for skin in skins], joint, weight)))
 
 
 def _turned(rotation: Float, x: Float) -> Float:

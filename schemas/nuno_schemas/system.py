@@ -7,10 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.layout import Bounds
+from nuno_schemas.skin import Skin
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,14 @@ class Term:
 @dataclass(frozen=True)
 class Carried:
     """Pinned vertices (b,) that move rigidly with frames of bodies: where each is in its frame, local (b, 3) [m], and
-    the frame's number, frame (b,).
+    the frame's number, frame (b,). Or with a skin, which has b vertices: local is where each is as that is bound, and
+    frame (b,) the first of its frames.
     """
 
     vertices: NDArray[Any]
     local: Float
     frame: NDArray[Any]
+    skin: Skin | None = None
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,8 @@ class System:
     threads: int = 1
     """Most threads a kernel may use; the result is the same to the last bit."""
     carried: tuple[Carried, ...] = ()
+    leave: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64), compare=False)
+    """(1,) Not 0: steps are to be left at once, wherever they are. Another thread may write it at any time."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,8 @@ class StepLimit:
 class StepReport:
     """What an integrator did in a frame."""
 
-    status: Literal["ok", "diverged", "unconverged"]
+    status: Literal["ok", "diverged", "unconverged", "left"]
+    """left: System.leave was written, and the state is as it was before; memory is not to be used again"""
     steps: Annotated[int, Bounds(0)]
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -41,18 +42,19 @@ def frame_seconds(loaded: Loaded) -> float:
     return sum(make().time_frame() for make in steppers(loaded).values())
 
 
-def keep_up(loaded: Loaded) -> Loaded:
+def keep_up(loaded: Loaded, budget: Budget | None = None) -> Loaded:
     """The scene decided for a run whose frames wait for the clock: where it leaves its accuracy open, and a frame takes
     longer than it lasts, `preview` does, if that is faster. Raises BadInput as `decide`.
     """
-    found = decide(loaded)
+    budget = budget or Budget()
+    found = decide(loaded, budget)
     if not loaded.scene.step_undecided or loaded.scene.accuracy is not None:
         return found
     lasts, takes = 1.0 / loaded.scene.frame_rate, frame_seconds(found)
     if takes <= lasts:
         return found
     open_ = scene_file.load(loaded.data | {"accuracy": "preview"}, loaded.lines, loaded.file, loaded.files)
-    coarser = decide(replace(open_, path=loaded.path, overrides=(*loaded.overrides, "accuracy=preview")))
+    coarser = decide(replace(open_, path=loaded.path, overrides=(*loaded.overrides, "accuracy=preview")), budget)
     if not (less := frame_seconds(coarser)) < takes:
         return found
     clock = (

@@ -8,9 +8,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
@@ -18,6 +19,9 @@ LARGE, KEPT = 1 << 22, 1 << 25
 end_process = os._exit
 """End the process at once, as nobody else may once `os._exit` is refused."""
 
+T = TypeVar("T")
+LOOKS = 0.2
+"""How often it is looked for signals [s]."""
 _refused = threading.local()
 _command: int | None = None
 """The process of the `nuno` command."""
@@ -79,6 +83,31 @@ def ending_at_once(after: int = 2) -> Iterator[None]:
         os.close(sink)
         counter.join()
         os.close(source)
+
+
+def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) -> T:
+    """What `work` gives or raises, from a thread of its own, so that a signal ends it at once, whatever it is doing:
+    Python runs handlers in the main thread alone, which may be compiling or in compiled code. `leave` is then called;
+    the thread ends with the process at the latest.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    done: Future[T] = Future()
+
+    def body() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:  # whatever it is, it is raised where it is waited for
+            done.set_exception(error)
+
+    try:
+        threading.Thread(target=body, name="attended", daemon=True).start()
+        while not wait([done], LOOKS).done:  # a signal that came just before is else heard at the end
+            pass
+        return done.result()
+    finally:
+        if not done.done():
+            leave()
 
 
 def _count_signals(source: int, after: int) -> None:

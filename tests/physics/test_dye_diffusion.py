@@ -59,7 +59,7 @@ def step_plainly(phi: Float, cells: Cells, scale: float) -> Float:
 
 def spread(phi: Float, faces: Faces, scale: float, steps: int, bands: int = 1) -> Float:
     packed = make_bands(phi, faces, scale, bands)
-    diffuse(steps, packed, None, None)
+    diffuse(steps, packed, None, None, np.zeros(1, np.int64))
     return read_bands(packed, packed.phi, np.empty_like(phi))
 
 

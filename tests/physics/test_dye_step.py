@@ -100,7 +100,8 @@ def run(
     packed = make_dye_bands(phi, cells, face_values(cells), scale, bands, steepest)
     kind, k, b = ISOTHERMS[isotherm]
     bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
-    dye(steps, packed, None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate), None, None)
+    uptake = None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate)
+    dye(steps, packed, uptake, None, None, np.zeros(1, np.int64))
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
 
 

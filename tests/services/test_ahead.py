@@ -111,3 +111,26 @@ def test_a_run_says_how_long_it_takes_and_what_is_left(
         assert f"the run takes about 5 s{ends}" in said[:6] and sum("the run takes" in text for text in said) == 1
         assert "0.30 of 0.5 s  0.10x real time, about 2 s left" in said
         assert said[-1] == "0.50 of 0.5 s  0.10x real time"
+
+
+@pytest.mark.parametrize(("seconds", "word"), [(2.0, "longer"), (0.02, "shorter")])
+def test_a_run_whose_frames_change_says_how_long_it_takes_now(
+    seconds: float, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """50 frames of 0.2 s, then 50 that are ten times as long, or as short: what is said comes to be the truth."""
+    clock = [100.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
+    with ProgressLine(scene_file.read(write_scene(tmp_path, duration=2.0)).scene, bar=False) as line:
+        for frame in range(101):
+            line.show(frame / 50)
+            clock[0] += 0.2 if frame < 50 else seconds
+    said = [text for text in capsys.readouterr().err.splitlines() if text.startswith("the run takes")]
+    assert said[0] == "the run takes about 20 s"
+    assert all(
+        re.fullmatch(rf"the run takes about .*, not about .*: frames take {word} now", text) for text in said[1:]
+    )
+    told = float(re.match(r"the run takes about ([0-9.]+) (s|min)", said[-1])[1])  # type: ignore[index]
+    whole = 50 * (0.2 + seconds)
+    assert 1 < len(said) <= 6 and told * (60 if " min" in said[-1].partition(",")[0] else 1) == pytest.approx(
+        whole, rel=0.5
+    )

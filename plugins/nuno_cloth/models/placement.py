@@ -48,7 +48,9 @@ class Attach(Config):
 
     body: str = Field(description="name of a body of the scene")
     frame: str | None = Field(
-        default=None, description="one of its joints; may be left out of a body that has only one, as without a motion"
+        default=None,
+        description="one of its joints; may be left out of a body that has only one, and of a skin, which each vertex "
+        "then follows where it is",
     )
 
 

@@ -44,6 +44,7 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
 def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
     """The same of cloth and bodies, whose cloth is where it was left or not."""
     clock, m.span[0] = m.clock, span
+    m.share[:] = 1.0  # a run that is resumed does not know it
     clock[LIST_BEGUN] -= clock[NOW]
     clock[NEAR_BEGUN] -= clock[NOW]
     clock[NOW] = 0.0

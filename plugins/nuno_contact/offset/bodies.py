@@ -26,7 +26,7 @@ from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import Skin
+from nuno_schemas.skin import NO_SKIN, Skin, join_skins
 from nuno_schemas.vectors import norm
 
 if TYPE_CHECKING:
@@ -64,9 +64,6 @@ class Solids(NamedTuple):
     carrier: Int
 
 
-NO_SKIN = Skin(np.zeros((0, 3)), np.zeros((0, 1), np.int32), np.zeros((0, 1)))
-
-
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     """Of bodies as they are at the start, if any. Raises BadInput for one that is not of triangles."""
     if geometry is None or poses is None:
@@ -94,20 +91,6 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     each = [at + np.arange(len(one.place), dtype=np.int32) for at, one in zip(first, geometry.skins, strict=True)]
     carrier = np.concatenate([np.zeros(0, np.int32), *each]).astype(np.int32)
     return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames), skin, carrier)
-
-
-def join_skins(skins: Sequence[Skin]) -> Skin:
-    """All of them as one, on the frames of one after the other; of as many weights as the one that has most."""
-    if not skins:
-        return NO_SKIN
-    most = max(skin.joint.shape[1] for skin in skins)
-    starts = np.cumsum([0, *(len(skin.place) for skin in skins)])
-    joint = [
-        np.pad(skin.joint + np.int32(at), ((0, 0), (0, most - skin.joint.shape[1])), "edge")
-        for skin, at in zip(skins, starts, strict=False)
-    ]
-    weight = [np.pad(skin.weight, ((0, 0), (0, most - skin.weight.shape[1]))) for skin in skins]
-    return Skin(*(np.concatenate(part) for part in ([skin.place for skin in skins], joint, weight)))
 
 
 def size_of(x: Float, faces: Int) -> Float:

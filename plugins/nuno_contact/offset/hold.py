@@ -140,7 +140,7 @@ def shorten(m: Meeting, x: Float) -> None:
     pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
     share[:] = 1.0
     again = True
-    while again:
+    while again and m.leave[0] == 0:
         again = False
         for q in range(m.number[NEAR]):
             p = m.near[q]
@@ -212,6 +212,8 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 @block_kernel
 def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies; False, and nothing done, where something is lost."""
+    if m.leave[0] != 0:
+        return False
     m.so_far[STEPS] += 1
     dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the lists that there are, and where others find more to be met, with those.
@@ -231,8 +233,10 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     if not passes and (
         m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0
     ):
-        cut_short(m, x, v, threads)
+        cut_short(m, x, v, s, threads)
         all_close(m)
+    else:
+        m.share[:] = 1.0
     copy_rows(x, m.last)
     m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.step[0] == 0.0 else 0.0
     find_touching(m, threads)
@@ -241,25 +245,41 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
-    """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
+def cut_short(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Shorten vertices' ways to x, at fraction s of the interval, in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
     for i in range(x.shape[1]):
         a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
-        share[i] = np.sqrt(a * a + b * b + c * c)
-        farthest = max(farthest, share[i])
+        farthest = max(farthest, np.sqrt(a * a + b * b + c * c))
     if 2.0 * farthest > 0.9 * m.law[0]:
+        if m.number[LACKING] == 0:
+            # A pair that is not listed stays apart as long as vertices are where the plans allow. Where shortened ways
+            # end there, they lead there: all that could be met is listed.
+            to, at, counts = x.copy(), v.copy(), m.so_far.copy()
+            fit(m, x, v, threads)
+            if holds(m, LIST, x, s, 0.0) and holds(m, CHOSEN, x, s, 0.0):
+                return
+            copy_rows(to, x)
+            copy_rows(at, v)
+            m.so_far[:] = counts
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
-            spread[i] = max(spread[i], share[i])
+            a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
+            spread[i] = max(spread[i], np.sqrt(a * a + b * b + c * c))
         set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], True, threads)
     if m.number[LACKING] > 0:
         # What is not listed might be met: nothing moves.
         m.so_far[STILL] += 1
-        m.share[:] = 0.0
+        share[:] = 0.0
         go_partly(m, x, v)
         return
-    if is_thorough(m) and give_way(m, last, sum_rows(x, -1.0, last), CLOSEST):
+    fit(m, x, v, threads)
+
+
+@block_kernel
+def fit(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
+    """Shorten ways to x and velocities v (3, n) in place, by the pairs that are near."""
+    if is_thorough(m) and give_way(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
         go_partly(m, x, v)
         if pass_by(m, x, 0.0, threads) == 0:
             return

@@ -191,6 +191,9 @@ def search(m: Meeting, threads: int | None) -> None:
     number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
+        if m.leave[0] != 0:
+            m.number[LISTED] = m.number[LACKING] = 0
+            return
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
         search_parts(m, leaves, found, normal, number, PARTS, threads)
         lacking, total = 0, 0

@@ -189,6 +189,8 @@ class Meeting(NamedTuple):
     """(1,) what bodies do in the interval: see nuno_contact.offset.bodies.MOVES"""
     so_far: NDArray[np.int64]
     """(5,) counts of the whole run: see CUT; part of the state"""
+    leave: Long
+    """(1,) see nuno_kernels.step.acceleration.Packed"""
 
 
 @forced_inline
@@ -290,4 +292,5 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         rate=np.zeros(n),
         size=size_of(x, faces),
         so_far=np.zeros(5, np.int64),
+        leave=np.zeros(1, np.int64),
     )

@@ -150,10 +150,11 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
     anew or the one that there is.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
-    s, near, scale = clock[NOW], motion[3:], window / way
+    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.step[0] == 0.0
     for row in range(3):
         for i in range(last.shape[1]):
-            near[row, i] = scale * u[row, i]
+            # What was cut short is pinched, and comes no farther in the steps to come.
+            near[row, i] = scale * u[row, i] * (pinched[i] if explicit else 1.0)
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
     if renew:
@@ -176,7 +177,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
-        while m.number[LACKING] > 0 and whole > window:
+        while m.number[LACKING] > 0 and whole > window and m.leave[0] == 0:
             # What will be pushed back is taken to go through: for less time it is less.
             shorter = max(0.5, window / whole)
             whole *= shorter
@@ -185,7 +186,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, thread
                 for i in range(last.shape[1]):
                     motion[row, i] *= shorter
             renew_list(m, threads)
-        while m.number[LACKING] > 0 and tighter(spread):
+        while m.number[LACKING] > 0 and m.leave[0] == 0 and tighter(spread):
             clock[LIST_ROOM] *= 0.5
             renew_list(m, threads)
         m.so_far[LEFT_OUT] += m.number[LACKING]

@@ -78,6 +78,13 @@ def count_meetings(m: Meeting) -> dict[str, int]:
     }
 
 
+def find_pinched(m: Meeting) -> tuple[Int, Float]:
+    """Pieces (k,) and places (k, 3) [m] of vertices that the last step has cut short, or left behind their bodies."""
+    caught = m.share < 1.0
+    caught[len(caught) - len(m.behind) :] |= m.behind
+    return m.piece[caught], m.last[:, caught].T
+
+
 def count_cut(m: Meeting, held: Bool) -> None:
     """Count vertices (n,) that a step leaves behind."""
     free = m.mass[: len(held)] > 0.0
@@ -120,6 +127,7 @@ register(
     project=project,
     energy=measure_pairs,
     counts=count_meetings,
+    pinched=find_pinched,
     alone=act_alone,
 )
 

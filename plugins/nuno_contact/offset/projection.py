@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
-from nuno_contact.offset.brake import BRAKED
+from nuno_contact.offset.brake import BRAKED, LEVER
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
 from nuno_contact.offset.iterate import cover
 from nuno_contact.offset.meeting import Meeting
@@ -161,7 +161,10 @@ def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
     if at.distance + both * pressed < BRAKED * h:
         before = weigh(closest(m.of[p] < 0, here).weights, here)
         floor = min(BRAKED * h, math.sqrt(dot(before, before)))
-        pressed = max(pressed, (floor - at.distance) / both)
+        least = math.inf
+        for corner in (i, j, k, l):
+            least = min(least, mobility[0, corner] if mobility[0, corner] > 0.0 else math.inf)
+        pressed = max(pressed, (floor - at.distance) / max(both, LEVER * least))
     t = across(gone, n)
     e = t
     if m.anchored[p]:

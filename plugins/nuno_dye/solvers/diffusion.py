@@ -160,9 +160,11 @@ def renew_ghosts(bands: Any, values: Float, ghost: int) -> None:
 
 
 @kernel
-def diffuse(steps: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None) -> None:
-    """`steps` steps, GHOST of them in a pass; `uptake` and `upkeep` may be None."""
+def diffuse(steps: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None, leave: Rows) -> None:
+    """`steps` steps, GHOST of them in a pass, until `leave` (1,) is not 0; `uptake` and `upkeep` may be None."""
     for done in range(0, steps, GHOST):
+        if leave[0] != 0:
+            break
         pass_bands(min(GHOST, steps - done), bands, uptake, upkeep)
         renew_ghosts(bands, bands.phi, GHOST)
         if uptake is not None:

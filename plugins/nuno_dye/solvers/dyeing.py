@@ -203,9 +203,13 @@ def pass_dye_bands(
 
 
 @kernel
-def dye(steps: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None) -> None:
-    """`steps` steps, LEVELS of them in a pass; `uptake`, `upkeep` and `curve` may be None."""
+def dye(
+    steps: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None, leave: Rows
+) -> None:
+    """`steps` steps, LEVELS of them in a pass, until `leave` (1,) is not 0; `uptake`, `upkeep`, `curve` may be None."""
     for done in range(0, steps, LEVELS):
+        if leave[0] != 0:
+            break
         pass_dye_bands(min(LEVELS, steps - done), bands, uptake, upkeep, curve)
         renew_ghosts(bands, bands.phi, 2 * LEVELS)
         if uptake is not None:

@@ -127,14 +127,16 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
     uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
     function = one.isotherm.function if one.isotherm is not None and adsorbs(one) else None
     for count in [steps] if function is None or not steps else [1] * steps:
+        if system.leave[0]:
+            break
         if function is not None and count:
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
         bands = bands._replace(phi=cut.fill(phi)[0])
         uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
         if isinstance(bands, DyeBands):
-            dye(count, bands, uptake, upkeep, curve)
+            dye(count, bands, uptake, upkeep, curve, system.leave)
         else:
-            diffuse(count, bands, uptake, upkeep)
+            diffuse(count, bands, uptake, upkeep, system.leave)
         read_bands(bands, bands.phi, phi)
         if uptake is not None:
             read_bands(bands, uptake.fixed, fixed)

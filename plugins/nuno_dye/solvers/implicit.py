@@ -75,7 +75,7 @@ class Implicit(LongSteps):
             del dyed.given[given:]
             dyed.totals["damped"] += two
             after = self._stage(layout, dyed, start, start, scale)
-        if after is None and halvings > 0:
+        if after is None and halvings > 0 and not layout.known.system.leave[0]:
             dyed.totals["halvings"] += 1
             middle = self._step(layout, dyed, start, 0.5 * scale, halvings - 1)
             after = None if middle is None else self._step(layout, dyed, middle, 0.5 * scale, halvings - 1)
@@ -109,7 +109,9 @@ class Implicit(LongSteps):
         bound = max(layout.config.residual, ROUNDING * (1.0 + ways)) * largest
         sweeps, steepest = int(SWEEPS + SWEEPS_MORE * math.sqrt(ways)), ways * _steepest(guess, layout, curve)
         nx, radius = layout.cut.nx, steepest / (1.0 + steepest)
-        count, residual = relax(sweeps, radius, bound, layout.cuts, stage, curve, uptake, limits, nx)
+        count, residual = relax(
+            sweeps, radius, bound, layout.cuts, stage, curve, uptake, limits, nx, layout.known.system.leave
+        )
         dyed.totals["sweeps"] += count
         out, held = np.zeros_like(guess), np.zeros_like(guess) if dyed.fixes else begun[1]
         settle(out, held, layout.cuts, stage, curve, uptake, nx)

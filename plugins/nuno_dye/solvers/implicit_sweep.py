@@ -218,9 +218,11 @@ def relax_edges(
 @kernel
 def relax(
     sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
-    most: Float | None, nx: int,
+    most: Float | None, nx: int, leave: Rows,
 ) -> tuple[int, float]:  # fmt: skip
-    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times; sweeps and last residual."""
+    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0;
+    sweeps and last residual.
+    """
     worst = np.zeros((cuts.shape[0] - 1, 2))
     square, omega, residual = radius * radius, 1.0, np.inf
     for n in range(sweeps):
@@ -229,7 +231,7 @@ def relax(
         relax_edges(second, cuts, stage, curve, uptake, most, nx, worst)
         omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
-        if residual <= bound or not np.isfinite(residual):
+        if residual <= bound or not np.isfinite(residual) or leave[0] != 0:
             return n + 1, residual
     return sweeps, residual
 

@@ -124,7 +124,8 @@ class LongSteps(solving.Banded):
             parts += parts
         reach = self.reach(layout, dyed, scale / parts)
         for share in split_steps(since * parts, steps * parts, reach, layout.config.start):
-            after = self.step(layout, dyed, amounts, float(share) * scale / parts)
+            leaves = layout.known.system.leave[0] != 0
+            after = None if leaves else self.step(layout, dyed, amounts, float(share) * scale / parts)
             if after is None:
                 failed = f"a step of {float(share) * dt / parts:g} s {dyed.why}"
                 break

@@ -131,6 +131,8 @@ def _run(layout: Layout, dyed: Dyed, start: Pair, scale: float, coefficients: Fl
     if dyed.floor is not None:
         np.maximum(start[0], dyed.floor, out=amounts.seen[:height])
     most = layout.mobile if dyed.limited else None
-    super_step(coefficients, rules, layout.cuts, layout.weights_of(scale), dyed.curve, amounts, most)
+    super_step(
+        coefficients, rules, layout.cuts, layout.weights_of(scale), dyed.curve, amounts, most, layout.known.system.leave
+    )
     even = slice(height, 2 * height)
     return amounts.mobile[even].copy(), amounts.held[even].copy() if dyed.fixes else start[1]

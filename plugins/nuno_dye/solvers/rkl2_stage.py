@@ -146,9 +146,11 @@ def pass_between(
 
 @kernel
 def super_step(
-    coefs: Float, rules: Rules, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts, most: Float | None
-) -> None:
-    """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane.
+    coefs: Float, rules: Rules, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts, most: Float | None,
+    leave: Rows,
+) -> None:  # fmt: skip
+    """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane. Until `leave`
+    (1,) is not 0.
 
     cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `most`
     (V_u) where nothing can be limited.
@@ -159,6 +161,8 @@ def super_step(
         for n in range(SETTLING):
             pass_bands(Stages(-1, 1, n % 2), rules, coefs, cuts, weights, curve, amounts, most)
     for first in range(0, coefs.shape[0], levels):
+        if leave[0] != 0:
+            break
         stages = Stages(first, min(levels, coefs.shape[0] - first), 0)
         pass_bands(stages, rules, coefs, cuts, weights, curve, amounts, most)
         if cuts.shape[0] > 2 and stages.number > 1:

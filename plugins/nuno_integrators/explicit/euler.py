@@ -18,6 +18,8 @@ def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: P
     """`steps` steps of x, v (3, n); stages (1, 3, n)."""
     a = stages[0]
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(x, x, dt, v, v, v, dt, a, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)

@@ -29,6 +29,8 @@ def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p
     """
     a, b, u = stages[0], stages[1], stages[2]
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         if step == 0 or p.velocity_matters:
             evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)

@@ -89,7 +89,7 @@ def advance_respa(
         after = min(every, steps - step)
         evaluate(here_x, here_v, step / steps, a, slow, extra)
         add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
-        if after == 0:
+        if after == 0 or p.leave[0] != 0:
             break
         set_out(here_x, here_v, step / steps, slow.bodies, slow.bodies_on)
         copy_rows(here_x, last)

@@ -30,6 +30,8 @@ def advance_rk4(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pac
     """
     a, y, u, nx, nv = stages[0], stages[1], stages[2], stages[3], stages[4]
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         evaluate_stage(x, v, v, step / steps, a, p, extra)
         add_twice(nx, x, dt / 6.0, v, nv, v, dt / 6.0, a, p.threads)
         add_twice(y, x, 0.5 * dt, v, u, v, 0.5 * dt, a, p.threads)

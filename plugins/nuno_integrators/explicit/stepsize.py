@@ -146,7 +146,7 @@ def advance_adaptive(
                 control[AT] = 0.0
                 return True
         h = choose_length(control[NEXT], span - control[AT], interval.longest, interval.landing)
-        if not h > SMALLEST * span:
+        if p.leave[0] != 0 or not h > SMALLEST * span:
             return False
         if extra is None:
             attempt(b, pair, first, stages, h, control[AT], span, p, None)

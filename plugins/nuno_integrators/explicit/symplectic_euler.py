@@ -19,6 +19,8 @@ def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: 
     """`steps` steps of x, v (3, n); stages (2, 3, n)."""
     a = stages[0]
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, dt, a, x, x, dt, v, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
@@ -31,6 +33,8 @@ def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p:
     """
     here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p)
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         commit(here_x, here_v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)

@@ -100,7 +100,7 @@ def _solve_stage(
                 return True, worst
             waited += 1
         spent = turn == HELD_BACK * limits.most or left < 0.5 / HELD_BACK
-        if spent or not np.isfinite(worst) or (stalled == STALLED and not limits.cut):
+        if packed.leave[0] or spent or not np.isfinite(worst) or (stalled == STALLED and not limits.cut):
             break
         before = worst
         if not _solve_newton(st, packed, extra, g, s, slow):

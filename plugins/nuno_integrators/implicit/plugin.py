@@ -121,14 +121,14 @@ class Implicit(Compiled):
         solver, limits = work.stage.solver, work.limits._replace(cut=depth >= CUT_FROM)
         solver.direct = solver.hindered = False
         ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
-        if not ok and depth == PATIENT_FROM and prefer_factors(solver):
+        if not ok and depth == PATIENT_FROM and not packed.leave[0] and prefer_factors(solver):
             limits = limits._replace(most=PATIENCE * limits.most)
             ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
             commit(work.x, work.v, (start + h) / span, packed.bodies, packed.bodies_on, packed.threads)
             return 1, None
-        if depth == MOST_HALVINGS:
+        if depth == MOST_HALVINGS or packed.leave[0]:
             return 0, residual
         work.stage.counts.halvings += 1
         first, failed = self._step(work, packed, extra, start, 0.5 * h, span, depth + 1)

@@ -121,6 +121,8 @@ def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pa
     c, inverse_step = own.constraints, 1.0 / dt
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
     for step in range(steps):
+        if p.leave[0] != 0:
+            break
         evaluate_others(x, v, step / steps, stages[3], own.others, extra)
         force = felt(stages[3], own.others)
         predict(v, moved.u, force, own.mobility, p.inverse_mass, p.gravity, p.damping, dt, p.threads)

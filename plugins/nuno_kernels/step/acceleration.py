@@ -14,7 +14,7 @@ import numpy as np
 from nuno_kernels import block_kernel, shared_source
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.simd import WIDTH, load, write
-from nuno_kernels.step.blocks import BLOCK, PADDING
+from nuno_kernels.step.blocks import BLOCK, PADDING, Long
 from nuno_kernels.terms import each, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
@@ -47,6 +47,7 @@ class Packed(NamedTuple):
     moved         whether bodies move vertices or friction's anchors after a step: an acceleration found before is
                   then not that of the next step's start
     frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
+    leave         (1,) not 0: what loops over steps is to return at once, wherever it is; another thread may write it
     """
 
     inverse_mass: Float
@@ -61,6 +62,7 @@ class Packed(NamedTuple):
     velocity_matters: bool = True
     moved: bool = False
     frozen_damping: float = 0.0
+    leave: Long = np.zeros(1, np.int64)
 
 
 @block_kernel

@@ -49,6 +49,7 @@ def pack(system: System, own: bool = True) -> Packed:
     fabric = system.fabric
     given = [part for term in system.terms if not callable(term.data) for part in term.data]
     given = [own_copy(part) for part in given] if own else given
+    given = [part._replace(leave=system.leave) if "leave" in part._fields else part for part in given]
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),
@@ -74,6 +75,7 @@ def pack(system: System, own: bool = True) -> Packed:
         threads=threads if threads > 1 else None,
         late=True if python or adds else None,
         moved=moved,
+        leave=system.leave,
     )
     return packed._replace(velocity_matters=python or reads_velocity(packed))
 
@@ -166,8 +168,7 @@ def _pack_carried(system: System) -> tuple[Any, ...]:
         return ()
     from nuno_kernels.bodies.bindings import make_bindings
 
-    each = [(np.asarray(one.vertices), np.asarray(one.local), np.asarray(one.frame)) for one in system.carried]
-    return (make_bindings(*(np.concatenate(arrays) for arrays in zip(*each, strict=True))),)
+    return (make_bindings(system.carried),)
 
 
 def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
+from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.cloth import build
 from nuno.cloth.texture import texture_size
@@ -50,12 +51,12 @@ def line_of(row: Row) -> str:
     return f"{row[0]:9} {row[1]}"
 
 
-def describe(loaded: Loaded) -> Iterator[Row]:
+def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
     """The rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
     yield "scene", ": ".join(filter(None, (loaded.scene.name, loaded.scene.description)))
     # Before what it is warned of takes long, or fails.
     yield from (("WARNING", text) for text in scene_warnings(loaded))
-    loaded = decide(loaded)
+    loaded = decide(loaded, budget)
     services = make_plan(loaded, Options(record=Path("recordings")))
     rows = [("services", ", ".join(services.services))]
     if loaded.scene.moves:
@@ -133,11 +134,14 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
     """Where the frames that carry cloth start, and whether it starts in a body."""
-    frames = dict.fromkeys(build.frame_of(binding, geometry.frames) for binding in simulation.fabric.bindings)
-    places = {geometry.frames[i]: poses.translation[i] for i in frames}
-    rows = [
-        ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
-        for name, place in places.items()
-    ]
+    rows = []
+    for binding in simulation.fabric.bindings:
+        if (skinned := build.skin_of(binding, geometry)) is not None:
+            rows.append(("attached", f"to the skin of {binding.body}, each vertex to its place on it"))
+            continue
+        frame = build.frame_of(binding, geometry.frames, skinned)
+        place = ", ".join(f"{v:.3g}" for v in poses.translation[frame])
+        rows.append(("attached", f"to {geometry.frames[frame]}, which starts at [{place}] m"))
+    rows = list(dict.fromkeys(rows))
     rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
     return rows

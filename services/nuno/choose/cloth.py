@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
+from nuno.choose.budget import Budget, Spent
 from nuno.choose.found import PROMISE, Found, written
 from nuno.choose.trials import Method, Trials
 from nuno.cloth import build
 from nuno.collision.bodies import Bodies, build_bodies
+from nuno.process import attended
 from nuno.scene.scene_file import FIRST, Loaded
+from nuno.scene.step import MOST_STEPS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import AUTO, Accuracy
 from nuno_schemas.system import System
@@ -35,15 +39,24 @@ STALLED = 0.8
 """Errors that do not even fall by this much with a shorter step are not those of the step."""
 
 
-def decide(loaded: Loaded) -> Loaded:
-    """The scene with its solver and step as if written by hand; itself where nothing is left to choose.
+def decide(loaded: Loaded, budget: Budget | None = None) -> Loaded:
+    """The scene with its solver and step as if written by hand; itself where nothing is left to choose. A signal ends
+    the trials at once.
 
-    Raises BadInput for an accuracy that the named solver cannot be given.
+    Raises BadInput for an accuracy that the named solver cannot be given, and where the budget is used up before
+    anything is known.
     """
-    if loaded.scene.dye is not None and loaded.scene.undecided:
+    if not loaded.scene.undecided:
+        return loaded
+    budget = budget or Budget()
+    return attended(lambda: _decide(loaded, budget), budget.stop)
+
+
+def _decide(loaded: Loaded, budget: Budget) -> Loaded:
+    if loaded.scene.dye is not None:
         from nuno.choose.dye import decide_dye  # only a scene of dye loads it
 
-        loaded = decide_dye(loaded)
+        loaded = decide_dye(loaded, budget)
     scene = loaded.scene
     if not scene.step_undecided:
         return loaded
@@ -59,11 +72,35 @@ def decide(loaded: Loaded) -> Loaded:
     if start is None and scene.solver.plugin != AUTO:
         remedy = "give a dt and allow_unstable: true, or use another solver"
         raise loaded.at("solver.plugin", BadInput("no step is stable for this solver on this scene", remedy=remedy))
-    trials = _trials(loaded, system, bodies, start)
-    found = _try_all(loaded, trials, start, accuracy)
+    trials, found = _trials(loaded, system, bodies, start, budget), list[Found]()
+    try:
+        _try_all(loaded, trials, start, accuracy, found)
+    except Spent:
+        return _untried(loaded, trials, start, found, accuracy)
     best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
-    dt = 1.0 / float(scene.frame_rate) / best.steps
-    return written(loaded, _given(loaded, best.name) | {"dt": dt}, _reason(trials, best, found, accuracy))
+    return _chosen(loaded, best, _reason(trials, best, found, accuracy))
+
+
+def _chosen(loaded: Loaded, best: Found, why: str) -> Loaded:
+    dt = 1.0 / float(loaded.scene.frame_rate) / best.steps
+    return written(loaded, _given(loaded, best.name) | {"dt": dt}, why)
+
+
+def _untried(loaded: Loaded, trials: Trials, start: Method | None, found: list[Found], accuracy: Accuracy) -> Loaded:
+    """The scene with what is known when the budget is used up, or the first method at its longest stable step."""
+    over = f"trials were ended after {trials.budget.seconds:g} s: --budget gives them longer"
+    if found:
+        best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
+        return _chosen(loaded, best, f"{_reason(trials, best, found, accuracy)}; {over}")
+    if start is None:
+        remedy = "--budget 10min, or name one: solver: {plugin: tr_bdf2, dt: auto}"
+        problem = BadInput("no solver could be tried in the time that is given", value=f"{trials.budget.seconds:g} s",
+                           remedy=remedy)  # fmt: skip
+        raise loaded.at("solver.plugin", problem)
+    first = Found(start.name, start.fewest, math.inf, start.fewest)
+    return _chosen(
+        loaded, first, f"{accuracy}: {first.said[0]}, which are stable; how far they are off is not known, {over}"
+    )
 
 
 def _given(loaded: Loaded, name: str) -> dict[str, Any]:
@@ -78,13 +115,13 @@ def _build(loaded: Loaded) -> tuple[System, Bodies | None]:
     return build.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
 
 
-def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method | None) -> Trials:
+def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method | None, budget: Budget) -> Trials:
     rate, total, fabric = float(loaded.scene.frame_rate), loaded.scene.frames, system.fabric
     a_frame = fabric.number * (start.fewest if start else 1)
     frames = min(total, max(FEWEST_FRAMES, int(PILOT_WORK / a_frame)))
     poses = tuple(bodies.poses(i / rate) if bodies else None for i in range(frames + 1))
     size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
-    return Trials(system, poses, 1.0 / rate, total, size or 1.0)
+    return Trials(replace(system, leave=budget.leave), poses, 1.0 / rate, total, size or 1.0, budget)
 
 
 def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | None:
@@ -94,7 +131,8 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
     frame = 1.0 / float(loaded.scene.frame_rate)
     with np.errstate(all="ignore"):
         limit = float(plugin.limit(config, system, build.start_state(system.fabric)).dt)
-    if not limit > 0.0:
+    # A run would refuse so many steps.
+    if not limit > 0.0 or (solver.plugin == AUTO and frame > MOST_STEPS * safe * limit):
         return None
     evaluations = EVALUATIONS.get(name, 2 if _reads_velocity(system) else 1)
     if not plugin.explicit:
@@ -113,19 +151,18 @@ def _reads_velocity(system: System) -> bool:
     return damped or system.damping != 0.0 or bool(system.terms)
 
 
-def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy) -> list[Found]:
-    """Methods from the cheapest step on, until one has nothing to gain."""
-    promise, found = PROMISE[accuracy], list[Found]()
+def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, found: list[Found]) -> None:
+    """Into `found` methods from the cheapest step on, until one has nothing to gain. Raises Spent."""
+    promise = PROMISE[accuracy]
     if start is not None:
         found.append(_settle(trials, start, promise, math.inf))
         if loaded.scene.solver.plugin != AUTO:
-            return found
+            return
     for name in _others(trials.system, start):
         cheapest = min((one.cost for one in found if one.error <= promise), default=math.inf)
         method = _method(loaded, trials.system, name, SAFE[accuracy])
         if method is not None and method.fewest * method.evaluations < cheapest:
             found.append(_settle(trials, method, promise, cheapest))
-    return found
 
 
 def implicit_evaluations(vertices: int) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import combinations
@@ -18,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.choose.found import PROMISE, Found, written
+from nuno.choose.budget import Budget, Spent
+from nuno.choose.found import PROMISE, Found, counted, written
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import ROUNDING, first_step
 from nuno.scene.scene_file import FIRST_DYE, Loaded
@@ -60,6 +62,7 @@ class DyeTrials:
     frame: float
     frames: int
     first: int
+    budget: Budget = field(default_factory=Budget)
     work: float = 0.0
     kept: dict[tuple[str, int, int], tuple[Float, float]] = field(default_factory=dict)
 
@@ -67,18 +70,21 @@ class DyeTrials:
         """With `finer` times so many steps a frame, and as much finer a beginning: amounts at the end of every frame
         (frames, 2, dyes, 2, ny, nx), nan where it fails; explicit steps a frame that it costs.
 
-        Raises BadInput where the solver refuses the scene.
+        Raises BadInput where the solver refuses the scene, and Spent where the budget is.
         """
         key = name, finer * steps, finer * self.start(name, steps)
         if key not in self.kept:
-            begun = _written(self.loaded, name, start=key[2])
-            dyeing, out, costs = DyeRun(begun, os.cpu_count() or 1, key[1]), [], []
-            for _ in range(self.frames):
-                report = dyeing.advance().report
-                stages = report.totals.get("stages")
-                costs.append(float(key[1]) if stages is None else STAGE * stages / len(dyeing.names))
-                failed = math.nan if report.status != "ok" else 0.0
-                out.append(np.stack([dyeing.state.phi, dyeing.state.fixed]) + failed)
+            begun, out, costs = _written(self.loaded, name, start=key[2]), [], []
+            dyeing = DyeRun(begun, os.cpu_count() or 1, key[1], self.budget.leave)
+            with self.budget.trial(f"{name} with {counted(key[1])} a frame on {self.frames} frames of dye"):
+                for _ in range(self.frames):
+                    report = dyeing.advance().report
+                    if report.status == "left":
+                        break
+                    stages = report.totals.get("stages")
+                    costs.append(float(key[1]) if stages is None else STAGE * stages / len(dyeing.names))
+                    failed = math.nan if report.status != "ok" else 0.0
+                    out.append(np.stack([dyeing.state.phi, dyeing.state.fixed]) + failed)
             self.work += _stages(dyeing, sum(costs))
             # The first frames take more than those to come, which are as the last of them.
             frames = self.loaded.scene.frames
@@ -107,7 +113,7 @@ class DyeTrials:
         return worst * (self.loaded.scene.frames / self.frames if apart[-1] == apart.max() else 1.0)
 
 
-def decide_dye(loaded: Loaded) -> Loaded:
+def decide_dye(loaded: Loaded, budget: Budget) -> Loaded:
     """The scene with the solver of its dye and its step as if written by hand; itself where they are named."""
     scene, dye = loaded.scene, loaded.scene.dye
     if dye is None or dye.solver.plugin != AUTO:
@@ -116,9 +122,12 @@ def decide_dye(loaded: Loaded) -> Loaded:
     explicit = DyeRun(_written(loaded, FIRST_DYE), 1)
     first = _first_on_time(explicit)
     stable = first * -(-explicit.steps // first)
-    trials = _begin_trials(loaded, explicit, first, stable)
-    long = _settle(trials, LONG, first, PROMISE[accuracy])
-    plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
+    long: Found | str = f"trials were ended after {budget.seconds:g} s: --budget gives them longer"
+    plain, trials = long, DyeTrials(loaded, explicit.steps * explicit.dt, 1, first, budget)
+    with suppress(Spent):
+        trials = _begin_trials(loaded, explicit, first, stable, budget)
+        long = _settle(trials, LONG, first, PROMISE[accuracy])
+        plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
     best, other = (plain, long) if isinstance(plain, Found) else (long, plain)
     if isinstance(best, str):
         why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
@@ -168,17 +177,18 @@ def _first_on_time(explicit: DyeRun) -> int:
     return steps
 
 
-def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int) -> DyeTrials:
+def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int, budget: Budget) -> DyeTrials:
     """Trials of the frames in which supplies begin and end and some more, or of as many as are affordable."""
     frame = explicit.steps * explicit.dt
     spread = max(_times(explicit), default=0.0) + SPREADING * explicit.limit
     wanted = min(float(loaded.scene.frames), FEWEST_FRAMES + spread / frame)
-    pilot = DyeTrials(loaded, frame, 1, first)
+    pilot = DyeTrials(loaded, frame, 1, first, budget)
     try:
         pilot.run(LONG, first)
     except BadInput:  # as _settle will say
         pilot.work = _stages(explicit, EXPLICIT_TRIAL * stable)
-    return DyeTrials(loaded, frame, max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work))), first)
+    frames = max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work)))
+    return pilot if frames == 1 else DyeTrials(loaded, frame, frames, first, budget)
 
 
 def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Found | str:

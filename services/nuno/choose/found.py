@@ -34,8 +34,12 @@ class Found:
     @property
     def said(self) -> tuple[str, str]:
         """Its steps and its error in words."""
-        steps = f"{self.steps} step{'s' if self.steps > 1 else ''} a frame"
-        return steps, f"{self.error:.2g}" if self.tried else f"about {self.error:.2g}"
+        return f"{counted(self.steps)} a frame", f"{self.error:.2g}" if self.tried else f"about {self.error:.2g}"
+
+
+def counted(steps: int) -> str:
+    """So many steps, in words."""
+    return f"{steps} step{'s' if steps > 1 else ''}"
 
 
 def written(loaded: Loaded, solver: Mapping[str, Any], why: str, dyed: bool = False) -> Loaded:

@@ -7,11 +7,14 @@ order p. Positions count only as long as they can be predicted (GROWTH).
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from nuno.choose.budget import Budget
+from nuno.choose.found import counted
 from nuno.cloth import build
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
@@ -41,7 +44,8 @@ class Trials:
     """Runs of a scene's first frames, each made once.
 
     poses (frames + 1) of the bodies, None where there are none; `total` frames of the whole scene;
-    size [m] of the cloth; `work` done so far, in vertices times evaluations.
+    size [m] of the cloth; `work` done so far, in vertices times evaluations. What is asked of them raises Spent where
+    the budget is.
     """
 
     system: System
@@ -49,7 +53,10 @@ class Trials:
     frame: float
     total: int
     size: float
+    budget: Budget = field(default_factory=Budget)
     work: float = 0.0
+    pace: float = 0.0
+    """Wall time of a vertex' evaluation in the last run that ended well [s]."""
     kept: dict[tuple[str, int, Any, float], Float | None] = field(default_factory=dict)
     predictable: int | None = None
 
@@ -110,10 +117,27 @@ class Trials:
         """(frames, free, 3) [m], None where the run does not end well."""
         key = (method.name, steps, getattr(method.config, "every", None), disturbance)
         if key not in self.kept:
-            self.work += self._cost(method, steps)
-            with np.errstate(all="ignore"):  # what a diverging trial overflows is its result
-                self.kept[key] = self._run(method, steps, disturbance)
+            self._compile(method)
+            cost, began = self._cost(method, steps), time.perf_counter()
+            what = f"{method.name} with {counted(steps)} a frame on {self.frames} frames"
+            with self.budget.trial(what, cost * self.pace), np.errstate(all="ignore"):
+                self.kept[key] = self._run(method, steps, disturbance)  # what a diverging trial overflows is its result
+            self.work += cost
+            if self.kept[key] is not None:
+                self.pace = (time.perf_counter() - began) / cost
         return self.kept[key]
+
+    def _compile(self, method: Method) -> None:
+        """Compile what a method needs, which is none of what it costs."""
+        if all(name != method.name for name, *_ in self.kept):
+            state = build.start_state(self.system.fabric)
+            memory = method.plugin.prepare(method.config, self.system, state)
+            method.plugin.advance(self.system, state, memory, self._pair(0), 0, self.frame)
+
+    def _pair(self, i: int) -> tuple[Poses, Poses] | None:
+        """The bodies at both ends of a frame."""
+        start, end = self.poses[i : i + 2]
+        return (start, end) if start is not None and end is not None else None
 
     def _run(self, method: Method, steps: int, disturbance: float) -> Float | None:
         free = ~self.system.fabric.pinned
@@ -125,9 +149,7 @@ class Trials:
         out = []
         for i in range(self.frames):
             state.t = i * self.frame
-            start, end = self.poses[i : i + 2]
-            pair = (start, end) if start is not None and end is not None else None
-            report = method.plugin.advance(self.system, state, memory, pair, steps, self.frame / steps)
+            report = method.plugin.advance(self.system, state, memory, self._pair(i), steps, self.frame / steps)
             if report.status != "ok":
                 return None
             out.append(state.x[free].copy())

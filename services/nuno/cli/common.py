@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nuno.choose.budget import BUDGET, Budget
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
+from nuno_schemas.units import to_si
 
 if TYPE_CHECKING:
     from nuno.recording.reader import Recording
@@ -36,6 +39,22 @@ def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
     parser.add_argument("scene", nargs="?" if optional else None, help=text)
     add_set(parser, "change a field of the scene, e.g. solver.dt=1ms; may be repeated")
     add_flags(parser, {"--root": ("DIR...", "another folder that the scene's files may come from", Path)})
+
+
+def add_budget(parser: argparse._ActionsContainer) -> None:
+    text = f"how long solver: auto may try solvers (default: {BUDGET:g} s); what is known then is taken"
+    add_flags(parser, {"--budget": ("TIME", text)})
+
+
+def budget_of(args: argparse.Namespace) -> Budget:
+    """What `--budget` gives, told of on stderr. Raises BadInput."""
+    try:
+        seconds = BUDGET if args.budget is None else to_si(args.budget, "s")
+    except ValueError as error:
+        raise BadInput(str(error), field="--budget", value=args.budget, remedy="for example --budget 5min") from None
+    if not 0.0 < seconds < math.inf:
+        raise BadInput("trials take some time", field="--budget", value=args.budget, limit="more than 0 s")
+    return Budget(seconds, lambda text: print(text, file=sys.stderr, flush=True))
 
 
 def add_set(parser: argparse._ActionsContainer, text: str) -> None:

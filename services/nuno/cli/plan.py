@@ -5,14 +5,22 @@ from __future__ import annotations
 import argparse
 
 from nuno.api.plan import describe, line_of
-from nuno.cli.common import add_scene, load_scene
+from nuno.choose.budget import Budget
+from nuno.cli.common import add_budget, add_scene, budget_of, load_scene
+from nuno.process import attended
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
+    add_budget(parser)
 
 
 def main(args: argparse.Namespace) -> int:
-    for row in describe(load_scene(args)):
-        print(line_of(row), flush=True)
+    budget = budget_of(args)
+    attended(lambda: _print(args, budget), budget.stop)
     return 0
+
+
+def _print(args: argparse.Namespace, budget: Budget) -> None:
+    for row in describe(load_scene(args), budget):
+        print(line_of(row), flush=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from nuno.ahead import keep_up
 from nuno.choose.cloth import decide
-from nuno.cli.common import add_config, add_flags, add_scene, load_scene
+from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
 from nuno.process import ending_at_once
 from nuno.progress import ProgressLine
 from nuno.recording.restore import resumed_scene
@@ -29,6 +29,7 @@ from nuno_schemas.errors import BadInput
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
+    add_budget(parser)
     recording = parser.add_argument_group("recording")
     recording.add_argument("--no-record", action="store_true", help="do not record")
     add_flags(recording, {
@@ -81,7 +82,8 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     if loaded.scene.undecided:
         print("choosing a solver by trying it on the first frames", flush=True)
-    loaded = keep_up(loaded) if args.real_time or loaded.paced else decide(loaded)
+    budget = budget_of(args)
+    loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     if args.mp4 is not None:

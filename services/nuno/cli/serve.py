@@ -10,13 +10,14 @@ import threading
 import time
 from pathlib import Path
 
+from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import end_process
 from nuno.scene import scene_file, shipped
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.supervision import runs
-from nuno.supervision.launch import FINISH_TIMEOUT
+from nuno.supervision.launch import FINISH_TIMEOUT, LINGER
 from nuno.wire import sessions
 from nuno.wire.laggards import LOOK_SECONDS, Laggards
 from nuno_schemas.errors import BadInput, RunFailed
@@ -24,10 +25,10 @@ from nuno_schemas.errors import BadInput, RunFailed
 LISTEN = "tcp/127.0.0.1:7447"
 PATIENCE = 20.0
 """How long a service waits for its hub [s]: containers start in any order."""
+NO_END = 1e7
+"""Of the trials of a solver [s]."""
 KEEPERS = ("recorder", "viewer")
 """Services that have a file to close."""
-LINGER = 1.0
-"""How long the others may take to end once their supervisor has [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +70,8 @@ def main(args: argparse.Namespace) -> int:
         threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
     loaded = scene_file.read(shipped.find(args.scene), args.overrides, args.root, args.named)
     if args.service in ("simulation", "recorder", "dye"):
-        loaded = decide(loaded)
+        # Without an end, or services that are slower than others would choose otherwise.
+        loaded = decide(loaded, Budget(NO_END, lambda text: print(text, file=sys.stderr, flush=True)))
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     options.real_time = args.real_time
     own = sessions.identity(args.run, args.service)

@@ -20,7 +20,7 @@ from nuno.scene.chosen import Chosen
 from nuno.scene.plausible import with_doubts
 from nuno.scene.scene_file import Loaded
 from nuno.stepping.stepped import require_memory
-from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Float, Int, State
 from nuno_schemas.operation import Surface, arranges
@@ -182,28 +182,45 @@ def bind(
     """
     carried = []
     for binding in fabric.bindings:
+        x = fabric.position[binding.vertices]
         try:
-            index, local = frame_of(binding, geometry.frames if geometry else ()), binding.local
+            skinned = skin_of(binding, geometry)
+            index, local = frame_of(binding, geometry.frames if geometry else (), skinned), binding.local
             assert geometry is not None and poses is not None
             if local is None:
-                check_worn(fabric.position[binding.vertices], geometry, poses, index)
+                check_worn(x, geometry, poses, index)
         except BadInput as error:
             vertex = int(binding.vertices[0])
             piece = next(i for i, piece in enumerate(pieces) if vertex < piece.stop)
             raise loaded.at(f"objects[{piece}].model.attach", error) from None
-        if local is None:
+        skin = None
+        if local is None and skinned is not None:
+            known = geometry.skin(skinned)
+            assert known is not None
+            skin = known.beside(x, *geometry.placed(skinned, poses))
+            own = slice(index, index + len(skin.place))
+            local = skin.unbend(x, poses.rotation[own], poses.translation[own])
+        elif local is None:
             inverse = rotation_matrices(poses.rotation[index]).T
-            local = turn(inverse, fabric.position[binding.vertices] - poses.translation[index])
-        carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32)))
+            local = turn(inverse, x - poses.translation[index])
+        carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32), skin))
     return carried
 
 
-def frame_of(binding: Binding, frames: Sequence[str]) -> int:
-    """Which of the frames, each BODY/FRAME, carries bound vertices. Raises BadInput for one that is not there, and for
-    none that is named of a body that has several.
+def skin_of(binding: Binding, geometry: Geometry | None) -> int | None:
+    """The primitive whose skin carries bound vertices: that of their body, where no frame of it is named."""
+    if binding.frame is not None or geometry is None or binding.body not in geometry.bodies:
+        return None
+    own = (geometry.kind == SKIN) & (geometry.body == geometry.bodies.index(binding.body))
+    return int(np.argmax(own)) if own.any() else None
+
+
+def frame_of(binding: Binding, frames: Sequence[str], skinned: int | None = None) -> int:
+    """Which of the frames, each BODY/FRAME, carries bound vertices; the first of a body whose skin does, a primitive by
+    number. Raises BadInput for one that is not there, and for none that is named of a body that has several.
     """
     own = [name for name in frames if name.startswith(f"{binding.body}/")]
-    if binding.frame is None and len(own) > 1:
+    if binding.frame is None and len(own) > 1 and skinned is None:
         problem = "the body has several frames, and cloth moves with one"
         names = ", ".join(name.removeprefix(f"{binding.body}/") for name in own)
         raise BadInput(problem, value=binding.body, limit=names, remedy="name it: attach: {body: ..., frame: ...}")

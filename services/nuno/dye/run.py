@@ -50,10 +50,11 @@ class DyeRun(Stepper):
     status, published, kept = DYE_STATUS, CONCENTRATION, DYE_CHECKPOINT
     quantities = MappingProxyType({"phi": "mobile dye", "fixed": "fixed dye"})
 
-    def __init__(self, loaded: Loaded, threads: int, steps: int = 0) -> None:
-        """`steps` a frame, stable or not; 0: as the scene says. Raises BadInput."""
+    def __init__(self, loaded: Loaded, threads: int, steps: int = 0, leave: NDArray[np.int64] | None = None) -> None:
+        """`steps` a frame, stable or not; 0: as the scene says; `leave` as in System. Raises BadInput."""
         chosen, dye = loaded.dyed, loaded.dyed.said
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
+        self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.speed = dye.speed
         self._solver = chosen.solver
         self.threads = threads or os.cpu_count() or 1
@@ -69,7 +70,7 @@ class DyeRun(Stepper):
             Dye(one.name, one.D0, one.adsorption * self.cells.coarser**2, law, one.weisz_zollinger)
             for one, law in zip(dye.dyes, laws, strict=True)
         )
-        self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
+        self.system = DyeSystem(self.cells, tuple(dyes), self.threads, leave=self.leave)
         self._keeping = self.system
         """With what is kept up at present. Solvers hold what follows from a system as long as it is the same."""
         try:
@@ -168,6 +169,9 @@ class DyeRun(Stepper):
             kept = self.supplies.keep(step)
             report = self._step(kept, until - step)
             totals.update(report.totals)
+            if self.leave[0]:
+                report = replace(report, status="left")
+                return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             taken += report.steps
             exchanged = self.supplies.end(self.state.phi, step, report.supplied)
             step = until
@@ -179,7 +183,8 @@ class DyeRun(Stepper):
         self.frame += 1
         self.state.t = self.time
         report = replace(report, totals=dict(totals), steps=taken)
-        return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
+        self.taken = time.perf_counter() - begin
+        return Stepped(self.frame, report, self.taken, self.digest())
 
     @property
     def supplied(self) -> tuple[float, ...]:

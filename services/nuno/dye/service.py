@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nuno.dye.run import DyeRun
 from nuno.service import Context
 from nuno.stepping.again import resume
+from nuno.stepping.attend import Attendant
 from nuno.stepping.driver import Driver
 from nuno.stepping.stepped import Stepped
 from nuno.wire.arrays import encode_arrays
@@ -20,8 +21,8 @@ from nuno_schemas.messages import CLOTH, STATUS
 class DyeDriver(Driver):
     """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
 
-    def __init__(self, context: Context, dyeing: DyeRun) -> None:
-        super().__init__(context, dyeing, STATUS if context.loaded.scene.moves else None)
+    def __init__(self, context: Context, dyeing: DyeRun, attendant: Attendant) -> None:
+        super().__init__(context, dyeing, attendant, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         if (every := self.scene.record.dye_every) is not None:
             self.every = self.scene.in_frames(every)
@@ -105,7 +106,9 @@ def _finite(value: float) -> float | None:
 
 def main(context: Context) -> None:
     """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
-    dyeing = DyeRun(context.loaded, context.options.threads)
+    leave = np.zeros(1, np.int64)
+    attendant = Attendant(context, leave)
+    dyeing = DyeRun(context.loaded, context.options.threads, leave=leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
-    DyeDriver(context, dyeing).serve()
+    DyeDriver(context, dyeing, attendant).serve()

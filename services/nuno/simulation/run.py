@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -55,11 +56,13 @@ class Simulation(Changing):
 
     def __init__(
         self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int,
-        watch: Callable[[], None] = lambda: None,
+        watch: Callable[[], None] = lambda: None, leave: NDArray[np.int64] | None = None,
     ) -> None:  # fmt: skip
-        """`watch` is called now and then where the start takes long, and may raise."""
+        """`watch` is called now and then where the start takes long, and may raise; `leave` as in System."""
+        self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        settled = settle(self.loaded, lambda coarse: Simulation(coarse, geometry, poses, threads), watch)
+        again = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
+        settled = settle(self.loaded, again, watch)
         self.rested = settled.objects
         self.fabric, self.pieces, arranged = build.build_told(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled.told, *arranged]
@@ -104,7 +107,8 @@ class Simulation(Changing):
         """See `Changing`."""
         fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
         self._still = False
-        self.system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
+        system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
+        self.system = replace(system, leave=self.leave)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
         self.limit = find_limit(self.loaded, self.solver.plugin, self.system, start)
@@ -182,6 +186,8 @@ class Simulation(Changing):
             self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
             self.costs.before(self.state, self.memory, poses)
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+            if report.status == "left":
+                return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             self.costs.after(report)
             # A frame that changes nothing is followed by frames that change nothing.
             timeless = not any(term.in_python for term in self.system.terms)
@@ -195,7 +201,8 @@ class Simulation(Changing):
             self.relaxation.after(self.state)
         if self.loaded.scene.until == "balance" and report.status == "ok":
             report = self._weigh(report, (end, end) if end is not None else None)
-        return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
+        self.taken = time.perf_counter() - begin
+        return Stepped(self.frame, report, self.taken, self.digest())
 
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
         """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
@@ -230,6 +237,20 @@ class Simulation(Changing):
         chosen, pair = self.solver, (self.poses, self.poses) if self.poses else None
         each = chosen.plugin.profile(self.system, self.state, self.memory, pair)
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
+
+    def holds(self) -> str:
+        """See `Stepper`: what is pinched, and where."""
+        find = getattr(self.loaded.integrator.plugin, "pinched", None)
+        scene, found = self.loaded.scene, list[str]()
+        names = [*(piece.name for piece in self.pieces), *(scene.bodies[i].name for i in scene.met_bodies)]
+        for piece, place in () if find is None else find(self.memory):
+            each = np.bincount(piece, minlength=len(names))
+            of = " and ".join(
+                f"{number} vertices of {name}" for name, number in zip(names, each, strict=True) if number
+            )
+            middle = ", ".join(f"{value:.3g}" for value in (np.median(place, axis=0) if of else ()))
+            found += [f"{of} pinched near ({middle}) m: neither cloth nor body gives way there"] if of else []
+        return "; ".join(found)
 
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""

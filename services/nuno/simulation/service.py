@@ -22,6 +22,7 @@ from nuno.simulation.ask_bodies import PosesAhead, ask_geometry, ask_poses, take
 from nuno.simulation.run import Simulation
 from nuno.simulation.touching import feel, require_touched
 from nuno.stepping.again import resume
+from nuno.stepping.attend import Attendant
 from nuno.stepping.driver import CONTROL, Driver
 from nuno.stepping.stepped import Stepped
 from nuno.wire.arrays import encode_arrays
@@ -41,8 +42,8 @@ than the end of the run may take."""
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and answers control."""
 
-    def __init__(self, context: Context, simulation: Simulation) -> None:
-        super().__init__(context, simulation)
+    def __init__(self, context: Context, simulation: Simulation, attendant: Attendant | None = None) -> None:
+        super().__init__(context, simulation, attendant)
         self.simulation = simulation
         self.bodies = PosesAhead(context)
         self.seconds |= {"bodies": 0.0} | ({"contact forces": 0.0} if self.scene.record.contact_forces else {})
@@ -202,7 +203,7 @@ class ClothDriver(Driver):
         """Energies, limits and sizes for the report."""
         simulation, fabric = self.simulation, self.simulation.fabric
         parts: dict[str, float] = {}
-        if ended in ("done", "stopped") and self.seconds["steps"] > 0.0:
+        if ended in ("done", "stopped") and not self.abandoned and self.seconds["steps"] > 0.0:
             parts = simulation.divide(self.seconds["steps"])
         limit = simulation.limit
         return {
@@ -252,7 +253,9 @@ def main(context: Context) -> None:
         if context.orphaned():
             raise RunFailed("the supervisor has gone")
 
-    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch)
+    leave = np.zeros(1, np.int64)
+    attendant = Attendant(context, leave)
+    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch, leave)
     if geometry is not None:
         simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))
     if context.loaded.scene.record.contact_forces and geometry is not None:
@@ -261,4 +264,4 @@ def main(context: Context) -> None:
         resume(simulation, context.options.resume)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it
     simulation.rehearse()
-    ClothDriver(context, simulation).serve()
+    ClothDriver(context, simulation, attendant).serve()

@@ -13,7 +13,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from nuno.service import Context, ack_topic, asks_to_finish
+from nuno.recording.recorded import Checkpoint
+from nuno.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
+from nuno.stepping.attend import Attendant
 from nuno.stepping.clock import Clock
 from nuno.stepping.stepped import Stepped, Stepper
 from nuno.stepping.teller import Teller
@@ -32,6 +34,8 @@ CONTROL = "control"
 OF_FOLLOWERS = ("status", "add")
 STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
 """In which an action leaves a run."""
+LEFT = "left"
+"""Status of a frame that was not stepped to its end, since the run is to end."""
 OVER = ("stopped", "failed")
 """States that end a run between two frames."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
@@ -43,9 +47,20 @@ class Driver(Teller):
     every = 1
     """Frames from one whose arrays are published to the next."""
 
-    def __init__(self, context: Context, stepper: Stepper, follows: Topic | None = None) -> None:
-        """`follows` is the topic of the leader's statuses, None for the leader."""
+    def __init__(
+        self, context: Context, stepper: Stepper, attendant: Attendant | None = None, follows: Topic | None = None
+    ) -> None:
+        """`follows` is the topic of the leader's statuses, None for the leader; `attendant` has looked after the
+        preparation.
+        """
         super().__init__(context, stepper)
+        self.attendant = attendant or Attendant(context, stepper.leave)
+        self.attendant.holds = stepper.holds
+        self.attendant.prepared()
+        self.before: Checkpoint | None = None
+        """The state before a frame that was left, where it was kept."""
+        self.abandoned = False
+        """Whether a frame was left: the state is no longer one to go on from."""
         self.scene, self.follows = context.loaded.scene, follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
@@ -57,7 +72,7 @@ class Driver(Teller):
         self.totals: dict[str, int] = {}
         self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
         self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
-        self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
+        self.inbox = Inbox(context.bus, [follows or ack_topic("*")], heard=self.attendant.hear)
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
         self.silent_until = 0.0
@@ -71,7 +86,13 @@ class Driver(Teller):
 
     def step_frame(self) -> Stepped:
         """Step one frame and publish it."""
-        begin, frame = time.perf_counter(), self.stepper.step()
+        begin, stepper = time.perf_counter(), self.stepper
+        before = stepper.copied()
+        with self.attendant.frame(stepper.frame, stepper.t):
+            frame = stepper.step()
+        if frame.report.status == LEFT:
+            self.abandoned, self.before = True, before
+            return frame
         self.seconds["steps"] += frame.seconds
         self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
         if self.clock is not None:
@@ -162,6 +183,7 @@ class Driver(Teller):
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
                 self.context.event("end", ended, self.stepper.frame, self.stepper.t, summary=summary)
+            self.attendant.close()
             while self.finish is None:
                 self.listen(0.5)
             self.finish.answer_json(self.context.counts(self.inbox) | {"summary": summary})
@@ -181,6 +203,9 @@ class Driver(Teller):
             if not self.ready():
                 continue
             status = self.one_frame()
+            if status == LEFT:
+                self._await_end()
+                break
             if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer one can go on
                 self.keep()
                 self.wait_for(self.stepper.frame)
@@ -188,11 +213,17 @@ class Driver(Teller):
                 return status
             if self.until is not None and self.stepper.frame >= self.until:
                 self.state, self.until = "paused", None
-        self.keep()  # also of a run that was interrupted: it can be gone on from there
+        if self.before is not None or not self.abandoned:
+            self.keep(self.before)  # also of a run that was interrupted: it can be gone on from there
         if self.finish is not None:
             return "failed"
         self.wait_for(self.stepper.frame)
         return self.state if self.state in OVER else "done"
+
+    def _await_end(self) -> None:
+        """Wait for what a frame was left for."""
+        while self.finish is None and self.state not in OVER:
+            self.listen(LOOK_SECONDS)
 
     def ready(self) -> bool:
         """Wait for what the next frame needs, under control; False where the run does not go on now."""
@@ -206,7 +237,11 @@ class Driver(Teller):
                 frame = self.due.pop(0)
                 if frame not in (self.stepper.frame, self.stepper.frame + 1):
                     raise RunFailed(f"frame {frame} came after frame {self.stepper.frame}")
-                if frame > self.stepper.frame and self.one_frame() != "ok":
+                status = self.one_frame() if frame > self.stepper.frame else "ok"
+                if status == LEFT:
+                    self._await_end()
+                    continue
+                if status != "ok":
                     raise RunFailed(self.message or "amounts are no longer finite")
                 self.context.acknowledge(frame, self.stepper.t)
                 self.listen(0)
@@ -214,13 +249,15 @@ class Driver(Teller):
                 self.listen(0.5)
         if self.finish.json().get("error"):
             return "failed"
-        if self.kept != self.stepper.frame:
-            self.keep()
+        if self.kept != self.stepper.frame and (self.before is not None or not self.abandoned):
+            self.keep(self.before)
         return "done"
 
     def one_frame(self) -> str:
         """Step, publish, and let nobody who must see it fall far behind; the frame's status."""
         report = self.step_frame().report
+        if report.status == LEFT:
+            return LEFT
         for name, value in report.totals.items():
             self.totals[name] = self.totals.get(name, 0) + value
         self.message = report.message
@@ -259,5 +296,6 @@ class Driver(Teller):
         times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
         steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
         clock = None if self.clock is None else self.clock.told()
-        both = {"digest": stepper.digest(), "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
+        digest = self.digest if self.abandoned else stepper.digest()
+        both = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
         return end | times | steps | both | self.facts(ended)

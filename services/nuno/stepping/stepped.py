@@ -7,6 +7,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,6 +21,11 @@ from nuno.words import factor, megabytes, roughly
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
+
+COPIED, HASHED, CALLS = 1e8, 4, 600_000
+"""Bytes that may be copied before a frame, for each second that the last one took: a few hundredths of its time. Those
+of the state are also hashed, which takes so many times as long, and what Python does takes as long as so many more.
+"""
 
 
 @dataclass
@@ -54,6 +60,11 @@ class Stepper(ABC):
     memory: Memory
     steps: int
     dt: float
+
+    leave: NDArray[np.int64]
+    """(1,) see nuno_schemas.system.System"""
+    taken: float = math.inf
+    """Wall time of the last frame [s]."""
 
     @property
     def t(self) -> float:
@@ -122,6 +133,18 @@ class Stepper(ABC):
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
         text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
         return Checkpoint(arrays, text)
+
+    def copied(self) -> Checkpoint | None:
+        """The present state apart, in case that the next frame is left; None where to copy it would take as long as a
+        frame does.
+        """
+        size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
+        size += HASHED * sum(array.nbytes for array in self.arrays().values())
+        return deepcopy(self.keep()) if size < COPIED * self.taken else None
+
+    def holds(self) -> str:
+        """What holds up the frame that is being stepped, in words; called while it is."""
+        return ""
 
     def take_over(self, point: Checkpoint) -> None:
         """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit."""

@@ -6,6 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from typing import Any
 
+from nuno.recording.recorded import Checkpoint
 from nuno.service import Context
 from nuno.stepping.stepped import Stepped, Stepper
 from nuno.wire.arrays import encode_arrays
@@ -18,6 +19,8 @@ class Teller(ABC):
     def __init__(self, context: Context, stepper: Stepper) -> None:
         self.context, self.stepper = context, stepper
         self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
+        self.digest = stepper.digest()
+        """Of the last frame that was told."""
         self.shown = self.kept = -1
         """Frames of the last arrays that were published, and of the last checkpoint."""
 
@@ -33,6 +36,7 @@ class Teller(ABC):
         """A frame's status, and before it, where it is to be shown, its arrays."""
         if show:
             self.publish_arrays(frame.digest)
+        self.digest = frame.digest
         start, report, topic = time.perf_counter(), frame.report, self.stepper.status
         status = STATUSES[topic.name](
             frame=frame.number, t=self.stepper.t, digest=frame.digest, steps=report.steps, step_seconds=frame.seconds,
@@ -52,12 +56,13 @@ class Teller(ABC):
     def _put(self, topic: Topic, payload: bytes, digest: str = "") -> None:
         self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
 
-    def keep(self) -> None:
-        """Publish a checkpoint: the whole float64 state, enough to go on from in the same bits.
+    def keep(self, point: Checkpoint | None = None) -> None:
+        """Publish a checkpoint, that of the present frame unless it is given: the whole float64 state, enough to go on
+        from in the same bits.
 
         The arrays of this frame are shown, too: a resumed run then shows what an unbroken one does.
         """
-        point = self.stepper.keep()
+        point = point or self.stepper.keep()
         if self.shown != point.frame:
             self.publish_arrays(point.digest)
         self._put(self.stepper.kept, encode_arrays(point.arrays, point.text), point.digest)

@@ -15,17 +15,20 @@ import zenoh
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
 from nuno.supervision.plan import Plan
+from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 
+LINGER = 0.3
+"""How long services that are not ready may take to end once they are not needed any more [s]."""
 FINISH_TIMEOUT = 30.0
 """How long a service may take to end when it is asked to [s]."""
 
 
 @contextlib.contextmanager
 def threads(
-    loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str
+    loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str, watch: Watch
 ) -> Iterator[Callable[[], dict[str, str]]]:
-    """All services as threads of this process."""
+    """All services as threads of this process. One that was never alive may be compiling, and is not waited for."""
     over: dict[str, str] = {}
     stop = threading.Event()
 
@@ -46,8 +49,10 @@ def threads(
     finally:
         # The session closes after this; a thread must not be using it then.
         stop.set()
+        end = time.monotonic() + LINGER
         for thread in threads:
-            thread.join(FINISH_TIMEOUT)
+            ready = thread.name in watch.alive() or watch.gone(thread.name)
+            thread.join(FINISH_TIMEOUT if ready else max(0.0, end - time.monotonic()))
 
 
 @contextlib.contextmanager

@@ -115,7 +115,9 @@ def supervise(
                 launch.processes(loaded, options, plan, endpoint, run, deployment.config)
             )
         elif not deployment.connect:
-            supervisor.exited = stack.enter_context(launch.threads(loaded, options, plan, session, run))
+            supervisor.exited = stack.enter_context(
+                launch.threads(loaded, options, plan, session, run, supervisor.watch)
+            )
         apart = deployment.processes or deployment.connect is not None
         return _conduct(supervisor, began, apart, progress, report)
 

@@ -52,15 +52,17 @@ class Publisher:
     frame: int = -1
     """Last one published."""
     t: float = 0.0
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     def put(self, payload: bytes, frame: int = -1, t: float = 0.0, digest: str = "") -> None:
-        start = time.perf_counter()
-        header = Header(run=self.bus.run, service=self.bus.service, seq=self.sent, frame=frame, t=t, digest=digest)
-        self.handle.put(payload, attachment=header.model_dump_json())
-        self.sent += 1
-        self.payload_bytes += len(payload)
-        self.frame, self.t = max(self.frame, frame), t if frame >= 0 else self.t
-        self.seconds += time.perf_counter() - start
+        with self.lock:
+            start = time.perf_counter()
+            header = Header(run=self.bus.run, service=self.bus.service, seq=self.sent, frame=frame, t=t, digest=digest)
+            self.handle.put(payload, attachment=header.model_dump_json())
+            self.sent += 1
+            self.payload_bytes += len(payload)
+            self.frame, self.t = max(self.frame, frame), t if frame >= 0 else self.t
+            self.seconds += time.perf_counter() - start
 
 
 @dataclass
@@ -87,7 +89,11 @@ class Inbox:
     the `newest_only` listens in from outside, and may be left open by a program that ends.
     """
 
-    def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
+    def __init__(
+        self, bus: Bus, topics: list[Topic], newest_only: bool = False,
+        heard: Callable[[Question], None] = lambda question: None,
+    ) -> None:  # fmt: skip
+        """`heard` is called with each question as it comes, in whichever thread brings it."""
         self.counts = Counts()
         self.payload_bytes = 0
         self.frame = -1
@@ -95,7 +101,7 @@ class Inbox:
         self._bus = bus
         self._next: dict[str, int] = {}
         self._queue: queue.SimpleQueue[zenoh.Sample | Question | None] = queue.SimpleQueue()
-        self._newest_only = newest_only
+        self._newest_only, self._heard = newest_only, heard
         bus.inboxes.append(self)
         self._closing = threading.Lock()
         self._closed = False
@@ -114,6 +120,7 @@ class Inbox:
         with self._closing:
             if not self._closed:
                 self._queue.put(question)
+                self._heard(question)
                 return
         question.query.drop()
 

@@ -1,0 +1,230 @@
+"""What is being worked out is left at once where the run is to end: frames, trials, preparation."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from live_run import Run, wait_until
+from scenes import write_chain, write_scene
+
+import nuno
+from nuno.choose.budget import Budget
+from nuno.choose.cloth import decide
+from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
+from nuno.stepping import attend
+from nuno.stepping.attend import Attendant
+from nuno_schemas.errors import BadInput
+
+ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
+"""Ten million steps a frame, of 4,000 vertices: about a minute."""
+SOON = 30.0
+"""Longest that what is left may take to end here [s], on however busy a machine: frames take minutes."""
+
+
+def write_long(folder: Path, k: float = 100.0, **fields: Any) -> Path:
+    """A scene of a chain of 4,000 vertices with springs of k [N/m]."""
+    path = write_scene(folder, **fields)
+    write_chain(folder, 4000)
+    net = dict(np.load(folder / "chain.npz"))
+    np.savez(folder / "chain.npz", **net | {"k": np.full_like(net["k"], k)})
+    return path
+
+
+STIFF = 2.5e13
+"""With such springs a frame has a million stable steps, so that one trial takes a minute."""
+
+
+@contextmanager
+def command(code: str, *args: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that runs some code as the `nuno` command would, whose stderr is read."""
+    begin = "import sys\nfrom nuno import process\nprocess.end_when_terminated()\n"
+    with subprocess.Popen([sys.executable, "-c", begin + code, *args], stderr=subprocess.PIPE, text=True) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+def read_until(child: subprocess.Popen[str], words: str) -> None:
+    """Read what a process says until it says that."""
+    assert child.stderr is not None
+    assert any(words in line for line in child.stderr), words
+
+
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.full)])
+def test_stop_leaves_the_frame_that_is_being_stepped(processes: bool, tmp_path: Path) -> None:
+    """The run ends with the frame before it, from which it can be gone on."""
+    run = Run(write_long(tmp_path, solver=ENDLESS, record={}), tmp_path / "a.mcap", processes)
+    run.wait(lambda: run.frame == 0)
+    began = time.monotonic()
+    outcome = run.stop()
+    assert time.monotonic() - began < SOON
+    assert outcome.state == "stopped" and outcome.summary["frame"] == 0
+    with nuno.open(tmp_path / "a.mcap") as recording:
+        assert [frame.number for frame in recording.frames()] == [0]
+        point = recording.last_checkpoint(recording.common_checkpoint().t)
+        assert point.frame == 0 and point.digest == outcome.summary["digest"]
+
+
+@pytest.mark.parametrize("solver", ["leapfrog", "respa", "implicit_euler", "xpbd"])
+@pytest.mark.full
+def test_each_solver_leaves_a_frame_and_the_state_as_it_was(solver: str, tmp_path: Path) -> None:
+    simulation = Simulation(scene_file.read(write_long(tmp_path, solver=ENDLESS | {"plugin": solver})), None, None, 1)
+    simulation.present()
+    before, timer = simulation.digest(), threading.Timer(0.1, lambda: simulation.leave.__setitem__(0, 1))
+    timer.start()
+    frame = simulation.step()
+    assert frame.report.status == "left" and frame.number == simulation.frame == 0
+    assert simulation.digest() == before
+
+
+def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred times longer than the frames before; not of one that takes as long as they do, and once a frame."""
+    monkeypatch.setattr(attend, "LEAST", 0.0)
+    said: list[tuple[str, str, int]] = []
+    context: Any = SimpleNamespace(
+        bus=SimpleNamespace(service="simulation"), orphaned=lambda: False,
+        event=lambda kind, text, frame, t: said.append((kind, text, frame)),
+    )  # fmt: skip
+    leave = np.zeros(1, np.int64)
+    attendant = Attendant(context, leave)
+    attendant.holds = lambda: "12 vertices of skirt pinched"
+    for number in range(1, 6):
+        with attendant.frame(number, 0.1 * number):
+            if number == 5:
+                wait_until(lambda: bool(said))
+                time.sleep(3 * attend.LOOKS)
+    attendant.close()
+    ((kind, text, frame),) = said
+    assert kind == "warning" and frame == 5 and not leave[0]
+    assert text.startswith("frame 6 has taken ") and text.endswith(" times the usual: 12 vertices of skirt pinched")
+
+
+def test_a_frame_is_left_only_while_it_is_stepped() -> None:
+    """What is measured between frames, and at the end, is not cut short by a stop that came before."""
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=lambda: False)
+    question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
+    leave = np.zeros(1, np.int64)
+    attendant = Attendant(context, leave)
+    attendant.prepared()
+    attendant.hear(question)
+    time.sleep(attend.PATIENCE + 4 * attend.LOOKS)
+    assert not leave[0]
+    with attendant.frame(1, 0.1):
+        wait_until(lambda: bool(leave[0]))
+    attendant.close()
+
+
+def test_preparation_is_left_where_the_supervisor_goes() -> None:
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
+    leave = np.zeros(1, np.int64)
+    Attendant(context, leave)
+    wait_until(lambda: bool(leave[0]))
+    wait_until(lambda: all(thread.name != "dye attendant" for thread in threading.enumerate()))
+
+
+def test_trials_end_with_their_budget_and_what_is_known_is_taken(tmp_path: Path) -> None:
+    """Of this chain nothing: the first solver at its longest stable step, which is said, and that its error is not."""
+    said: list[str] = []
+    fields = {"solver": {"plugin": "symplectic_euler"}, "accuracy": "normal"}
+    began = time.monotonic()
+    loaded = scene_file.read(write_long(tmp_path, STIFF, **fields))
+    found = decide(loaded, Budget(0.3, said.append))
+    assert time.monotonic() - began < SOON
+    assert "stable; how far they are off is not known, trials were ended after 0.3 s: --budget" in found.why
+    assert found.scene.solver.plugin == "symplectic_euler" and not found.scene.undecided
+    plain = scene_file.read(write_long(tmp_path, STIFF, solver={"plugin": "symplectic_euler"}))
+    assert float(found.scene.solver.dt) <= Simulation(plain, None, None, 1).limit.dt
+
+
+@pytest.mark.full
+def test_what_a_run_would_refuse_is_not_tried(tmp_path: Path) -> None:
+    """No explicit solver that needs more steps a frame than a run may have."""
+    path, said = write_scene(tmp_path, solver="auto"), list[str]()
+    net = dict(np.load(tmp_path / "chain.npz"))
+    np.savez(tmp_path / "chain.npz", **net | {"k": np.full_like(net["k"], 1e20)})
+    budget = Budget(600.0, said.append)
+    assert decide(scene_file.read(path), budget).scene.solver.plugin == "tr_bdf2"
+
+
+@pytest.mark.parametrize("text", ["0 s", "-1 s", "soon", "3 kg"])
+def test_a_budget_that_is_none_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from nuno.cli import main
+
+    assert main(["plan", str(write_scene(tmp_path)), "--budget", text]) == 2
+    assert "--budget" in capsys.readouterr().err
+
+
+def test_a_signal_ends_what_runs_in_foreign_code() -> None:
+    """Python would handle it in the main thread alone, after a minute."""
+    code = """
+import ctypes
+def work():
+    print("ready", file=sys.stderr, flush=True)
+    ctypes.CDLL(None).sleep(60)
+try:
+    process.attended(work, lambda: print("left", file=sys.stderr, flush=True))
+except process.Terminated:
+    process.leave(7)
+"""
+    with command(code) as child:
+        read_until(child, "ready")
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(SOON) == 7
+        assert child.stderr is not None and child.stderr.read() == "left\n"
+
+
+def test_what_is_attended_gives_and_raises_what_it_does() -> None:
+    from nuno.process import attended
+
+    def refuse() -> None:
+        raise BadInput("no")
+
+    assert attended(lambda: threading.current_thread() is threading.main_thread()) is False
+    with pytest.raises(BadInput, match="no"):
+        attended(refuse)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("words", [["plan"], ["run", "--no-view", "--no-record"]])
+def test_a_signal_ends_trials(words: list[str], number: signal.Signals, tmp_path: Path) -> None:
+    path = write_long(tmp_path, STIFF, solver={"plugin": "symplectic_euler"}, accuracy="normal")
+    code = "from nuno import cli\nfrom nuno.choose import budget\nbudget.SILENT = -1.0\n"
+    code += "process.leave(cli.main(sys.argv[1:]))"
+    with command(code, words[0], str(path), *words[1:]) as child:
+        read_until(child, "trying symplectic_euler with ")
+        child.send_signal(number)
+        assert child.wait(SOON) == 1
+        assert child.stderr is not None
+        assert child.stderr.read().splitlines()[-1] == ("terminated" if number == signal.SIGTERM else "interrupted")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("where", "flags"), [("prepare", []), ("frame", []), ("frame", ["--processes"])])
+def test_a_signal_ends_a_run_whatever_it_does(where: str, flags: list[str], tmp_path: Path) -> None:
+    """While a service compiles, here for an hour, and in a frame that takes minutes."""
+    path, record = write_long(tmp_path, solver=ENDLESS), tmp_path / "a.mcap"
+    code = "import ctypes\nfrom nuno import cli\nfrom nuno.simulation.run import Simulation\n"
+    if where == "prepare":
+        code += "Simulation.present = lambda self: ctypes.CDLL(None).sleep(3600)\n"
+    code += "process.leave(cli.main(sys.argv[1:]))"
+    with command(code, "run", str(path), "--no-view", "--record", str(record), *flags) as child:
+        read_until(child, "preparing" if where == "prepare" else "0.00 of")
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(SOON) == 1
+    if where == "frame":
+        with nuno.open(record) as recording:
+            assert recording.last_checkpoint(recording.common_checkpoint().t).frame == 0
