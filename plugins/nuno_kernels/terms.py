@@ -103,6 +103,7 @@ class Kernels:
     unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
     alone(term, body) -> term                      the same in which only one of its bodies acts, by number
     counts(term) -> mapping                        counts for a step's report
+    bounds(term) -> mapping                        `Bounds` of fields that are part of the state; see Memory.bounds
     """
 
     name: str
@@ -148,6 +149,7 @@ class Kernels:
     unbalance: Any = None
     alone: Any = None
     counts: Any = None
+    bounds: Any = None
     stick: Any = None
     hold_over: Any = None
 

@@ -15,9 +15,10 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.wire.arrays import decode_points
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
-from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
+from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, FRAMES, REPORT, Event, Header
 from nuno_schemas.scene import Scene
 
 SETTLED = "settled_from", "settled"
@@ -45,18 +46,33 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         base = Path(folder)
         for name in recording.attachments:
-            target = (base / name).resolve()
-            if not target.is_relative_to(base.resolve()):
-                raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(recording.attachment(name))
+            try:
+                target = (base / name).resolve()
+                if not target.is_relative_to(base.resolve()):
+                    raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(recording.attachment(name))
+            except (OSError, ValueError) as error:  # of no name, too long a one, one that is also a folder
+                problem = f"a file in the recording cannot be unpacked: {getattr(error, 'strerror', None) or error}"
+                raise BadInput(problem, str(recording.path), value=name) from None
         scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
         scene.write_text(json.dumps(data))
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
-        loaded.settled = settled_cloth(recording)
+        loaded.settled, loaded.recorded_sizes = settled_cloth(recording), recorded_sizes(recording)
         if loaded.live:
             loaded.recorded_poses = recorded_poses(recording)
         yield loaded
+
+
+def recorded_sizes(recording: Recording) -> dict[str, int]:
+    """See Loaded.recorded_sizes."""
+    state, amounts = (next(recording.messages([topic]), None) for topic in FRAMES)
+    phi = recording.arrays(amounts)[0].get("phi", np.zeros(0))
+    sizes = {"cells": 2 * math.prod(phi.shape[-2:])} if phi.size else {}
+    if state is not None:
+        with recording.damage_reported(state):
+            sizes["vertices"] = len(decode_points(state.payload))
+    return sizes
 
 
 def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import math
 import os
@@ -73,7 +74,10 @@ def _open(path: Path) -> BinaryIO:
         if path.exists() and not _is_mcap(path):
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
-        return part.open("xb")
+        stream = part.open("xb")
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who reads it sees that it grows
+        return stream
     except FileExistsError:
         remedy = "it is being written, or its run was killed: choose another name, or move it away"
         raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None

@@ -87,7 +87,7 @@ class Film:
                 elif message.topic == FABRIC.name:
                     changes.append(last)
                 else:
-                    numbers[last] = recording.whole(recording.json(message.payload).get("frame", -1))
+                    numbers[last] = recording.said(message)["frame"]
         except BadInput as error:  # what stands before the damage is shown
             later = [one.message_start_time for one in recording.layout.chunks if one.message_end_time > last]
             self.end, self.problem = min(later, default=last) / 1e9, str(error)

@@ -101,6 +101,8 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
             arrays[array.name] = np.frombuffer(array.data, dtype).reshape(tuple(array.shape))
         except ValueError as error:  # more axes, or longer ones, than numpy can have
             raise BadMessage(f"array {array.name!r}: {error}") from None
+        if dtype == np.bool_ and arrays[array.name].view(np.uint8).max(initial=0) > 1:
+            raise BadMessage(f"array {array.name!r} of bool holds what is neither true nor false")
     return arrays, text
 
 
