@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -18,6 +17,7 @@ from nuno.api.words import in_python
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override, item_at, number_or_name, parts_of
 from nuno.scene.scene_file import Loaded
+from nuno.scratch import scratch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.scene import Scene as Fields
 
@@ -159,7 +159,7 @@ def loaded(
     except (TypeError, ValueError) as error:
         remedy = "use numbers, text, lists and mappings"
         raise BadInput(f"holds what a scene cannot say: {error}", GIVEN, remedy=remedy) from None
-    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        path = Path(folder) / "scene.yaml"
+    with scratch() as folder:
+        path = folder / "scene.yaml"
         path.write_text(text)
         yield scene_file.read(path, given.texts, given.roots, GIVEN)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.scratch import scratch
 from nuno.wire.arrays import decode_points
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
@@ -43,8 +43,7 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
     data = recording.scene
     if not data:
         raise BadInput("the recording holds no scene", str(recording.path), remedy="give the scene it was made from")
-    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        base = Path(folder)
+    with scratch() as base:
         for name in recording.attachments:
             try:
                 target = (base / name).resolve()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import math
 import os
@@ -17,6 +16,7 @@ from typing import BinaryIO
 from pydantic import ValidationError
 
 from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
+from nuno.scratch import hold
 from nuno.wire.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
@@ -75,8 +75,7 @@ def _open(path: Path) -> BinaryIO:
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
         stream = part.open("xb")
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who reads it sees that it grows
+        hold(stream.fileno())  # who reads it sees that it grows
         return stream
     except FileExistsError:
         remedy = "it is being written, or its run was killed: choose another name, or move it away"

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from nuno.scene.scene_file import Loaded
+from nuno.scratch import hold, sweep
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
 
@@ -117,8 +118,10 @@ class _File(_Once, logging.FileHandler):
         if target.is_file() or not target.exists():  # else a pipe, which is written as it is
             self.target = target.resolve()
             self.fresh = self.target.with_name(f".{self.target.name}.{secrets.token_hex(4)}")
+            sweep(self.target.parent, f".*{SUFFIX}.????????")
         self.named = str(self.target)
         super().__init__(self.fresh, "w", "utf-8")
+        hold(self.stream.fileno())
 
     def emit(self, record: logging.LogRecord) -> None:
         """See logging.Handler."""
