@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -18,11 +19,16 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
 
+from PIL import Image
+
+import nuno
 from nuno_bench.report.result import Result
+from soak import scenes
 from soak.fuzz.forged import TAKEN_AWAY, UNEQUAL, damage
 from soak.fuzz.recordings import recorded
 from soak.processes import ENVIRONMENT
@@ -38,12 +44,25 @@ START = 300.0
 CALLS: dict[str, list[str]] = {
     "info": ["info", "FILE"], "info --json": ["info", "FILE", "--json"], "verify": ["verify", "FILE"],
     "replay": ["replay", "FILE", "--fast", "--no-view"],
-    "resume": ["run", "--resume", "FILE", "--record", "OUT.mcap", "--no-view", "--set", "duration=80ms"],
+    "resume": ["run", "--resume", "FILE", "--record", "OUT.mcap", "--no-view", "--set", "duration=LONGER"],
     "export": ["export", "FILE", "--npz", "OUT.npz", "--csv", "OUT.csv", "--scene", "OUT.yaml"],
     "export shapes": ["export", "FILE", "--foxglove", "OUT-f.mcap", "--obj", "OUT-obj"],
     "export forces": ["export", "FILE", "--forces", "OUT-forces.npz"],
 }  # fmt: skip
-"""What is typed, by its name; FILE is the recording and OUT what is written."""
+"""What is typed, by its name; FILE is the recording, OUT what is written, and LONGER twice as long as its run."""
+RICH: dict[str, Any] = {
+    "nuno": 1, "name": "rich", "duration": "0.1 s", "frame_rate": "50 Hz", "record": {"checkpoint_every": "40 ms"},
+    "objects": [{"name": "a", "model": scenes.HUNG | {"resolution": [6, 6], "texture": "check.png"}}],
+    "bodies": scenes.BALL, "cloth_contact": {"plugin": "offset", "thickness": "2 mm"}, "damping": 0.5,
+    "operations": [{"plugin": "wrinkle", "at": "40 ms", **scenes.WRINKLE}],
+    "solver": {"plugin": "symplectic_euler", "dt": "auto"}, "until": "rest",
+}  # fmt: skip
+"""Cloth that has all kinds of memory, is changed while it runs, and takes a file with it."""
+ADAPTIVE: dict[str, Any] = RICH | {
+    "name": "adaptive", "solver": {"plugin": "dopri5"}, "operations": [], "damping": 1.0, "cloth_contact": None,
+}  # fmt: skip
+DURATIONS = ("80ms", "4s", "0.2s", "0.2s")
+"""Twice those of the runs, in their order."""
 
 
 class Hung(BaseException):
@@ -117,31 +136,44 @@ def make_calls(folder: Path, seed: int, first: int, number: int) -> None:
     from nuno.cli import main
 
     signal.signal(signal.SIGALRM, _break_off)
-    whole = recorded()
-    for i, data in enumerate(whole):  # kernels are compiled, and libraries imported, by what is not damaged
+    whole = list(zip(_record_all(folder), DURATIONS, strict=True))
+    for i, (data, longer) in enumerate(whole):  # kernels are compiled, and libraries imported, by what is not damaged
         for name in CALLS:
-            _call(main, folder, f"whole{i}", data, name)
+            found = _call(main, folder, f"whole{i}", data, longer, name)
+            assert found["code"] == 0 or name.startswith("export "), found
     base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with (folder / "calls").open("w", buffering=1) as notes:
         for recording in range(first, first + number):
             random = Random(f"{seed} {recording}")
-            how, data = damage(random.choice(whole), random)
+            data, longer = random.choice(whole)
+            how, data = damage(data, random)
             for name in CALLS:
                 about = {"recording": recording, "damage": how, "name": name}
                 notes.write(json.dumps(about) + "\n")
-                found = _call(main, folder, str(recording), data, name)
+                found = _call(main, folder, str(recording), data, longer, name)
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
                 notes.write(json.dumps(about | found | {"mb": (peak - base) / 1024}) + "\n")
         notes.write('{"done": true}\n')
     os._exit(0)  # threads of zenoh outlive their session
 
 
-def _call(main: Any, folder: Path, recording: str, data: bytes, name: str) -> dict[str, Any]:
+def _record_all(folder: Path) -> Iterator[bytes]:
+    """Recordings that are damaged here: small ones, and two of cloth that takes long to compile."""
+    yield from recorded()
+    Image.new("RGB", (8, 8)).save(folder / "check.png")
+    for scene in (RICH, ADAPTIVE):
+        path = folder / f"{scene['name']}.mcap"
+        nuno.run({name: value for name, value in scene.items() if value is not None}, record=path, roots=[folder])
+        yield path.read_bytes()
+
+
+def _call(main: Any, folder: Path, recording: str, data: bytes, longer: str, name: str) -> dict[str, Any]:
     """Make one call in a folder of its own; its code, what it said and raised, and the time that it took [s]."""
     place = folder / recording
     place.mkdir()
     (place / "input.mcap").write_bytes(data)
-    words = [w.replace("FILE", str(place / "input.mcap")).replace("OUT", str(place / "out")) for w in CALLS[name]]
+    given = {"FILE": str(place / "input.mcap"), "OUT": str(place / "out"), "LONGER": longer}
+    words = [re.sub("FILE|OUT|LONGER", lambda found: given[found[0]], word) for word in CALLS[name]]
     out, raised, code, began = io.StringIO(), "", -1, time.process_time()
     signal.setitimer(signal.ITIMER_REAL, HUNG)
     try:

@@ -127,7 +127,7 @@ class DyeRun(Stepper):
     def decode(payload: bytes) -> Arrays:
         """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
         arrays, _ = decode_arrays(payload)
-        return {name: arrays[name] for name in ("phi", "fixed")}
+        return {name: arrays.get(name, np.zeros(0)) for name in ("phi", "fixed")}
 
     def place(self, index: Sequence[int]) -> str:
         """See `Stepper`."""

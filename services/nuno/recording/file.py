@@ -17,9 +17,10 @@ from mcap.records import Attachment, ChunkIndex
 from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import check_payload, part_of, topic_of
-from nuno.wire.arrays import BadMessage, decode_arrays
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
 
 MOST_FRAMES = 2**31
 
@@ -168,6 +169,11 @@ class RecordedFile:
         with self.damage_reported(message):
             return decode_arrays(message.payload)
 
+    def points(self, message: Recorded) -> Float:
+        """(n, 3) positions [m] in a message of `sim/state`. Raises BadInput where it is damaged."""
+        with self.damage_reported(message):
+            return decode_points(message.payload)
+
     def json(self, payload: bytes | str) -> dict[str, Any]:
         """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
         try:
@@ -194,6 +200,6 @@ class RecordedFile:
         place = f"{message.topic} {message.seq} at {message.t:g} s: " if message else ""
         try:
             yield
-        except (Damaged, BadMessage) as error:
+        except (Damaged, BadMessage, IndexError) as error:
             remedy = "the disk or a copy changed it: take another copy"
             raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from nuno.recording.file import MOST_FRAMES, RecordedFile
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
-from nuno.wire.arrays import decode_points
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import (
     BODIES,
@@ -82,8 +81,7 @@ class Recording(RecordedFile):
         """Published positions with start <= t < end [s]: of float32 precision. `nuno.states` gives the float64 ones."""
         for message in self.messages([STATE.name], start, end):
             number, digest = self.marks().get(message.log_time, (message.seq, ""))
-            with self.damage_reported(message):
-                yield Frame(number, message.t, digest, decode_points(message.payload))
+            yield Frame(number, message.t, digest, self.points(message))
 
     @property
     def dyed_alone(self) -> bool:

@@ -15,7 +15,6 @@ from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.scratch import scratch
-from nuno.wire.arrays import decode_points
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, FRAMES, REPORT, Event, Header
@@ -68,10 +67,7 @@ def recorded_sizes(recording: Recording) -> dict[str, int]:
     state, amounts = (next(recording.messages([topic]), None) for topic in FRAMES)
     phi = recording.arrays(amounts)[0].get("phi", np.zeros(0))
     sizes = {"cells": 2 * math.prod(phi.shape[-2:])} if phi.size else {}
-    if state is not None:
-        with recording.damage_reported(state):
-            sizes["vertices"] = len(decode_points(state.payload))
-    return sizes
+    return sizes if state is None else sizes | {"vertices": len(recording.points(state))}
 
 
 def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:

@@ -121,7 +121,8 @@ class _File(_Once, logging.FileHandler):
             sweep(self.target.parent, f".*{SUFFIX}.????????")
         self.named = str(self.target)
         super().__init__(self.fresh, "w", "utf-8")
-        hold(self.stream.fileno())
+        if self.stream is not None:
+            hold(self.stream.fileno())
 
     def emit(self, record: logging.LogRecord) -> None:
         """See logging.Handler."""
