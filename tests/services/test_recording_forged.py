@@ -71,6 +71,8 @@ def _checkpoint(**changed: Any) -> Change:
         for name, value in changed.items():
             if name in text:
                 text[name] = value
+            elif name == "numbers":
+                arrays[name] = np.array(value, np.int32)
             else:
                 key = f"memory/{name}"
                 arrays[key] = value(arrays[key])
@@ -87,6 +89,9 @@ def _checkpoint(**changed: Any) -> Change:
         ({"anchor_frame": lambda a: np.full_like(a, -2)}, "anchor_frame is -2 at row 0, outside -1 to 0"),
         ({"anchor_frame": lambda a: a.astype(np.int64)}, "anchor_frame, int64"),
         ({"anchor_frame": lambda a: a[:, :2]}, "anchor_frame, int32"),
+        ({"numbers": [0, 1, 2, 3, 4, 99]}, "numbers does not name each vertex once"),
+        ({"numbers": [0, 1, 2, 3, 4, 4]}, "numbers does not name each vertex once"),
+        ({"numbers": [0, 1]}, "numbers is int32 (2,), not int32 (6,)"),
         ({"frame": 3}, "frame 3 is not at t = 0.5 s"),
         ({"t": 0.48}, "is not at t = 0.48 s"),
         ({"dt": 1e-12}, "20 steps of dt = 1e-12 s are no frame, which is 0.02 s"),

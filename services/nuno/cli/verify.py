@@ -12,7 +12,7 @@ from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.supervision import runs
 from nuno.verification import Verification, verify
-from nuno.words import many
+from nuno.words import many, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def main(args: argparse.Namespace) -> int:
             return 1
         print(f"equal to the last bit: {found.compared} frames{dyed}")
         return 0
-    print("\n".join(describe(found)), file=sys.stderr)
+    print(plain("\n".join(describe(found))), file=sys.stderr)
     return 1
 
 

@@ -52,12 +52,15 @@ def find_lacks(recording: Recording) -> Lacks:
     does not reach nobody knows.
     """
     found, times = Counter[str](), {topic: Counter[int]() for pair in FRAMES for topic in pair}
+    numbers = {status: set[int]() for status, _ in FRAMES}
 
     def counting() -> Iterable[Recorded]:
         for message in recording.messages():
             found[message.topic] += 1
             if message.topic in times:
                 times[message.topic][message.log_time] += 1
+            if message.topic in numbers:
+                numbers[message.topic].add(recording.said(message)["frame"])
             yield message
 
     lost = Counter(count_gaps(counting())) | _told(recording, found)
@@ -67,9 +70,7 @@ def find_lacks(recording: Recording) -> Lacks:
         last = min(max(times[one], default=-1) for one in (status, published)) if recording.recovered else 2**64
         for one, other in ((status, published), (published, status)):
             lost |= Counter({one: sum(t <= last for t in times[other].keys() - times[one].keys())})
-    for status, _ in FRAMES:
-        numbers = {number for number, _ in recording.marks(status).values()}
-        lost |= Counter({status: max(numbers, default=-1) + 1 - len(numbers)})
+    lost |= Counter({status: max(own, default=-1) + 1 - len(own) for status, own in numbers.items()})
     doubled = {topic: sum(each.values()) - len(each) for topic, each in times.items() if sum(each.values()) > len(each)}
     return Lacks({topic: number for topic, number in lost.items() if number > 0}, doubled)
 

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 
 from nuno.recording.mcap_file import McapFile
 from nuno.wire.arrays import decode_arrays, encode_arrays
-from soak.fuzz.containers import mcap_record, mutate_arrays
+from soak.fuzz.containers import RECORDING, mcap_record, mutate_arrays
 from soak.fuzz.mutate import mutate_bytes
 
 VALUES: tuple[Any, ...] = (
@@ -280,6 +280,16 @@ def zeros(data: bytes) -> bytes:
     """A chunk of zeros behind the first records of a file."""
     chunk = struct.pack("<QQQIIQ", 0, 0, ZEROS // 32, 0, 0, ZEROS // 32) + bytes(ZEROS // 32)
     return data[: len(data) // 2] + mcap_record(6, chunk)
+
+
+def forge(data: bytes, random: Random) -> bytes:
+    """A recording with one small forgery, or where there is none to take apart, with a change to its records."""
+    try:
+        held = Held.of(data)
+        random.choice([forgery for forgery in FORGERIES if forgery is not inflate])(held, random)
+        return held.write()
+    except Exception:  # what was changed before need not be a recording any more
+        return RECORDING.mutate(data, random)
 
 
 def damage(data: bytes, random: Random) -> tuple[str, bytes]:
