@@ -264,8 +264,14 @@ def _check_files(asked: Asked) -> None:
         if (other := places.setdefault(path.absolute(), name)) != name:
             remedy = "give each a name of its own"
             raise BadInput(f"--{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
-        if endings := ENDINGS.get(name, tuple({ending} & set(MESHES))):
-            check_target(path, ending if ending in endings else endings[0])
+        if name in ENDINGS and ending not in ENDINGS[name]:
+            problem, remedy = (
+                f"the name must end in {' or '.join(ENDINGS[name])}",
+                f"{path.stem or 'out'}{ENDINGS[name][0]}",
+            )
+            raise BadInput(problem, field=f"--{name}", value=str(path), remedy=remedy)
+        if name in ENDINGS or ending == f".{name}":
+            check_target(path, ending)
         elif f".{name}" in MESHES and not path.is_dir():
             check_folder(path)
 

@@ -220,6 +220,7 @@ def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: 
         ("--png a.png --rrd b.mcap", "--rrd: the name must end in .rrd"),
         ("--forces a.npz", "--forces: --npz is to be written there, too"),
         ("--png a.jpg", "the name must end in .png"),
+        ("--csv=", "the name must end in .csv"),
         ("--scene a.txt", "the name must end in .yaml"),
         ("--yarns b.csv", "the name must end in .npz"),
         ("--obj no/frames", "no such folder"),

@@ -53,7 +53,8 @@ def opened(source: Recording | Path | str) -> Iterator[Recording]:
 def check_target(path: Path, suffix: str) -> None:
     """Raises BadInput for a name of another kind, a missing folder, a file that is no such export."""
     if path.suffix.lower() != suffix:
-        raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=str(path.with_suffix(suffix)))
+        remedy = str(path.parent / f"{path.stem or 'out'}{suffix}")
+        raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=remedy)
     if not path.parent.is_dir():
         raise BadInput("no such folder", value=str(path.parent), remedy="make it, or choose another place")
     if path.is_dir():

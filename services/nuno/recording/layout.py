@@ -13,7 +13,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -210,27 +210,19 @@ def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
 
 def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
     found: Counter[int] = Counter()
-    if layout.unpacked + chunk.uncompressed_size > FREE + PACKED * layout.size:
-        raise Damaged(f"a chunk would unpack to {chunk.uncompressed_size} bytes")
-    layout.unpacked += chunk.uncompressed_size
-    index = ChunkIndex(
-        chunk_length=end - at,
-        chunk_start_offset=at,
-        compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        message_end_time=chunk.message_end_time,
-        message_index_length=0,
-        message_index_offsets={},
-        message_start_time=chunk.message_start_time,
-        uncompressed_size=chunk.uncompressed_size,
-    )
+    size = chunk.uncompressed_size
+    if layout.unpacked + size > FREE + PACKED * layout.size:
+        raise Damaged(f"a chunk would unpack to {size} bytes")
+    layout.unpacked += size
     for record in _records_of(chunk):
         if isinstance(record, Message):
             found[record.channel_id] += 1
-        elif isinstance(record, Channel):
+        else:
             layout.channels[record.id] = record
     layout.counts += found
-    layout.chunks.append(replace(index, message_index_offsets=dict.fromkeys(found, 0)))
+    held, (start, stop) = dict.fromkeys(found, 0), (chunk.message_start_time, chunk.message_end_time)
+    index = ChunkIndex(end - at, at, chunk.compression, len(chunk.data), stop, 0, held, start, size)
+    layout.chunks.append(index)
 
 
 def _records_of(chunk: Chunk) -> Iterator[Message | Channel]:
