@@ -254,6 +254,24 @@ def test_names_that_no_key_file_or_terminal_can_have(sheet: bytes, name: str, sa
         assert code == 2 and "\x1b" not in error
 
 
+@pytest.mark.parametrize("value", ["text", None, [], 10**400, -1])
+def test_fields_of_other_types_are_said_and_hide_nothing_else(whole: bytes, value: Any, said: Any) -> None:
+    """Of the report what else the file holds is shown; of a status it is named, and no table is made of it."""
+
+    def report(held: Held) -> None:
+        one = _last(held, REPORT.name)
+        one.payload = json.dumps(json.loads(one.payload) | {"energy": value, "size": value, "frames": value}).encode()
+
+    def status(held: Held) -> None:
+        one = _last(held, STATUS.name)
+        one.payload = json.dumps(json.loads(one.payload) | {"energy": value, "t": value}).encode()
+
+    code, out, _ = said(whole, report, "info")
+    assert code == 0 and "sim/state              26 messages" in out and "report                 damaged: " in out
+    code, _, error = said(whole, status, "info")
+    assert code == 2 and "sim/status 25 at 0.5 s: not a nuno.Status message" in error
+
+
 def test_a_time_beyond_every_format_ends_what_is_read(sheet: bytes, said: Any, tmp_path: Path) -> None:
     def change(held: Held) -> None:
         _last(held, STATE.name).log_time = 2**64 - 1

@@ -47,7 +47,7 @@ CALLS: dict[str, list[str]] = {
     "resume": ["run", "--resume", "FILE", "--record", "OUT.mcap", "--no-view", "--set", "duration=LONGER"],
     "export": ["export", "FILE", "--npz", "OUT.npz", "--csv", "OUT.csv", "--scene", "OUT.yaml"],
     "export shapes": ["export", "FILE", "--foxglove", "OUT-f.mcap", "--obj", "OUT-obj"],
-    "export pictures": ["export", "FILE", "--png", "OUT.png", "--glb", "OUT.glb", "--rrd", "OUT.rrd", "--gif", "OUT.gif"],
+    "export pictures": ["export", "FILE", "--png", "OUT.png", "--glb", "OUT.glb", "--gif", "OUT.gif"],
     "export of dye": ["export", "FILE", "--png", "OUT.png", "--rrd", "OUT.rrd"],
     "export forces": ["export", "FILE", "--forces", "OUT-forces.npz"],
 }  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 from nuno.crossed import find_nearest, find_spells, spell_rows
 from nuno.recording.gaps import Lacks, find_lacks, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.report.show import lines
+from nuno.report.show import recorded_lines
 from nuno.supervision import runs
 from nuno.words import plain
 from nuno_schemas.messages import FRAMES
@@ -70,12 +70,7 @@ def _rows(recording: Recording, lacks: Lacks) -> list[tuple[str, str]]:
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
-    if not (report := facts["report"]):
-        return rows
-    try:
-        report["frames"]["recorded"] = sum(
-            facts["messages"].get(topic, 0) for topic in FRAMES
-        )  # unknown when it was written
-        return [*rows, *lines(report), *([("why", why)] if (why := report.get("error")) else [])]
-    except Exception as error:  # whatever a field that is missing or another leads to
-        return [*rows, ("report", f"damaged: {type(error).__name__}: {error}")]
+    report = facts["report"]
+    if isinstance(report.get("frames"), dict):  # unknown when it was written
+        report["frames"]["recorded"] = sum(facts["messages"].get(topic, 0) for topic in FRAMES)
+    return [*rows, *recorded_lines(report), *([("why", str(why))] if (why := report.get("error")) else [])]
