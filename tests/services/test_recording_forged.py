@@ -160,6 +160,7 @@ def _renumbered(held: Held) -> None:
         (lambda held: _without(held, STATE.name, 7, 8), "missing: 2 of sim/state"),
         (_renumbered, "missing: 2 of sim/state"),
         (_doubled, "more than once: 1 of sim/state"),
+        (lambda held: held.items.append(_last(held, REPORT.name)), "more than once: 1 of run/report"),
         (lambda held: _without(held, STATUS.name, 3), "missing: 1 of sim/status"),
         (lambda held: _without(held, CHECKPOINT.name, 1), "missing: 1 of sim/checkpoint"),
         (lambda held: _without(held, REPORT.name), "missing: 1 of run/report"),

@@ -71,8 +71,9 @@ def find_lacks(recording: Recording) -> Lacks:
         for one, other in ((status, published), (published, status)):
             lost |= Counter({one: sum(t <= last for t in times[other].keys() - times[one].keys())})
     lost |= Counter({status: max(own, default=-1) + 1 - len(own) for status, own in numbers.items()})
-    doubled = {topic: sum(each.values()) - len(each) for topic, each in times.items() if sum(each.values()) > len(each)}
-    return Lacks({topic: number for topic, number in lost.items() if number > 0}, doubled)
+    twice = Counter({topic: sum(each.values()) - len(each) for topic, each in times.items()})
+    twice |= Counter({topic: found[topic] - number for topic, number in recording.numbers("counts").items()})
+    return Lacks(dict(+lost), dict(+twice))
 
 
 def _told(recording: Recording, found: Mapping[str, int]) -> Counter[str]:
