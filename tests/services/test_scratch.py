@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 from recorded_sheet import Sheet, write
 
-from nuno import scratch as scratches
+from nuno import process as scratches
 from nuno.cli import main
-from nuno.scratch import HIDDEN, PREFIX, scratch
+from nuno.process import HIDDEN, PREFIX, scratch
 from nuno.supervision.log import written
 from nuno_schemas.errors import BadInput
 
 CHILD = """
 import sys, time
 from pathlib import Path
-from nuno import scratch
+from nuno import process as scratch
 from nuno.supervision.log import written
 with scratch.scratch(Path(sys.argv[1]) if sys.argv[1] else None) as folder, written("run", Path(sys.argv[2])):
     (folder / "file").write_text("data")

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nuno.api.recordings import export
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno.report.make import Report
 from nuno.report.show import lines
-from nuno.scratch import scratch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 

@@ -14,10 +14,10 @@ import numpy as np
 import yaml
 
 from nuno.api.words import in_python
+from nuno.process import scratch
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override, item_at, number_or_name, parts_of
 from nuno.scene.scene_file import Loaded
-from nuno.scratch import scratch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.scene import Scene as Fields
 

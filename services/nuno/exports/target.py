@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
-from nuno.scratch import scratch
 from nuno_schemas.errors import BadInput
 
 Progress = Callable[[int, int], None]

@@ -16,9 +16,9 @@ from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
 from nuno.exports.target import Progress, check_target, opened, writing
+from nuno.process import scratch
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scratch import scratch
 from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from nuno.pages.guard import FILE, HEADERS, Guard, Refused
-from nuno.scratch import scratch
+from nuno.process import scratch
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 

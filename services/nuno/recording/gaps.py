@@ -63,7 +63,7 @@ def find_lacks(recording: Recording) -> Lacks:
                 numbers[message.topic].add(recording.said(message)["frame"])
             yield message
 
-    lost = Counter(count_gaps(counting())) | _told(recording, found)
+    lost = Counter(count_gaps(counting())) | _uncounted(recording, found)
     rare = (recording.scene.get("record") or {}).get("dye_every") is not None
     for status, published in FRAMES[: 1 if rare else 2]:
         # What is cut ends between two messages of a frame.
@@ -76,7 +76,7 @@ def find_lacks(recording: Recording) -> Lacks:
     return Lacks(dict(+lost), dict(+twice))
 
 
-def _told(recording: Recording, found: Mapping[str, int]) -> Counter[str]:
+def _uncounted(recording: Recording, found: Mapping[str, int]) -> Counter[str]:
     """What is missing by the closing metadata, of so many messages."""
     counts = {topic: number - found.get(topic, 0) for topic, number in recording.numbers("counts").items()}
     return Counter(recording.missing) | Counter(counts)
@@ -88,8 +88,8 @@ def shortcoming(recording: Recording, lacks: Lacks | None = None) -> str:
     Without `lacks`, of a recording that was finished only by its closing metadata and its index.
     """
     if lacks is None:
-        told = END in recording.metadata and not recording.recovered
-        lacks = Lacks(dict(_told(recording, recording.counts)), {}) if told else find_lacks(recording)
+        finished = END in recording.metadata and not recording.recovered
+        lacks = Lacks(dict(_uncounted(recording, recording.counts)), {}) if finished else find_lacks(recording)
     if recording.complete and not str(lacks):
         return ""
     if recording.growing:

@@ -53,7 +53,10 @@ class Recording(RecordedFile):
 
     @property
     def complete(self) -> bool:
-        """Whether the file was finished and every message that was sent is in it."""
+        """Whether the file was finished and, by what its recorder counted, every message that was sent is in it.
+
+        `nuno info` and `nuno.verify` count the messages themselves.
+        """
         return self.layout.indexed and self.metadata.get(END, {}).get("complete") == "true"
 
     @property

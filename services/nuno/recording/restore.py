@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.scratch import scratch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, FRAMES, REPORT, Event, Header

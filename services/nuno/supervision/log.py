@@ -18,8 +18,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from nuno.process import hold, sweep
 from nuno.scene.scene_file import Loaded
-from nuno.scratch import hold, sweep
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
 
