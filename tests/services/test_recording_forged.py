@@ -16,7 +16,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.reader import open_recording
-from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CHECKPOINT, REPORT, STATE, STATUS
 from soak import damage
@@ -313,3 +313,15 @@ def test_a_list_of_messages_that_no_recorder_counted(sheet: bytes, tmp_path: Pat
     (tmp_path / "a.mcap").write_bytes(held.write())
     with open_recording(tmp_path / "a.mcap") as recording, pytest.raises(BadInput, match="counts"):
         recording.numbers("counts")
+
+
+def test_texts_and_fields_have_limits(sheet: bytes, said: Any) -> None:
+    """Nothing is parsed that would take a hundred times the memory of its file."""
+
+    def report(held: Held) -> None:
+        _last(held, REPORT.name).payload = b"[" + b"[]," * (MOST_TEXT // 3 + 1) + b"[]]"
+
+    code, _, error = said(sheet, report, "info")
+    assert code == 2 and "a text of 16,777,22" in error
+    with pytest.raises(BadMessage, match="more than 10,000 fields"):
+        decode_arrays(b"\x12\x00" * 10_001)

@@ -17,7 +17,7 @@ from mcap.records import Attachment, ChunkIndex
 from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import check_payload, part_of, topic_of
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
+from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, decode_points
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -177,6 +177,8 @@ class RecordedFile:
     def json(self, payload: bytes | str) -> dict[str, Any]:
         """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
         try:
+            if len(payload) > MOST_TEXT:
+                raise ValueError(f"a text of {len(payload):,} bytes")
             value = json.loads(payload)
         except (ValueError, RecursionError) as error:
             raise BadInput(f"a message is damaged: {error}", str(self.path)) from None
@@ -186,9 +188,9 @@ class RecordedFile:
         """What a message of text says. Raises BadInput for one that is not of its topic's schema, or of no frame."""
         topic = topic_of(message.topic)
         with self.damage_reported(message):
+            value = self.json(message.payload)
             if topic is not None:
                 check_payload(topic, message.payload)
-            value = self.json(message.payload)
             frame, t = value.get("frame", -1), value.get("t", 0.0)
             if not -1 <= frame < MOST_FRAMES or not math.isfinite(t):
                 raise BadMessage(f"frame {frame} at {t} s")
