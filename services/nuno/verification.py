@@ -147,7 +147,8 @@ def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, 
         status = {} if said is None else recording.said(said)
         if said is not None and status["digest"]:
             with recording.damage_reported(said):
-                if not (abs(said.t * rate - status["frame"]) < 1e-6 and 0 <= status["frame"] <= last):
+                # Times are whole nanoseconds.
+                if not (abs(said.t * rate - status["frame"]) < 1e-6 + 1e-9 * rate and 0 <= status["frame"] <= last):
                     raise BadMessage(f"frame {status['frame']} is not of that time, or beyond the scene's last, {last}")
                 if stepper.steps > MANY * status["steps"] > 0:
                     raise BadMessage(f"a frame of {status['steps']} steps, of which the scene has {stepper.steps:,}")

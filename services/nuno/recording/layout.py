@@ -35,13 +35,11 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from nuno.recording.mcap_file import MAGIC
+from nuno.recording.mcap_file import LATEST, MAGIC
 from nuno_schemas.errors import BadInput
 
 PIECE = 1 << 20
 """Bytes that are unpacked at once."""
-LATEST = 2**32 * 10**9
-"""Times [ns] are before this: the formats that a recording is made of and exported to hold seconds in 32 bits."""
 MOST_TOPICS = 1000
 FREE, PACKED = 1 << 24, 200
 """A file may unpack to FREE bytes and PACKED times its size: what moves packs to a half, what rests to a hundredth."""

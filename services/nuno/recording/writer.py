@@ -16,7 +16,7 @@ from typing import BinaryIO
 from pydantic import ValidationError
 
 from nuno.process import hold
-from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
+from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile
 from nuno.wire.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
@@ -132,7 +132,7 @@ class RecordingWriter:
         """
         start = time.perf_counter()
         kind = topic_of(topic)
-        if kind is None or not (math.isfinite(header.t) and 0 <= header.t < 2**62 * 1e-9 and 0 <= header.seq < 2**32):
+        if kind is None or not (math.isfinite(header.t) and 0 <= header.t < LATEST * 1e-9 and 0 <= header.seq < 2**32):
             raise BadMessage(f"cannot be recorded: topic {topic!r}, number {header.seq}, time {header.t} s")
         log_time = round(header.t * 1e9)
         if header.frame < 0:

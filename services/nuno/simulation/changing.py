@@ -237,23 +237,25 @@ class Changing(Stepper):
     def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
         with fitting(self.loaded):
-            self._adopt(point.arrays, point.text)
+            another = self._adopt(point.arrays, point.text)
+        if another:
+            self._prepare({})
+            self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
 
-    def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> None:
-        """Raises Wrong, or whatever else a damaged checkpoint leads to."""
+    def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
+        """Whether what is stepped is another now. Raises Wrong, or whatever else a damaged checkpoint leads to."""
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         # The solver's memory is in the order that the recording was stepped in, none where that had no other.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
         if origins:
             self._adopt_fabrics(arrays, text, origins)
         elif _same(before, self.numbers):
-            return
+            return False
         if self.numbers is not None:
             check_array(NUMBERS, self.numbers, np.int32, (self.fabric.number,))
             if not np.array_equal(np.sort(self.numbers), np.arange(self.fabric.number)):
                 raise Wrong(f"{NUMBERS} does not name each vertex once")
-        self._prepare({})
-        self.steps, self.dt = int(text["steps"]), float(text["dt"])
+        return True
 
     def _adopt_fabrics(
         self, arrays: dict[str, NDArray[Any]], text: dict[str, Any], origins: dict[str, dict[str, float]]

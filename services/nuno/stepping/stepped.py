@@ -185,6 +185,8 @@ def fitting(loaded: Loaded) -> Iterator[None]:
     """What is wrong with what was recorded, whatever it is, as BadInput."""
     try:
         yield
+    except BadInput:
+        raise
     except (Wrong, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         text = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         problem, remedy = f"the recording is damaged: {text}", "take another copy, or run its scene again"
