@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from mcap.records import Attachment, ChunkIndex
+from mcap.records import Attachment, ChunkIndex, Message
 
 from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
@@ -50,6 +50,8 @@ class RecordedFile:
         except BadInput:
             self._stream.close()
             raise
+        self._read: tuple[int, list[Message]] = -1, []
+        """Where the chunk stands that was read last, and what is in it."""
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Self:
@@ -159,8 +161,13 @@ class RecordedFile:
         if wanted.isdisjoint(chunk.message_index_offsets):
             return
         with self.damage_reported():
-            for m in read_messages(self._stream, chunk, self.layout.size, wanted):
-                yield Recorded(self._topics[m.channel_id], m.sequence, m.log_time, m.publish_time, bytes(m.data))
+            at, messages = self._read  # who looks for one frame after the other is in the same chunk for many of them
+            if at != chunk.chunk_start_offset:
+                messages = read_messages(self._stream, chunk, self.layout.size)
+                self._read = chunk.chunk_start_offset, messages
+            for m in messages:
+                if m.channel_id in wanted:
+                    yield Recorded(self._topics[m.channel_id], m.sequence, m.log_time, m.publish_time, bytes(m.data))
 
     def arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
         """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""

@@ -11,7 +11,7 @@ import io
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -117,14 +117,14 @@ def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None
     return record, at + _HEAD.size + length
 
 
-def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int, wanted: Container[int]) -> list[Message]:
-    """The messages of some channels in a chunk, in order. Raises Damaged."""
+def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Message]:
+    """The messages of a chunk, in order. Raises Damaged."""
     record, _ = read_record(stream, chunk.chunk_start_offset, size)
     if not isinstance(record, Chunk):
         raise Damaged(f"no chunk at byte {chunk.chunk_start_offset}")
     if any(getattr(record, name) != getattr(chunk, name) for name in OF_CHUNK):
         raise Damaged(f"the chunk at byte {chunk.chunk_start_offset} is not as the index says")
-    return [one for one in _records_of(record) if isinstance(one, Message) and one.channel_id in wanted]
+    return [one for one in _records_of(record) if isinstance(one, Message)]
 
 
 def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
