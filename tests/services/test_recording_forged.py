@@ -109,6 +109,17 @@ def test_no_kernel_sees_a_memory_that_is_out_of_range(
     assert code == 2 and not (tmp_path / "b.mcap").exists()
 
 
+def test_a_run_goes_on_with_its_own_topics_alone(
+    whole: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = Held.of(whole)
+    held.items[-1].topic = "/tf"
+    (tmp_path / "a.mcap").write_bytes(held.write())
+    words = ["run", "--resume", str(tmp_path / "a.mcap"), "--record", str(tmp_path / "b.mcap"), "--no-view"]
+    assert main([*words, "--set", "duration=0.6"]) == 2
+    assert "a topic that none records" in capsys.readouterr().err
+
+
 def test_integers_need_bounds_to_come_out_of_a_file() -> None:
     """Of every solver and contact: what a third party's memory does not say is not taken from a file."""
     from nuno.stepping.stepped import check_kept

@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
-from nuno.recording.writer import RecordingWriter
+from nuno.recording.writer import RecordingWriter, topic_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest
@@ -107,6 +107,9 @@ def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:
     """The time [s] at which a run of the recording's scene goes on. Raises BadInput where it cannot or need not."""
+    if strange := [topic for topic in recording.counts if topic_of(topic) is None]:
+        problem, remedy = "a run cannot go on with a topic that none records", "write the recording anew without it"
+        raise BadInput(problem, str(recording.path), value=strange[0], remedy=remedy)
     t = recording.common_checkpoint().t
     frame, frames = round(t * loaded.scene.frame_rate), loaded.scene.frames
     if frame > frames or (frame == frames and recording.complete):
