@@ -36,6 +36,7 @@ from nuno_kernels.step.packing import (
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
+from nuno_schemas.layout import Bounds
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 
 AGAIN = 5.0
@@ -89,7 +90,8 @@ class Compiled(ABC):
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        return Memory(dict(_own_arrays(packed, work)), work)
+        arrays, bounds = _own_arrays(packed, work)
+        return Memory(arrays, work, bounds)
 
     @abstractmethod
     def make_work(self, config: Any, system: System, packed: Packed) -> Work:
@@ -274,18 +276,23 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     return packed
 
 
-def _own_arrays(packed: Packed, work: Work) -> dict[str, NDArray[Any]]:
-    """The method's own arrays that are part of the state."""
+def _own_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], dict[str, Bounds]]:
+    """The method's own arrays that are part of the state, and the bounds of their entries."""
     arrays: dict[str, NDArray[Any]] = {}
+    bounds: dict[str, Bounds] = {}
     for term in {id(term): term for term in (*packed.forces, *packed.bodies)}.values():
-        for name in kernels_of(term).memory:
-            arrays[name if name not in arrays else f"{name}-{len(arrays)}"] = getattr(term, name)
-    return arrays | work.kept()
+        kernels = kernels_of(term)
+        own = kernels.bounds(term) if kernels.bounds else {}
+        for name in kernels.memory:
+            key = name if name not in arrays else f"{name}-{len(arrays)}"
+            arrays[key] = getattr(term, name)
+            bounds |= {key: own[name]} if name in own else {}
+    return arrays | work.kept(), bounds
 
 
 def _restore(packed: Packed, work: Work, memory: Memory) -> None:
     """Take over arrays that a checkpoint put in the place of the method's own."""
-    for name, own in _own_arrays(packed, work).items():
+    for name, own in _own_arrays(packed, work)[0].items():
         array = memory.arrays[name]
         if array is not own:
             own[...] = array

@@ -104,6 +104,7 @@ class Kernels:
     alone(term, body) -> term                      the same in which only one of its bodies acts, by number
     counts(term) -> mapping                        counts for a step's report
     pinched(term) -> pieces, places                which piece each vertex is of that cannot go on, and where (k, 3) [m]
+    bounds(term) -> mapping                        `Bounds` of fields that are part of the state; see Memory.bounds
     """
 
     name: str
@@ -150,6 +151,7 @@ class Kernels:
     alone: Any = None
     counts: Any = None
     pinched: Any = None
+    bounds: Any = None
     stick: Any = None
     hold_over: Any = None
 

@@ -60,9 +60,9 @@ def find_spells(recording: Recording) -> list[dict[str, Any]]:
     """
     spells: list[dict[str, Any]] = []
     for message in recording.messages([PENETRATION.name]):
-        value = recording.json(message.payload)
-        number, frame = value.get("crossings") or 0, recording.whole(value.get("frame", -1))
-        if not number:
+        value = recording.said(message)
+        number, frame = value.get("crossings") or 0, value["frame"]
+        if not number or not (value["places"] and value["objects"]):
             continue
         if not spells or spells[-1]["frames"][1] != frame - 1:
             where = {"place": value["places"][0], "objects": value["objects"][0]}
@@ -75,7 +75,7 @@ def find_spells(recording: Recording) -> list[dict[str, Any]]:
 
 def find_nearest(recording: Recording) -> dict[str, Any] | None:
     """The least `distance` [m] of cloth from cloth in a recording, its `frame` and `t` [s]; None for none."""
-    values = ((message.t, recording.json(message.payload)) for message in recording.messages([PENETRATION.name]))
+    values = ((message.t, recording.said(message)) for message in recording.messages([PENETRATION.name]))
     found = [(value["distance"], value.get("frame"), t) for t, value in values if value.get("distance") is not None]
     return dict(zip(("distance", "frame", "t"), min(found), strict=True)) if found else None
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno.exports.camera import SIDES, Side
-from nuno.exports.target import Progress, together
+from nuno.exports.target import RATE, Progress, check_folder, check_target, together
 from nuno.recording.reader import Recording
 from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
@@ -47,6 +47,11 @@ WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
 """Of these, what is of a whole run."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Of these, beside MESHES, what a cloth that is dyed alone has not: it has no shape."""
+ENDINGS: dict[str, tuple[str, ...]] = {
+    "npz": (".npz",), "forces": (".npz",), "csv": (".csv",), "png": (".png",), "scene": (".yaml",),
+    "yarns": (".npz", ".obj"), "pattern": (".svg", ".pdf"),
+}  # fmt: skip
+"""Of these, what the names of single files end in."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
@@ -197,6 +202,7 @@ def _check(recording: Recording, asked: Asked) -> None:
     from nuno.exports.animations import check_animation
     from nuno.viewer.require import require
 
+    _check_files(asked)
     for path in filter(None, (asked.gif, asked.mp4)):
         check_animation(path, asked.fps, _size(asked.size))
     if asked.usd:
@@ -243,6 +249,46 @@ def _check(recording: Recording, asked: Asked) -> None:
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
     _check_dye(recording, asked)
+    _check_frames(recording, asked)
+
+
+def _check_files(asked: Asked) -> None:
+    """Raises BadInput for a file that could not be written, and for two of one name."""
+    from nuno.exports.pictures import check_sides
+
+    check_sides(_size(asked.size))
+    places: dict[Path, str] = {}
+    for name in (name for name in FILES if getattr(asked, name) is not None):
+        path: Path = getattr(asked, name)
+        ending = path.suffix.lower()
+        if (other := places.setdefault(path.absolute(), name)) != name:
+            remedy = "give each a name of its own"
+            raise BadInput(f"--{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
+        if name in ENDINGS and ending not in ENDINGS[name]:
+            problem, remedy = (
+                f"the name must end in {' or '.join(ENDINGS[name])}",
+                f"{path.stem or 'out'}{ENDINGS[name][0]}",
+            )
+            raise BadInput(problem, field=f"--{name}", value=str(path), remedy=remedy)
+        if name in ENDINGS or ending == f".{name}":
+            check_target(path, ending)
+        elif f".{name}" in MESHES and not path.is_dir():
+            check_folder(path)
+
+
+def _check_frames(recording: Recording, asked: Asked) -> None:
+    """Raises BadInput for frames and times that are not in the recording, and the pressure of what is no knit."""
+    from nuno.exports.dyed_pictures import choose_amounts
+    from nuno.exports.pictures import choose_frames, require_pressure
+
+    if asked.frame is not None and asked.frame not in (known := {number for number, _ in recording.marks().values()}):
+        raise recording.no_frame(asked.frame, known)
+    if (asked.gif or asked.mp4) and recording.dyed_alone:
+        choose_amounts(recording, asked.start, asked.end)
+    elif (asked.gif or asked.mp4) and asked.turn is None:
+        choose_frames(recording, asked.fps or RATE, asked.start, asked.end)
+    if asked.colour == "pressure" and "edge_yarn" not in recording.fabric()[0]:
+        require_pressure(recording)
 
 
 def _check_dye(recording: Recording, asked: Asked) -> None:

@@ -1,20 +1,29 @@
-"""What a `nuno` process sets up at its start, and how it ends."""
+"""What a `nuno` process sets up at its start, how it ends, and what it has only while it works."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn, TypeVar
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
+
+PREFIX, HIDDEN = "nuno-scratch-", ".nuno-scratch-"
+YOUNG = 1.0
+"""Seconds in which whoever makes something comes to hold it."""
 
 end_process = os._exit
 """End the process at once, as nobody else may once `os._exit` is refused."""
@@ -159,6 +168,43 @@ def _refuse_exit(status: int) -> NoReturn:
     if os.getpid() in (getattr(_refused, "process", None), _command):
         raise SystemExit(f"os._exit({status})")
     end_process(status)
+
+
+def hold(handle: int) -> None:
+    """Hold an open file or folder until it is closed, or this process has ended. Not by its number: on a folder that
+    two hosts share, or two containers, that may be another's.
+    """
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def sweep(folder: Path, pattern: str) -> None:
+    """Take away what matches in a folder, is this user's, and is held by nobody."""
+    for path in folder.glob(pattern):
+        with contextlib.suppress(OSError):
+            handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+            try:
+                state = os.fstat(handle)
+                if state.st_uid != os.getuid() or time.time() - state.st_mtime < YOUNG:
+                    continue
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            finally:
+                os.close(handle)
+
+
+@contextlib.contextmanager
+def scratch(beside: Path | None = None) -> Iterator[Path]:
+    """A new folder, among the system's temporary ones or hidden in another, that is gone afterwards. Raises OSError."""
+    folder, prefix = (Path(tempfile.gettempdir()), PREFIX) if beside is None else (beside, HIDDEN)
+    sweep(folder, f"{prefix}*")
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=folder, ignore_cleanup_errors=True) as name:
+        handle = os.open(name, os.O_RDONLY)
+        try:
+            hold(handle)
+            yield Path(name)
+        finally:
+            os.close(handle)
 
 
 def leave(code: int) -> NoReturn:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -93,6 +94,10 @@ class Replay:
         if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
             limit, remedy = "1e-6 to 1e6", "1 is real time"
             raise BadInput("no such rate", field="--rate", value=self.rate, limit=limit, remedy=remedy)
+        for topic in recording.counts:
+            if not re.fullmatch(r"[^/*$?#\x00-\x1f\x7f]+(/[^/*$?#\x00-\x1f\x7f]+)*", topic):
+                problem, remedy = "a topic that no key can name", "write the recording anew without it"
+                raise BadInput(problem, str(recording.path), value=topic, remedy=remedy)
         span = recording.span
         if not self.start <= span[1]:
             limit = f"the recording ends at {span[1]:g} s"
@@ -117,7 +122,7 @@ class Replay:
 def _from(recording: Recording, start: float) -> Iterator[Recorded]:
     """All messages from `start` [s] on, after the last of each kind that a viewer needs."""
     if start > recording.span[0]:
-        rare = recording.scene.get("record", {}).get("dye_every") is not None
+        rare = (recording.scene.get("record") or {}).get("dye_every") is not None
         for name in (FABRIC.name, GEOMETRY.name, BODIES.name, CLOTH.name, *([CONCENTRATION.name] if rare else [])):
             message = recording.last(name, before=start - 1e-9)
             if message is not None:

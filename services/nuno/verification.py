@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,6 +11,7 @@ from itertools import groupby
 
 import numpy as np
 
+from nuno.recording.gaps import NOTHING, Lacks, find_lacks
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
@@ -16,11 +19,16 @@ from nuno.scene.provenance import plugins, versions
 from nuno.scene.scene_file import Loaded
 from nuno.stepping.again import Again
 from nuno.stepping.stepped import Stepper
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput
 
 Progress = Callable[[float], None]
 MEMORY = "the solver's memory, "
 """Of contact, friction, earlier steps: no part of a digest, and what all later frames depend on."""
+NUMBERS = ("frame", "t", "steps", "dt")
+"""Of a checkpoint, beside its arrays."""
+MANY = 100
+"""Times as many steps a frame as were recorded are another scene's."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,8 @@ class Verification:
     its dye; frame the first one that differs (None: all are equal), by its digest or by what is kept of it.
     part is what differs, cloth or dye. difference is None also where digests differ and nothing that is kept up to
     the recording's end shows how. others are versions, the processor and plugins that the recording was made with and
-    that are not those here, where it differs.
+    that are not those here, where it differs. published and kept count what was compared beside the digests: messages
+    of positions or amounts, and checkpoints. lacks is what could not be compared, since it is not there.
     """
 
     compared: int
@@ -63,6 +72,9 @@ class Verification:
     difference: Difference | None = None
     dyed: int = 0
     others: tuple[str, ...] = ()
+    published: int = 0
+    kept: int = 0
+    lacks: Lacks = NOTHING
 
 
 def steppers(loaded: Loaded, threads: int = 0) -> dict[str, Callable[[], Stepper]]:
@@ -90,11 +102,13 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
     """
     with restored_scene(recording) as loaded:
         loaded.settled = None  # from the scene alone
-        found = Verification(0)
+        found = Verification(0, lacks=find_lacks(recording))
         for part, make in steppers(loaded, threads).items():
             now = compare(recording, Again(recording, make()), progress)
             dyed = part == "dye" and loaded.scene.moves
-            found = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
+            own = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
+            kept, published = found.kept + now.kept, found.published + now.published
+            found = replace(own, published=published, kept=kept, lacks=found.lacks)
             if found.frame is not None:
                 return replace(found, others=_others(recording, loaded))
         return found
@@ -103,6 +117,7 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
 def compare(recording: Recording, again: Again, progress: Progress | None = None) -> Verification:
     """Step through the frames of a recording. Raises BadInput where it has no digests."""
     found, equal, stepper = None, 0, again.stepper
+    seen = Counter[str]()
     for digest, frame, messages in _frames(recording, stepper):
         again.go_to(frame)
         same = again.comes_to(digest) if found is None else stepper.digest() == digest
@@ -112,21 +127,32 @@ def compare(recording: Recording, again: Again, progress: Progress | None = None
         if found is not None and difference is not None:
             return replace(found, difference=difference)
         equal += 1
+        seen.update(message.topic for message in messages)
         if progress is not None:
             progress(stepper.t)
     if not equal:
         raise BadInput("the recording holds no digests to compare", str(recording.path))
-    return found or Verification(equal)
+    return found or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])
 
 
 def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, list[Recorded]]]:
-    """Digest and number of each frame whose status is there, and what is kept of it."""
+    """Digest and number of each frame whose status is there, and what is kept of it. Raises BadInput for a frame that
+    the scene has not, or that is not made of steps like the recorded one: it would take another time, or for ever.
+    """
+    rate, last = stepper.loaded.scene.frame_rate, stepper.loaded.scene.frames
     topics = (stepper.status.name, stepper.published.name, stepper.kept.name)
     for _, group in groupby(recording.messages(topics), key=lambda message: message.log_time):
         messages = list(group)
-        status = next((recording.json(m.payload) for m in messages if m.topic == stepper.status.name), {})
-        if status.get("digest"):
-            yield str(status["digest"]), int(status["frame"]), messages
+        said = next((m for m in messages if m.topic == stepper.status.name), None)
+        status = {} if said is None else recording.said(said)
+        if said is not None and status["digest"]:
+            with recording.damage_reported(said):
+                # Times are whole nanoseconds.
+                if not (abs(said.t * rate - status["frame"]) < 1e-6 + 1e-9 * rate and 0 <= status["frame"] <= last):
+                    raise BadMessage(f"frame {status['frame']} is not of that time, or beyond the scene's last, {last}")
+                if stepper.steps > MANY * status["steps"] > 0:
+                    raise BadMessage(f"a frame of {status['steps']} steps, of which the scene has {stepper.steps:,}")
+            yield status["digest"], status["frame"], messages
 
 
 def _first_difference(recording: Recording, again: Again, digest: str, messages: list[Recorded]) -> Difference | None:
@@ -134,6 +160,11 @@ def _first_difference(recording: Recording, again: Again, digest: str, messages:
     stepper = again.stepper
     for message in (m for m in messages if m.topic == stepper.kept.name):
         theirs, ours = recording.checkpoint(message), stepper.keep()
+        for name in NUMBERS[: 2 if again.changing else None]:
+            here, there = ours.text[name], theirs.text.get(name, math.nan)
+            if here != there:
+                what, gap = f"{name} of the checkpoint", abs(here - there)
+                return Difference(stepper.frame, what, "beside its arrays", here, there, "checkpoint", 1, 1, gap)
         pairs = [(ours.state, theirs.state)]
         if not again.changing:  # else it may be kept with its changes, which make the solver's memory anew
             pairs.append((ours.memory, theirs.memory))
@@ -142,7 +173,8 @@ def _first_difference(recording: Recording, again: Again, digest: str, messages:
             if theirs.digest == digest and (found := _compare(stepper, here, there, "checkpoint", memory)):
                 return found
     for message in (m for m in messages if m.topic == stepper.published.name):
-        here, there = stepper.decode(stepper.encode()), stepper.decode(message.payload)
+        with recording.damage_reported(message):
+            here, there = stepper.decode(stepper.encode()), stepper.decode(message.payload)
         if found := _compare(stepper, here, there, "published"):
             return found
     return None

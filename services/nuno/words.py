@@ -44,3 +44,9 @@ def megabytes(size: float) -> str:
 def counted(counts: Mapping[str, int]) -> str:
     """How many of each topic."""
     return ", ".join(f"{number:,} of {topic}" for topic, number in counts.items())
+
+
+def plain(text: str) -> str:
+    """A text with what a terminal would obey, or could not show, written out."""
+    shown = (c if c.isprintable() or c == "\n" else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+    return "".join(shown)

@@ -13,6 +13,7 @@ from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.recording.reader import END
 from nuno.recording.writer import RecordingWriter
 from nuno.wire.arrays import encode_arrays, encode_points
+from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import CAPSULE, Geometry, Poses
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
@@ -108,7 +109,8 @@ def items(sheet: Sheet, frames: int, checkpoint_every: int = 10, texture: str | 
 
 
 def metadata(scene: dict[str, Any] | None = None) -> dict[str, dict[str, str]]:
-    return {"run": {"id": "waving-run", "seed": "7"}, "scene": {"json": json.dumps(scene or {"name": "waving"})}}
+    run = {"id": "waving-run", "seed": "7", "schema_version": str(SCHEMA_VERSION)}
+    return {"run": run, "scene": {"json": json.dumps(scene or {"name": "waving"})}}
 
 
 def write(

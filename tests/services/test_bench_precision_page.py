@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from dye_scene import write_scene as write_dyed
 from line_net import problem_of, reference_of, write_net
 from precision_sweeps import swept
 from rrd import columns
@@ -19,11 +20,13 @@ from scenes import BALL, write_scene
 
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
+from nuno_bench.precision.command import _own
 from nuno_bench.precision.errors import Error, measure_errors
 from nuno_bench.precision.findings import choice_rows, judge
 from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
 from nuno_bench.precision.point import Point
-from nuno_bench.problem.observe import POSITIONS
+from nuno_bench.problem.dye import DyeProblem
+from nuno_bench.problem.observe import POSITIONS, Problem
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
 
@@ -142,3 +145,17 @@ def test_bad_input_is_refused_before_anything_runs(
     assert nuno_main(["bench", "precision", str(path), "--out", str(tmp_path / "out"), *flags]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("flags", [("--observable", "mobile"), ("--solvers", "rk4")])
+def test_what_only_one_of_the_scenes_has_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...]
+) -> None:
+    """Scenes of cloth and of dye have their own; of names of both each takes its own."""
+    (tmp_path / "dyed").mkdir()
+    scenes = [str(write_net(tmp_path)), str(write_dyed(tmp_path / "dyed"))]
+    assert nuno_main(["bench", "precision", *scenes, "--out", str(tmp_path / "out"), *flags]) == 2
+    assert "one of the scenes has none of these" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert _own("drop,mobile", Problem.observables) == ["drop"]
+    assert _own("drop,mobile", DyeProblem.observables) == ["mobile"]

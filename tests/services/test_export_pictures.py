@@ -218,13 +218,21 @@ def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: 
         ("--png a.png --gif b.gif --start 999", "nothing to show"),
         ("--png a.png --gif b.gif --fps 0", "--fps: no such rate"),
         ("--png a.png --rrd b.mcap", "--rrd: the name must end in .rrd"),
+        ("--forces a.npz", "--forces: --npz is to be written there, too"),
+        ("--png a.jpg", "the name must end in .png"),
+        ("--csv=", "the name must end in .csv"),
+        ("--scene a.txt", "the name must end in .yaml"),
+        ("--yarns b.csv", "the name must end in .npz"),
+        ("--obj no/frames", "no such folder"),
+        ("--png a.png --colour pressure", "the recording has no knit"),
     ],
 )
-def test_nothing_is_written_where_one_of_several_files_cannot_be(
+def test_nothing_is_begun_where_one_of_several_files_cannot_be(
     path: Path, arguments: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("nuno.exporting._export", None)
     assert main(["export", str(path), "--npz", "a.npz", "--csv", "a.csv", *arguments.split()]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

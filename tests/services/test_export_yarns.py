@@ -140,7 +140,7 @@ def test_without_a_mesh_smooth_yarns_follow_the_knit_alone(tmp_path: Path, capsy
 
 
 REFUSED = [
-    (["--yarns", "y.ply"], ["--yarns", ".npz, .obj"]),
+    (["--yarns", "y.ply"], ["--yarns", ".npz or .obj"]),
     (["--yarns", "y.npz", "--radius", "thin"], ["--radius", "quantity"]),
     (["--yarns", "y.npz", "--radius=-1mm"], ["--radius", "greater than or equal to 0"]),
     (["--yarns", "y.npz", "--curl", "0.5"], ["--curl", "0.3"]),

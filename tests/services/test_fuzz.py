@@ -19,6 +19,7 @@ from nuno.recording.reader import END, Recording
 from nuno.scene.files import SceneFiles
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_kernels.meshes.file import load_mesh
+from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import FIELD, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.field import DistanceField
@@ -244,12 +245,14 @@ def test_recordings_of_what_no_run_records(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
         file = McapFile(stream)
-        file.add_metadata("run", {"run": "a"})
+        file.add_metadata("run", {"run": "a", "schema_version": str(SCHEMA_VERSION)})
         file.add_metadata(END, {"missing": '{"sim/state": [1]}'})
         channel = file.add_channel("sim/status", "json", "nuno.Status", "jsonschema", b"{}")
         file.add_message(channel, 0, 0, 0, b'{"frame": null}')
         file.finish()
     with Recording(path) as recording:
-        for read in (lambda: recording.missing, recording.marks, recording.series):
-            with pytest.raises(BadInput, match="no whole number"):
+        with pytest.raises(BadInput, match="no numbers of messages"):
+            _ = recording.missing
+        for read in (recording.marks, recording.series):
+            with pytest.raises(BadInput, match="sim/status 0 at 0 s: not a nuno"):
                 read()

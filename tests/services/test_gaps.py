@@ -12,7 +12,7 @@ from scenes import write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.recording.gaps import count_gaps, missing, shortcoming
+from nuno.recording.gaps import count_gaps, find_lacks, shortcoming
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.report.show import lines
@@ -47,7 +47,7 @@ def lossy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_gap_is_found_in_the_file(lossy: Path) -> None:
     with open_recording(lossy) as recording:
         assert not recording.complete
-        assert missing(recording) == {STATE.name: len(LOST)}
+        assert find_lacks(recording).missing == {STATE.name: len(LOST)}
         assert count_gaps(recording.messages()) == {STATE.name: len(LOST)}
         assert shortcoming(recording) == "INCOMPLETE: missing: 4 of sim/state"
         warnings = [json.loads(m.payload)["text"] for m in recording.messages(["run/event/recorder"])]
@@ -74,9 +74,12 @@ def test_of_a_run_that_was_killed_the_file_itself_tells(tmp_path: Path) -> None:
     for topic, header, payload in items(Sheet(), 20):
         if not (topic == STATUS.name and header.seq in LOST):
             writer.write(topic, header, payload)
-    writer._flush()  # as by time; then the process is killed
+    writer._flush()  # as by time
     with open_recording(part_of(path)) as recording:
-        assert missing(recording) == {STATUS.name: 4}
+        assert shortcoming(recording).startswith("INCOMPLETE: its run goes on, and is recorded up to 0.38 s; missing:")
+    writer._stream.close()  # then the process is killed
+    with open_recording(part_of(path)) as recording:
+        assert find_lacks(recording).missing == {STATUS.name: 4}
         text = shortcoming(recording)
         assert text.startswith("INCOMPLETE: cut short at 0.38 s, and read up to its last whole chunk; missing: 4 of ")
 
@@ -91,5 +94,5 @@ def test_whole_recordings_have_no_gap(tmp_path: Path) -> None:
         with open_recording(folder / name) as recording:
             assert recording.counts[STATE.name] == frames
             assert count_gaps(recording.messages()) == {}
-            assert missing(recording) == {}
+            assert find_lacks(recording).missing == {}
             assert shortcoming(recording) == ""

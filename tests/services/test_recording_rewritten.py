@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from recorded_sheet import RATE, Sheet, metadata, write
 
+from nuno.recording.layout import FREE, MOST_TOPICS, PACKED
+from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno_schemas.errors import BadInput
@@ -92,19 +97,75 @@ def test_messages_without_chunks_are_refused_in_words(tmp_path: Path, sheet: She
 def test_a_compressed_chunk_unpacks_to_no_more_than_it_says(
     tmp_path: Path, sheet: Sheet, compression: CompressionType
 ) -> None:
-    """A chunk of 64 MB of zeros, said to hold a hundredth of it, is damaged; neither figure is made room for."""
-    writer = RecordingWriter(tmp_path / "a.mcap", metadata(), {})
-    writer.write(CHECKPOINT.name, Header(run="r", service="s", seq=0, frame=0, t=0.0), bytes(64_000_000))
-    writer.finish({})
-    target = rewritten(tmp_path / "a.mcap", compression=compression)
+    """A chunk of 16 MB of zeros, said to hold a hundredth of it, is damaged, with an index and without; neither figure
+    is made room for.
+    """
+    target = _zeros(tmp_path, 16_000_000, compression)
     with open_recording(target) as recording:
-        size_at = recording.layout.chunks[0].chunk_start_offset + 25
+        chunk_at = recording.layout.chunks[0].chunk_start_offset
     data = bytearray(target.read_bytes())
-    data[size_at : size_at + 8] = (640_000).to_bytes(8, "little")
-    target.write_bytes(data)
+    data[chunk_at + 25 : chunk_at + 33] = (160_000).to_bytes(8, "little")
+    for end in (len(data), len(data) - 20):
+        target.write_bytes(data[:end])
+        with _peak_below(8_000_000), open_recording(target) as recording:
+            if recording.recovered:
+                assert recording.layout.chunks == [] and recording.layout.readable == chunk_at
+            else:
+                with pytest.raises(BadInput, match="damaged"):
+                    list(recording.messages())
+
+
+@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])
+def test_a_file_that_unpacks_to_far_more_than_itself_is_refused_at_once(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    target = _zeros(tmp_path, 120 << 20, compression)
+    assert target.stat().st_size * PACKED + FREE < 120 << 20
+    with _peak_below(4_000_000):
+        with pytest.raises(BadInput, match="bytes, unpacked"):
+            open_recording(target)
+        target.write_bytes(target.read_bytes()[:-20])  # without its index it is read up to there
+        with open_recording(target) as recording:
+            assert recording.recovered and recording.layout.chunks == []
+
+
+def _zeros(folder: Path, number: int, compression: CompressionType) -> Path:
+    """A recording of so many zeros, compressed."""
+    writer = RecordingWriter(folder / "a.mcap", metadata(), {})
+    writer.write(CHECKPOINT.name, Header(run="r", service="s", seq=0, frame=0, t=0.0), bytes(number))
+    writer.finish({})
+    return rewritten(folder / "a.mcap", compression=compression)
+
+
+@contextmanager
+def _peak_below(most: int) -> Iterator[None]:
+    """Fails where more bytes are allocated meanwhile."""
     tracemalloc.start()
-    with open_recording(target) as recording, pytest.raises(BadInput, match="damaged"):
-        list(recording.messages())
+    yield
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 8_000_000
+    assert peak < most
+
+
+def test_zeros_in_a_chunk_are_no_records(tmp_path: Path, sheet: Sheet) -> None:
+    """Each nine of them would be a record of no kind and no length."""
+    chunk = struct.pack("<QQQIIQ", 0, 0, 1 << 22, 0, 0, 1 << 22) + bytes(1 << 22)
+    write(tmp_path / "a.mcap", sheet, 2)
+    data = (tmp_path / "a.mcap").read_bytes()
+    with open_recording(tmp_path / "a.mcap") as recording:
+        first = recording.layout.chunks[0].chunk_start_offset
+    (tmp_path / "b.mcap").write_bytes(data[:first] + struct.pack("<BQ", 6, len(chunk)) + chunk)
+    with open_recording(tmp_path / "b.mcap") as recording:
+        assert recording.layout.readable == first and list(recording.messages()) == []
+
+
+def test_more_topics_than_any_run_has_are_refused(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        file = McapFile(stream)
+        for name, fields in metadata().items():
+            file.add_metadata(name, fields)
+        for number in range(MOST_TOPICS + 1):
+            file.add_message(file.add_channel(f"topic{number}", "json", "a", "jsonschema", b"{}"), 0, 0, 0, b"{}")
+        file.finish()
+    with pytest.raises(BadInput, match="1,001 topics"):
+        open_recording(tmp_path / "a.mcap")

@@ -50,9 +50,19 @@ def found_in(path: Path) -> Verification:
 
 
 def test_a_recording_is_equal_and_says_so(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert found_in(whole) == Verification(26)
+    assert found_in(whole) == Verification(26, published=26, kept=5)
     assert main(["verify", str(whole)]) == 0
-    assert capsys.readouterr().out == "equal to the last bit: 26 frames\n"
+    said = capsys.readouterr()
+    assert said.out == "equal to the last bit: 26 frames\n"
+    assert "compared: 26 digests, 26 as published, 5 checkpoints\n" in said.err
+
+
+def test_frames_between_nanoseconds_are_those_of_their_times(tmp_path: Path) -> None:
+    """At 7,001 Hz no frame but the first is at a whole nanosecond."""
+    solver = {"plugin": "symplectic_euler", "dt": "auto"}
+    scene = write_scene(tmp_path, bodies=BALL, frame_rate=7001, duration=0.002, solver=solver, record={})
+    found = found_in(nuno.run(scene, record=tmp_path / "run.mcap").path)
+    assert (found.frame, found.compared, found.published) == (None, 15, 15)
 
 
 def test_another_digest_is_found_though_all_that_is_kept_is_equal(whole: Path, tmp_path: Path) -> None:

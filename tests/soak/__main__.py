@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput
 
 PARTS = {
     "same-bits": "soak.same_bits", "access": "soak.access", "faults": "soak.faults", "lost": "soak.lost",
-    "fuzz": "soak.fuzz.search",
+    "fuzz": "soak.fuzz.search", "damage": "soak.damage",
 }  # fmt: skip
 """Module of each part, whose `run(quick, seed)` gives results."""
 HEADINGS = ("case", "what", "found", "must be", "verdict")

@@ -23,6 +23,7 @@ from nuno_contact.reaction import elastic_stiffness
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
 from nuno_schemas.units import quantity
@@ -105,6 +106,7 @@ register(
     Meeting,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
+    bounds=lambda term: {"so_far": Bounds(0)},
     lists=True,
     reads_velocity=lambda term: True,
     vertices=lambda term: int(term.mass.shape[0]),

@@ -50,6 +50,7 @@ from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
+from nuno_schemas.layout import Bounds
 
 __all__ = ["Contact", "add_contact", "commit_contact", "count_contacts", "make_contact", "set_poses"]
 
@@ -200,6 +201,7 @@ register(
     project="nuno_contact.penalty.projection:project",
     counts=count_contacts,
     memory=("anchor", "anchor_frame"),
+    bounds=lambda term: {"anchor_frame": Bounds(-1, len(term.origin0) - 1)},
 )
 
 

@@ -22,6 +22,7 @@ from nuno_dye.solvers.repair import repair
 from nuno_dye.solvers.upkeep import sum_compensated
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
+from nuno_schemas.layout import Bounds
 
 BEYOND = 1e3
 """What a kept-up cell may hold beyond its capacity while others' excess is moved."""
@@ -92,7 +93,7 @@ class LongSteps(solving.Banded):
         """
         solving.require_compiled_laws(system, self.name)
         arrays = {"highest": solving.largest_amounts(state.phi), "met": np.full(2, np.nan), "since": np.zeros(1)}
-        return Memory(arrays, Layout(config, system))
+        return Memory(arrays, Layout(config, system), {"since": Bounds(0.0)})
 
     def limit(self, config: Any, system: DyeSystem) -> float:
         """No limit: every step is stable."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import shutil
-import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nuno.api.recordings import export
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno.report.make import Report
 from nuno.report.show import lines
@@ -112,8 +112,8 @@ class Result:
         """
         from PIL import Image
 
-        with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-            (path,) = export(self, *overrides, png=Path(folder) / "picture.png", frame=frame, side=side, **how)
+        with scratch() as folder:
+            (path,) = export(self, *overrides, png=folder / "picture.png", frame=frame, side=side, **how)
             with Image.open(path) as image:
                 image.load()
                 return image
@@ -126,8 +126,8 @@ class Result:
             raise missing("the viewer in a notebook", "'nuno[notebook]'") from None
         import rerun as rr
 
-        with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-            (path,) = export(self, rrd=Path(folder) / "run.rrd")
+        with scratch() as folder:
+            (path,) = export(self, rrd=folder / "run.rrd")
             stream = rr.RecordingStream("nuno", recording_id=self.path.stem)
             stream.log_file_from_path(path)
             stream.notebook_show()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 import yaml
 
 from nuno.api.words import in_python
+from nuno.process import scratch
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override, item_at, number_or_name, parts_of
 from nuno.scene.scene_file import Loaded
@@ -159,7 +159,7 @@ def loaded(
     except (TypeError, ValueError) as error:
         remedy = "use numbers, text, lists and mappings"
         raise BadInput(f"holds what a scene cannot say: {error}", GIVEN, remedy=remedy) from None
-    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        path = Path(folder) / "scene.yaml"
+    with scratch() as folder:
+        path = folder / "scene.yaml"
         path.write_text(text)
         yield scene_file.read(path, given.texts, given.roots, GIVEN)

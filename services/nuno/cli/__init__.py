@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from nuno import process
+from nuno.words import plain
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 COMMANDS = {
@@ -82,10 +83,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(arguments)
     except BadInput as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(plain(f"error: {error}"), file=sys.stderr)
         return 2
     except RunFailed as error:
-        print(f"failed: {error}", file=sys.stderr)
+        print(plain(f"failed: {error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt as error:
         print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)

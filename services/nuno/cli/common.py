@@ -14,6 +14,7 @@ from nuno.choose.budget import BUDGET, Budget
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
+from nuno.words import plain
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 
@@ -87,7 +88,7 @@ def warn(recording: Recording) -> None:
     from nuno.recording.gaps import shortcoming
 
     if problem := shortcoming(recording):
-        print(f"{recording.path}: {problem}", file=sys.stderr)
+        print(plain(f"{recording.path}: {problem}"), file=sys.stderr)
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:

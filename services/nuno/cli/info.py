@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from nuno.crossed import find_nearest, find_spells, spell_rows
-from nuno.recording.gaps import missing, shortcoming
+from nuno.recording.gaps import Lacks, find_lacks, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.report.show import lines
+from nuno.report.show import recorded_lines
 from nuno.supervision import runs
+from nuno.words import plain
 from nuno_schemas.messages import FRAMES
 
 
@@ -22,16 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
+        lacks = find_lacks(recording)
         if args.json:
-            print(json.dumps(describe(recording), indent=2))
+            print(json.dumps(describe(recording, lacks), indent=2))
             return 0
-        rows = _rows(recording)
+        rows = _rows(recording, lacks)
     for name, text in rows:
-        print(f"{name:22} {text}")
+        print(plain(f"{name:22} {text}"))
     return 0
 
 
-def describe(recording: Recording) -> dict[str, Any]:
+def describe(recording: Recording, lacks: Lacks) -> dict[str, Any]:
     """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, how cloth lies to
     cloth, the report.
     """
@@ -40,10 +42,12 @@ def describe(recording: Recording) -> dict[str, Any]:
         "file": str(recording.path),
         "bytes": recording.path.stat().st_size,
         "state": end.get("state", "unknown"),
-        "complete": recording.complete,
-        "cut": recording.recovered,
+        "complete": not shortcoming(recording, lacks),
+        "cut": recording.recovered and not recording.growing,
+        "growing": recording.growing,
         "messages": recording.counts,
-        "missing": missing(recording),
+        "missing": lacks.missing,
+        "doubled": lacks.doubled,
         "refused": recording.json(end.get("refused", "{}")),
         "span": list(recording.span),
         "attachments": list(recording.attachments),
@@ -55,10 +59,10 @@ def describe(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _rows(recording: Recording) -> list[tuple[str, str]]:
-    facts = describe(recording)
+def _rows(recording: Recording, lacks: Lacks) -> list[tuple[str, str]]:
+    facts = describe(recording, lacks)
     rows = [("file", f"{facts['file']} ({facts['bytes'] / 1e6:.1f} MB)")]
-    rows.append(("state", f"{facts['state']}, {shortcoming(recording) or 'complete'}"))
+    rows.append(("state", f"{facts['state']}, {shortcoming(recording, lacks) or 'complete'}"))
     rows += [(topic, f"{number:,} missing") for topic, number in facts["missing"].items()]
     rows.append(("time", f"{facts['span'][0]:g} to {facts['span'][1]:g} s"))
     rows += [(topic, f"{count} message{'s' if count != 1 else ''}") for topic, count in facts["messages"].items()]
@@ -66,9 +70,7 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
-    if not (report := facts["report"]):
-        return rows
-    report["frames"]["recorded"] = sum(
-        facts["messages"].get(topic, 0) for topic in FRAMES
-    )  # unknown when it was written
-    return [*rows, *lines(report), *([("why", why)] if (why := report.get("error")) else [])]
+    report = facts["report"]
+    if isinstance(report.get("frames"), dict):  # unknown when it was written
+        report["frames"]["recorded"] = sum(facts["messages"].get(topic, 0) for topic in FRAMES)
+    return [*rows, *recorded_lines(report), *([("why", str(why))] if (why := report.get("error")) else [])]

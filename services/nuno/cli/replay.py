@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from nuno.wire.bus import Bus
 from nuno.wire.health import offer_health
 from nuno.wire.sessions import hub_at
 from nuno.wire.watch import Watch
+from nuno.words import plain
 from nuno_schemas.errors import BadInput
 
 
@@ -51,7 +53,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     view = choose_view(args)
     if args.loop and args.save:
         raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
-    name = f"replay-{recording.scene.get('name', 'run')}"
+    name = "replay-" + re.sub(r"[^A-Za-z0-9_.-]+", "-", str(recording.scene.get("name", "run")))[:64]
     run = runs.new_id(name) if args.run is None else runs.check_id(args.run)
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
@@ -64,7 +66,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         stack.enter_context(bus.alive())
         if shown:
             stack.enter_context(_viewer(stack.enter_context(restored_scene(recording)), bus, options))
-        print(f"replaying {recording.path} as {run} at {endpoint}", file=sys.stderr)
+        print(plain(f"replaying {recording.path} as {run} at {endpoint}"), file=sys.stderr)
         with contextlib.suppress(KeyboardInterrupt):
             replay.run(bus, recording)
     total = sum(replay.sent.values())

@@ -12,6 +12,7 @@ from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.supervision import runs
 from nuno.verification import Verification, verify
+from nuno.words import many, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,11 +28,17 @@ def main(args: argparse.Namespace) -> int:
             scene = loaded.scene
         with ProgressLine(scene) as progress:
             found = verify(recording, args.threads, progress.show)
+        complete = recording.complete
     if found.frame is None:
         dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
+        kept = f"{found.published:,} as published, {many(found.kept, 'checkpoint')}"
+        print(f"compared: {found.compared + found.dyed:,} digests, {kept}", file=sys.stderr)
+        if complete and str(found.lacks):  # of any other that is known, and was said
+            print(f"not whole, though its end says so; what is there is equal; {found.lacks}", file=sys.stderr)
+            return 1
         print(f"equal to the last bit: {found.compared} frames{dyed}")
         return 0
-    print("\n".join(describe(found)), file=sys.stderr)
+    print(plain("\n".join(describe(found))), file=sys.stderr)
     return 1
 
 

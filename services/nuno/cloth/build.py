@@ -66,7 +66,7 @@ def estimate_memory(loaded: Loaded) -> tuple[int, int]:
 def check_memory(loaded: Loaded) -> None:
     """Raises BadInput, before anything is allocated, if the scene cannot fit in memory."""
     vertices, size = estimate_memory(loaded)
-    require_memory(loaded, "objects", f"{vertices:,} vertices", size, "lower the resolution, or take springs away")
+    require_memory(loaded, "objects", vertices, "vertices", size, "lower the resolution, or take springs away")
 
 
 def build_fabric(

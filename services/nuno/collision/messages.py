@@ -75,12 +75,12 @@ def encode_poses(poses: Poses, frame: int) -> bytes:
     return encode_arrays({"rotation": poses.rotation, "translation": poses.translation}, {"t": poses.t, "frame": frame})
 
 
-def decode_poses(payload: bytes) -> Poses:
-    """Raises BadMessage."""
+def decode_poses(payload: bytes, frames: int | None = None) -> Poses:
+    """Raises BadMessage, also for poses of another number of frames where that is given."""
     arrays, text = decode_arrays(payload)
     try:
         poses = Poses(float(text["t"]), arrays["rotation"], arrays["translation"])
-        check_layout("", poses)
+        check_layout("", poses, None if frames is None else {"f": frames})
         return poses
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"poses without {error}") from None

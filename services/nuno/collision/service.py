@@ -22,6 +22,7 @@ from nuno.collision.messages import (
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
 from nuno.service import LOOK_SECONDS, Context, each_message
+from nuno.stepping.stepped import fitting
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
@@ -126,7 +127,10 @@ class Collision:
         run goes on from, or to where they are told to be now.
         """
         if frame in self.context.loaded.recorded_poses:
-            followers.take_up(decode_poses(self.context.loaded.recorded_poses[frame]), bodies.geometry.frames)
+            frames = bodies.geometry.frames
+            with fitting(self.context.loaded):
+                found = decode_poses(self.context.loaded.recorded_poses[frame], len(frames))
+            followers.take_up(found, frames)
             self.followed = frame
         while self.followed < frame:
             self.followed += 1

@@ -128,7 +128,7 @@ class DyeRun(Stepper):
     def decode(payload: bytes) -> Arrays:
         """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
         arrays, _ = decode_arrays(payload)
-        return {name: arrays[name] for name in ("phi", "fixed")}
+        return {name: arrays.get(name, np.zeros(0)) for name in ("phi", "fixed")}
 
     def place(self, index: Sequence[int]) -> str:
         """See `Stepper`."""
@@ -215,6 +215,7 @@ class DyeRun(Stepper):
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """See `Stepper`."""
+        self.check_time(point)
         for event in changes:
             if event.frame < point.frame:
                 self.frame = event.frame
@@ -283,7 +284,7 @@ class DyeRun(Stepper):
 def build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
     number, size = estimate_memory(loaded)
-    require_memory(loaded, "dye.cloth", f"{number:,} cells", size, "coarser: 2, larger cells, or fewer dyes")
+    require_memory(loaded, "dye.cloth", number, "cells", size, "coarser: 2, larger cells, or fewer dyes")
     cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]
     try:
         plugin, config = cloth.plugin, cloth.config

@@ -22,7 +22,6 @@ from nuno.exports.paint import INSET, colour_of, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene
-from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int
@@ -187,11 +186,9 @@ def read_bodies(recording: Recording) -> ShownBodies | None:
     message = recording.last(GEOMETRY.name)
     if message is None:
         return None
-    try:
-        first = next(recording.messages([BODIES.name]), None)
+    first = next(recording.messages([BODIES.name]), None)
+    with recording.damage_reported(message):
         return shape_bodies(decode_geometry(message.payload), decode_poses(first.payload) if first else None)
-    except (BadMessage, ValueError, LookupError, TypeError) as error:
-        raise BadInput(f"the bodies are damaged: {error}", str(recording.path)) from None
 
 
 def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
@@ -214,10 +211,8 @@ def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) ->
     message = recording.last(BODIES.name, t) if bodies is not None else None
     if message is None or bodies is None:
         return np.zeros((0, 3))
-    try:
+    with recording.damage_reported(message):
         return bodies.at(decode_poses(message.payload))
-    except (BadMessage, IndexError) as error:
-        raise BadInput(f"the bodies at {t:g} s are damaged: {error}", str(recording.path)) from None
 
 
 def read_frame(recording: Recording, number: int | None = None) -> Frame:
@@ -226,10 +221,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
     if message is None:
         raise recording.no_frame(number, times)
     frame, digest = recording.marks().get(message.log_time, (message.seq, ""))
-    try:
-        return Frame(frame, message.t, digest, decode_points(message.payload))
-    except BadMessage as error:
-        raise BadInput(f"frame {frame} is damaged: {error}", str(recording.path)) from None
+    return Frame(frame, message.t, digest, recording.points(message))
 
 
 def find_message(recording: Recording, topic: str, number: int | None) -> tuple[Recorded | None, dict[int, int]]:

@@ -15,7 +15,6 @@ from nuno.exports.target import Progress
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
-from nuno.wire.arrays import BadMessage
 from nuno.words import time_of
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
@@ -54,20 +53,13 @@ class DyedPictures:
         cloth = recording.last(CLOTH.name)
         if cloth is None:
             raise BadInput("the recording does not describe the cloth that is dyed", str(recording.path))
-        with self._damage_reported():
+        with recording.damage_reported(cloth):
             painter.take_cloth(cloth.payload)
 
     def picture(self, message: Recorded) -> Picture:
         """(h, w, 3) sRGB picture of one frame's amounts."""
-        with self._damage_reported():
+        with self.recording.damage_reported(message):
             return self.painter.draw(message.payload)
-
-    @contextmanager
-    def _damage_reported(self) -> Iterator[None]:
-        try:
-            yield
-        except BadMessage as error:
-            raise BadInput(f"the recording is damaged: {error}", str(self.recording.path)) from None
 
     def draw(self, message: Recorded) -> Picture:
         """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""

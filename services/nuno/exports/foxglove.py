@@ -20,7 +20,6 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.wire.arrays import foxglove_schema
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, EVENT, STATE, Event
 
@@ -196,10 +195,7 @@ def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
 
 def encode_event(recording: Recording, message: Recorded) -> bytes:
     """A foxglove.Log. Raises BadInput for a message that is no event."""
-    try:
-        event = Event.model_validate_json(message.payload)
-    except ValueError as error:
-        raise BadInput("an event in the recording cannot be read", str(recording.path), value=str(error)) from None
+    event = Event.model_validate(recording.said(message))
     level = LEVELS.get(event.kind, messages.LogLevel.Info)
     encoded: bytes = messages.Log(
         timestamp=_stamp(message.log_time), level=level, message=event.text, name=event.service

@@ -12,7 +12,7 @@ from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
-from nuno.exports.target import Progress, opened, writing
+from nuno.exports.target import Progress, make_folder, opened, together, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of
@@ -48,13 +48,9 @@ def export_meshes(
     Raises as `export_mesh`.
     """
     _known(suffix, folder)
-    if not folder.is_dir():
-        try:
-            folder.mkdir()
-        except OSError as error:
-            raise BadInput(f"cannot make the folder: {error.strerror}", value=str(folder)) from None
     written = []
-    with opened(source) as recording:
+    with together(), opened(source) as recording:
+        make_folder(folder)
         cloth, number = Pieces(recording), recording.counts.get("sim/state", 0)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
         for frame in recording.frames():

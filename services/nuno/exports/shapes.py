@@ -13,7 +13,7 @@ from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch, paint_yarns
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame, Recorded
-from nuno.wire.arrays import BadMessage, decode_points, origin_of
+from nuno.wire.arrays import origin_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
@@ -67,7 +67,7 @@ class Show:
         if first is None:
             raise BadInput("the recording holds no positions of cloth", str(recording.path))
         self._dyed = read_dyed_object(recording)
-        self.origin = origin_of(self._points(first))
+        self.origin = origin_of(self.recording.points(first))
         self.fixed = [
             Turn(ROOT, WORLD, (0.0, 0.0, 0.0), UP),
             Turn(WORLD, CLOTH, _row(self.origin), (1.0, 0.0, 0.0, 0.0)),
@@ -79,7 +79,7 @@ class Show:
 
     def cloth(self, message: Recorded) -> list[Shape]:
         """The cloth in a message of `sim/state`. Raises BadInput where it is damaged or not finite."""
-        x, t = self._points(message), message.t
+        x, t = self.recording.points(message), message.t
         number, digest = self.recording.marks().get(message.log_time, (message.seq, ""))
         pieces = self._pieces.at(t)
         check_size(self.recording, pieces, Frame(number, t, digest, x))
@@ -91,13 +91,8 @@ class Show:
 
     def poses(self, message: Recorded) -> Poses:
         """Where the bodies are by a message of `collision/bodies`. Raises BadInput where it is damaged."""
-        try:
-            poses = decode_poses(message.payload)
-            if len(poses.rotation) != len(self.frames):
-                raise BadMessage(f"{len(poses.rotation)} poses for {len(self.frames)} frames")
-            return poses
-        except BadMessage as error:
-            raise BadInput(f"the bodies at {message.t:g} s are damaged: {error}", str(self.recording.path)) from None
+        with self.recording.damage_reported(message):
+            return decode_poses(message.payload, len(self.frames))
 
     def turns(self, poses: Poses) -> list[Turn]:
         """Where the bodies' frames are in the world."""
@@ -119,13 +114,7 @@ class Show:
     def points(self, message: Recorded, poses: Poses | None) -> Float:
         """(n, 3) of everything in the world at one moment [m]."""
         bodies = np.zeros((0, 3)) if poses is None or self._bodies is None else self._bodies.at(poses)
-        return np.concatenate([self._points(message), bodies])
-
-    def _points(self, message: Recorded) -> Float:
-        try:
-            return decode_points(message.payload)
-        except BadMessage as error:
-            raise BadInput(f"the cloth at {message.t:g} s is damaged: {error}", str(self.recording.path)) from None
+        return np.concatenate([self.recording.points(message), bodies])
 
     def _rigid(self) -> list[tuple[str, Shape]]:
         if (bodies := self._bodies) is None:

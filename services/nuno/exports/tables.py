@@ -74,7 +74,7 @@ def export_npz(source: Recording | Path | str, path: Path, frame: int | None = N
 def find_moment(recording: Recording, frame: int | None, forces: bool = False) -> Moment:
     """A frame (default: the last) as it was. Raises BadInput."""
     numbers = [number for number, digest in recording.marks().values() if digest]
-    return next(states(recording, numbers[-1:] if frame is None else [frame], forces))
+    return next(states(recording, [(numbers or [0])[-1] if frame is None else frame], forces))
 
 
 def export_forces(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:

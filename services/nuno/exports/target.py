@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 
@@ -54,7 +53,8 @@ def opened(source: Recording | Path | str) -> Iterator[Recording]:
 def check_target(path: Path, suffix: str) -> None:
     """Raises BadInput for a name of another kind, a missing folder, a file that is no such export."""
     if path.suffix.lower() != suffix:
-        raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=str(path.with_suffix(suffix)))
+        remedy = str(path.parent / f"{path.stem or 'out'}{suffix}")
+        raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=remedy)
     if not path.parent.is_dir():
         raise BadInput("no such folder", value=str(path.parent), remedy="make it, or choose another place")
     if path.is_dir():
@@ -64,44 +64,61 @@ def check_target(path: Path, suffix: str) -> None:
         raise BadInput(problem, value=str(path), remedy="choose another name, or remove it")
 
 
-_TOGETHER: ContextVar[dict[Path, Path] | None] = ContextVar("together", default=None)
-"""Files that wait for others, by their places."""
+class _Together(ExitStack):
+    """Files that wait for others, by their places, and the folders that they wait in, by those of their places."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: dict[Path, Path] = {}
+        self._near: dict[Path, Path] = {}
+
+    def near(self, folder: Path) -> Path:
+        """Where what is to lie in a folder waits. Raises OSError."""
+        if folder not in self._near:
+            self._near[folder] = self.enter_context(scratch(folder))
+        return self._near[folder]
+
+
+_TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
 
 
 @contextmanager
-def together() -> Iterator[None]:
+def together() -> Iterator[_Together]:
     """What is written meanwhile takes its place at the end: all of it, or none where a part of it is refused."""
-    waiting: dict[Path, Path] = {}
-    token = _TOGETHER.set(waiting)
-    try:
-        yield
-        for path, new in waiting.items():
+    if (outer := _TOGETHER.get()) is not None:
+        yield outer
+        return
+    with _Together() as files:
+        token = _TOGETHER.set(files)
+        try:
+            yield files
+        finally:
+            _TOGETHER.reset(token)
+        for path, new in files.waiting.items():
             with _told(path):
                 new.replace(path)
-    finally:
-        _TOGETHER.reset(token)
-        for new in waiting.values():
-            new.unlink(missing_ok=True)
 
 
 @contextmanager
 def writing(path: Path, suffix: str) -> Iterator[Path]:
-    """A new file beside `path`, which takes its place when all went well; see `together`. Raises BadInput."""
+    """A new file, which takes its place when all went well; see `together`. Raises BadInput."""
     check_target(path, suffix)
-    waiting = _TOGETHER.get()
-    new = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
-    try:
-        with _told(path):
-            new.open("wb").close()
-            yield new
-            if waiting is None:
-                new.replace(path)
-            else:
-                waiting[path] = new
-    finally:
-        if waiting is None or path not in waiting:
-            with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
-                new.unlink(missing_ok=True)
+    with together() as files, _told(path):
+        yield (new := files.near(path.parent) / path.name)
+        files.waiting[path] = new
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder that is missing, for what is written `together`; it goes if it stays empty. Raises BadInput."""
+    if not path.is_dir():
+        with together() as files, _told(path):
+            path.mkdir()
+            files.callback(_remove_empty, path)
+
+
+def _remove_empty(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.rmdir()
 
 
 def check_folder(path: Path) -> None:
@@ -117,8 +134,8 @@ def check_folder(path: Path) -> None:
 def writing_folder(path: Path) -> Iterator[Path]:
     """Where a new folder is to be made, which takes its place when all went well. Raises BadInput."""
     check_folder(path)
-    with _told(path), TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as near:
-        yield (new := Path(near) / path.name)
+    with _told(path), scratch(path.parent) as near:
+        yield (new := near / path.name)
         new.replace(path)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
 from nuno.exports.target import Progress, check_target, opened, writing
+from nuno.process import scratch
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of
@@ -44,8 +44,8 @@ def export_usd(
     installed.
     """
     check_usd(path)
-    with opened(source) as recording, writing(path, SUFFIX) as new, TemporaryDirectory() as folder:
-        stage, pxr = Path(folder) / "run.usdc", _pxr()
+    with opened(source) as recording, writing(path, SUFFIX) as new, scratch() as folder:
+        stage, pxr = folder / "run.usdc", _pxr()
         try:
             with _stage(stage) as opened_stage:
                 _Writer(recording, opened_stage, stage.parent, frame).write(progress)

@@ -13,13 +13,12 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from io import BufferedIOBase
-from pathlib import Path
 from socket import socket
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from nuno.pages.guard import FILE, HEADERS, Guard, Refused
+from nuno.process import scratch
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
@@ -216,8 +215,8 @@ def door(address: str) -> Iterator[str]:
 
     All users of a machine can read the list of processes, which has a browser's arguments, and the address is a secret.
     """
-    with TemporaryDirectory(prefix="nuno-") as folder:
-        path = Path(folder) / "open.html"
+    with scratch() as folder:
+        path = folder / "open.html"
         path.touch(mode=0o600)
         path.write_text(f'<!doctype html><title>nuno</title><meta http-equiv="refresh" content="0; url={address}">')
         yield path.as_uri()

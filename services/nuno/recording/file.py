@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from mcap.records import Attachment, ChunkIndex
+from mcap.records import Attachment, ChunkIndex, Message
 
 from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
-from nuno.recording.writer import part_of
-from nuno.wire.arrays import BadMessage, decode_arrays
+from nuno.recording.writer import check_payload, part_of, topic_of
+from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, decode_points
+from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+MOST_FRAMES = 2**31
 
 
 class RecordedFile:
@@ -38,9 +46,12 @@ class RecordedFile:
             if "run" not in self.layout.metadata:
                 limits = f"{self.layout.readable} of {self.layout.size} bytes could be read"
                 raise BadInput("no recording by nuno, or cut before its first record", str(path), limit=limits)
+            self._check_version()
         except BadInput:
             self._stream.close()
             raise
+        self._read: tuple[int, list[Message]] = -1, []
+        """Where the chunk stands that was read last, and what is in it."""
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Self:
@@ -52,6 +63,14 @@ class RecordedFile:
     def close(self) -> None:
         self._stream.close()
 
+    def _check_version(self) -> None:
+        said = self.metadata["run"].get("schema_version", "")
+        if said != str(SCHEMA_VERSION):
+            by = self.metadata.get("versions", {}).get("nuno", "")
+            remedy = f"read it with nuno {by}" if by else "read it with the version of nuno that wrote it"
+            raise BadInput("a recording of another version", str(self.path), field="schema_version", value=said,
+                           limit=f"this nuno reads version {SCHEMA_VERSION}", remedy=remedy)  # fmt: skip
+
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """Everything by name: run, scene, versions, plugins and, where it was finished, end."""
@@ -62,10 +81,23 @@ class RecordedFile:
         """Whether the file was not finished, and is read up to its last whole chunk."""
         return not self.layout.indexed
 
+    @cached_property
+    def growing(self) -> bool:
+        """Whether it was still being written when that was first asked: its writer holds it."""
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            fcntl.flock(self._stream, fcntl.LOCK_UN)
+        except OSError as error:  # another than this where a file system has no locks
+            return isinstance(error, BlockingIOError)
+        return False
+
     @property
     def counts(self) -> dict[str, int]:
         """Messages per topic."""
-        return {topic: self.layout.counts.get(id, 0) for id, topic in self._topics.items()}
+        found = Counter[str]()
+        for id, topic in self._topics.items():
+            found[topic] += self.layout.counts.get(id, 0)
+        return dict(found)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -80,7 +112,7 @@ class RecordedFile:
         return tuple(self.layout.attachments)
 
     def attachment(self, name: str) -> bytes:
-        with self._damage_reported():
+        with self.damage_reported():
             record, _ = read_record(self._stream, self.layout.attachments[name], self.layout.size)
             if not isinstance(record, Attachment):
                 raise Damaged(f"there is no file {name}")
@@ -128,8 +160,12 @@ class RecordedFile:
         """Messages of some channels in a chunk; one that holds none of them is not read."""
         if wanted.isdisjoint(chunk.message_index_offsets):
             return
-        with self._damage_reported():
-            for m in read_messages(self._stream, chunk, self.layout.size):
+        with self.damage_reported():
+            at, messages = self._read  # who looks for one frame after the other is in the same chunk for many of them
+            if at != chunk.chunk_start_offset:
+                messages = read_messages(self._stream, chunk, self.layout.size)
+                self._read = chunk.chunk_start_offset, messages
+            for m in messages:
                 if m.channel_id in wanted:
                     yield Recorded(self._topics[m.channel_id], m.sequence, m.log_time, m.publish_time, bytes(m.data))
 
@@ -137,28 +173,42 @@ class RecordedFile:
         """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""
         if message is None:
             return {}, {}
-        with self._damage_reported(message):
+        with self.damage_reported(message):
             return decode_arrays(message.payload)
+
+    def points(self, message: Recorded) -> Float:
+        """(n, 3) positions [m] in a message of `sim/state`. Raises BadInput where it is damaged."""
+        with self.damage_reported(message):
+            return decode_points(message.payload)
 
     def json(self, payload: bytes | str) -> dict[str, Any]:
         """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
         try:
+            if len(payload) > MOST_TEXT:
+                raise ValueError(f"a text of {len(payload):,} bytes")
             value = json.loads(payload)
         except (ValueError, RecursionError) as error:
             raise BadInput(f"a message is damaged: {error}", str(self.path)) from None
         return value if isinstance(value, dict) else {}
 
-    def whole(self, value: object) -> int:
-        """A whole number that a message holds. Raises BadInput for anything else."""
-        if type(value) is not int:
-            raise BadInput("a message is damaged: no whole number", str(self.path), value=value)
+    def said(self, message: Recorded) -> dict[str, Any]:
+        """What a message of text says. Raises BadInput for one that is not of its topic's schema, or of no frame."""
+        topic = topic_of(message.topic)
+        with self.damage_reported(message):
+            value = self.json(message.payload)
+            if topic is not None:
+                check_payload(topic, message.payload)
+            frame, t = value.get("frame", -1), value.get("t", 0.0)
+            if not -1 <= frame < MOST_FRAMES or not math.isfinite(t):
+                raise BadMessage(f"frame {frame} at {t} s")
         return value
 
     @contextmanager
-    def _damage_reported(self, message: Recorded | None = None) -> Iterator[None]:
+    def damage_reported(self, message: Recorded | None = None) -> Iterator[None]:
+        """What is wrong with a message, or the file itself, as BadInput."""
         place = f"{message.topic} {message.seq} at {message.t:g} s: " if message else ""
         try:
             yield
-        except (Damaged, BadMessage) as error:
+        except (Damaged, BadMessage, IndexError) as error:
             remedy = "the disk or a copy changed it: take another copy"
             raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None

@@ -13,11 +13,12 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, cast
 
 import psutil
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import (
@@ -31,15 +32,23 @@ from mcap.records import (
     Message,
     Metadata,
 )
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from nuno.recording.mcap_file import MAGIC
+from nuno.recording.mcap_file import LATEST, MAGIC
 from nuno_schemas.errors import BadInput
 
 PIECE = 1 << 20
 """Bytes that are unpacked at once."""
+MOST_TOPICS = 1000
+FREE, PACKED = 1 << 24, 200
+"""A file may unpack to FREE bytes and PACKED times its size: what moves packs to a half, what rests to a hundredth."""
 _HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+
+
+OF_CHUNK = ("message_start_time", "message_end_time", "uncompressed_size")
+"""What a chunk and its entry in the index both say."""
 
 
 class Damaged(Exception):
@@ -61,6 +70,8 @@ class Layout:
     attachments: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
+    unpacked: int = 0
+    """Bytes of all chunks, by what these say."""
 
 
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
@@ -71,9 +82,23 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
         remedy = "recordings are written by nuno run --record FILE"
         raise BadInput("not an MCAP file", str(path), limit=f"{size} bytes, of another kind", remedy=remedy)
     try:
-        return _from_index(stream, size)
+        return _check_limits(_from_index(stream, size), path)
     except Damaged:
         return _from_scan(stream, size, path)
+
+
+def _check_limits(layout: Layout, path: Path) -> Layout:
+    """The same layout. Raises BadInput for what would take far more time and memory than a file of its size should."""
+    limits = {
+        "topics": (len(layout.channels), MOST_TOPICS),
+        "bytes, unpacked": (layout.unpacked, FREE + PACKED * layout.size),
+    }
+    for what, (number, most) in limits.items():
+        if number > most:
+            problem, remedy = f"the recording holds {number:,} {what}", "record its scene again: no run records that"
+            limit = f"{most:,}, of a file of {layout.size:,} bytes"
+            raise BadInput(problem, str(path), limit=limit, remedy=remedy)
+    return layout
 
 
 def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None, int]:
@@ -97,6 +122,8 @@ def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Messag
     record, _ = read_record(stream, chunk.chunk_start_offset, size)
     if not isinstance(record, Chunk):
         raise Damaged(f"no chunk at byte {chunk.chunk_start_offset}")
+    if any(getattr(record, name) != getattr(chunk, name) for name in OF_CHUNK):
+        raise Damaged(f"the chunk at byte {chunk.chunk_start_offset} is not as the index says")
     return [one for one in _records_of(record) if isinstance(one, Message)]
 
 
@@ -145,8 +172,11 @@ def _from_index(stream: BinaryIO, size: int) -> Layout:
     counts = Counter(told.channel_message_counts)
     if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
         raise Damaged("the index does not say what chunks hold")
+    if sum(chunk.chunk_length for chunk in chunks) > size:
+        raise Damaged("the index names a chunk more than once")
     places = {one.name: one.offset for one in summary.attachment_indexes}
-    return Layout(size, True, size, summary.channels, chunks, places, metadata, counts)
+    unpacked = sum(chunk.uncompressed_size for chunk in chunks)
+    return Layout(size, True, size, summary.channels, chunks, places, metadata, counts, unpacked)
 
 
 def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
@@ -173,39 +203,48 @@ def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
             layout.readable = end
     except Damaged:
         pass
-    return layout
+    return _check_limits(layout, path)
 
 
 def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
     found: Counter[int] = Counter()
+    size = chunk.uncompressed_size
+    if layout.unpacked + size > FREE + PACKED * layout.size:
+        raise Damaged(f"a chunk would unpack to {size} bytes")
+    layout.unpacked += size
     for record in _records_of(chunk):
         if isinstance(record, Message):
             found[record.channel_id] += 1
-        elif isinstance(record, Channel):
+        else:
             layout.channels[record.id] = record
     layout.counts += found
-    layout.chunks.append(
-        ChunkIndex(
-            chunk_length=end - at,
-            chunk_start_offset=at,
-            compression=chunk.compression,
-            compressed_size=len(chunk.data),
-            message_end_time=chunk.message_end_time,
-            message_index_length=0,
-            message_index_offsets=dict.fromkeys(found, 0),
-            message_start_time=chunk.message_start_time,
-            uncompressed_size=chunk.uncompressed_size,
-        )
-    )
+    held, (start, stop) = dict.fromkeys(found, 0), (chunk.message_start_time, chunk.message_end_time)
+    index = ChunkIndex(end - at, at, chunk.compression, len(chunk.data), stop, 0, held, start, size)
+    layout.chunks.append(index)
 
 
-def _records_of(chunk: Chunk) -> list[McapRecord]:
-    """A chunk's records, when its checksum fits. Raises Damaged."""
+def _records_of(chunk: Chunk) -> Iterator[Message | Channel]:
+    """A chunk's messages and channels, when its checksum fits. Raises Damaged.
+
+    The library's reader takes zeros for records without end, and copies each message twice.
+    """
     with _damage():
         data = _unpack(chunk) if chunk.compression else chunk.data
-        if len(data) != chunk.uncompressed_size:
-            raise Damaged(f"a chunk holds {len(data)} bytes of {chunk.uncompressed_size}")
-        return list(breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True))
+        if len(data) != chunk.uncompressed_size or not _fits(chunk.uncompressed_crc, data):
+            raise Damaged(f"a chunk holds {len(data)} bytes of {chunk.uncompressed_size}, or its checksum does not fit")
+        at = 0
+        while at < len(data):
+            opcode, length = _HEAD.unpack_from(data, at)
+            start, at = at + _HEAD.size, at + _HEAD.size + length
+            if opcode == 0 or at > len(data):
+                raise Damaged(f"a chunk holds a record of kind {opcode} and {length} bytes")
+            if opcode == Opcode.CHANNEL:
+                yield Channel.read(ReadDataStream(io.BytesIO(data[start:at])))
+            elif opcode == Opcode.MESSAGE:
+                channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+                if not chunk.message_start_time <= log_time <= chunk.message_end_time or log_time >= LATEST:
+                    raise Damaged(f"a message of time {log_time} ns in a chunk of others, or too late for any format")
+                yield Message(channel, log_time, data[start + _MESSAGE.size : at], publish_time, sequence)
 
 
 def _unpack(chunk: Chunk) -> bytes:

@@ -40,6 +40,8 @@ from mcap.records import (
 MAGIC = b"\x89MCAP0\r\n"
 BINARY = "application/octet-stream"
 CHUNK_BYTES = 4 * 2**20
+LATEST = 2**32 * 10**9
+"""Times [ns] are before this: the formats that a recording is made of and exported to hold seconds in 32 bits."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<BQQQQIIQ")
 _RECORD_HEAD = 9

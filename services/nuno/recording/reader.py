@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from nuno.recording.file import RecordedFile
+from nuno.recording.file import MOST_FRAMES, RecordedFile
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
-from nuno.wire.arrays import decode_points
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import (
     BODIES,
@@ -55,26 +53,38 @@ class Recording(RecordedFile):
 
     @property
     def complete(self) -> bool:
-        """Whether the file was finished and every message that was sent is in it."""
+        """Whether the file was finished and, by what its recorder counted, every message that was sent is in it.
+
+        `nuno info` and `nuno.verify` count the messages themselves.
+        """
         return self.layout.indexed and self.metadata.get(END, {}).get("complete") == "true"
 
     @property
     def missing(self) -> dict[str, int]:
         """Messages per topic that were sent but never arrived, as the recorder counted them."""
-        missing = self.json(self.metadata.get(END, {}).get("missing", "{}"))
-        return {str(topic): self.whole(number) for topic, number in missing.items()}
+        return self.numbers("missing")
+
+    def numbers(self, name: str) -> dict[str, int]:
+        """Messages per topic, as the closing metadata have them by a name."""
+        found = self.json(self.metadata.get(END, {}).get(name, "{}"))
+        if not all(type(number) is int and 0 <= number < 2**63 for number in found.values()):
+            raise BadInput("the recording is damaged: no numbers of messages", str(self.path), field=name, value=found)
+        return found
 
     @property
     def scene(self) -> dict[str, Any]:
         """The scene's data, as read and overridden."""
-        return self.json(self.metadata.get("scene", {}).get("json", "{}"))
+        found = self.json(self.metadata.get("scene", {}).get("json", "{}"))
+        for name in ("record", "dye", "view"):
+            if not isinstance(found.get(name), dict | None):
+                raise BadInput("the scene in the recording is damaged", str(self.path), field=name, value=found[name])
+        return found
 
     def frames(self, start: float | None = None, end: float | None = None) -> Iterator[Frame]:
         """Published positions with start <= t < end [s]: of float32 precision. `nuno.states` gives the float64 ones."""
         for message in self.messages([STATE.name], start, end):
             number, digest = self.marks().get(message.log_time, (message.seq, ""))
-            with self._damage_reported(message):
-                yield Frame(number, message.t, digest, decode_points(message.payload))
+            yield Frame(number, message.t, digest, self.points(message))
 
     @property
     def dyed_alone(self) -> bool:
@@ -89,10 +99,8 @@ class Recording(RecordedFile):
         """
         name = status or (DYE_STATUS.name if self.dyed_alone else STATUS.name)
         if name not in self._marks:
-            statuses = ((m.log_time, self.json(m.payload)) for m in self.messages([name]))
-            self._marks[name] = {
-                time: (self.whole(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses
-            }
+            statuses = ((m.log_time, self.said(m)) for m in self.messages([name]))
+            self._marks[name] = {time: (said["frame"], said["digest"]) for time, said in statuses}
         return self._marks[name]
 
     def no_frame(self, number: int | None, known: Collection[int]) -> BadInput:
@@ -144,7 +152,7 @@ class Recording(RecordedFile):
         raise self._no_checkpoint()
 
     def _no_checkpoint(self) -> BadInput:
-        every = self.scene.get("record", {}).get("checkpoint_every")
+        every = (self.scene.get("record") or {}).get("checkpoint_every")
         early, never = (
             "its run ended before the first: run its scene again",
             "record with --set record.checkpoint_every=1s",
@@ -164,10 +172,7 @@ class Recording(RecordedFile):
         damaged one.
         """
         topics = [name for name in self.counts if name.startswith(f"{EVENT.name}/")]
-        try:
-            return [Event.model_validate_json(message.payload) for message in self.messages(topics)]
-        except ValidationError as error:
-            raise BadInput("an event in the recording cannot be read", str(self.path), value=str(error)) from None
+        return [Event.model_validate(self.said(message)) for message in self.messages(topics)]
 
     def report(self) -> dict[str, Any]:
         """The closing report; empty where the run did not end by itself."""
@@ -183,8 +188,9 @@ class Recording(RecordedFile):
             shapes = [arrays[name].shape for name in names]
             if shapes[0] != shapes[1] or not (len(shapes[0]) == 4 or (names[0] == "x" and shapes[0][1:] == (3,))):
                 raise ValueError(f"{names[0]} has shape {shapes[0]} and {names[1]} {shapes[1]}")
-            # Numbers that they cannot do without.
-            _ = point.frame, point.t
+            numbers: dict[str, Any] = {name: text.get(name) for name in ("frame", "t", "steps", "dt")}
+            if not all(type(n) in (int, float) and 0 <= n < MOST_FRAMES for n in numbers.values()):
+                raise ValueError(f"its numbers are {numbers}")
             return point
         except (KeyError, ValueError, TypeError, OverflowError) as error:
             raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
@@ -203,23 +209,21 @@ def read_series(recording: Recording, end: float | None = None) -> dict[str, NDA
     """
     rows: dict[int, dict[str, Any]] = {}
     for message in recording.messages(STATUSES, end=end):
-        value = recording.json(message.payload)
+        value = recording.said(message)
         own = "dye_" if message.topic == DYE_STATUS.name and not recording.dyed_alone else ""
         row = {own + name if name in OWN else name: value[name] for name in SERIES if name in value}
         for name in TABLES:
             table = value.get(name)
             row |= {f"{name}_{key}": number for key, number in table.items()} if isinstance(table, dict) else {}
-        rows.setdefault(recording.whole(value.get("frame", -1)), {}).update(row)
+        rows.setdefault(value["frame"], {}).update(row)
     for message in recording.messages([PENETRATION.name], end=end):
-        value = recording.json(message.payload)
-        rows.setdefault(
-            recording.whole(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}
-        ).update(
+        value = recording.said(message)
+        rows.setdefault(value["frame"], {"frame": value["frame"], "t": value["t"]}).update(
             {name: value.get(name) for name in ("depth", "inside", "mean")}
             | {name: value[name] for name in ("crossings", "distance") if value.get(name) is not None}
         )
     for message in recording.messages([CONTACT.name], end=end):
-        contact = Contact.model_validate(recording.json(message.payload))
+        contact = Contact.model_validate(recording.said(message))
         row = rows.setdefault(contact.frame, {"frame": contact.frame, "t": contact.t})
         for felt in contact.bodies:
             row |= {f"force_{felt.body}_{axis}": value for axis, value in zip("xyz", felt.force, strict=True)}

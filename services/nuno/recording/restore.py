@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
+from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
-from nuno.recording.writer import RecordingWriter
+from nuno.recording.writer import RecordingWriter, topic_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
-from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
+from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, FRAMES, REPORT, Event, Header
 from nuno_schemas.scene import Scene
 
 SETTLED = "settled_from", "settled"
@@ -42,21 +42,32 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
     data = recording.scene
     if not data:
         raise BadInput("the recording holds no scene", str(recording.path), remedy="give the scene it was made from")
-    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        base = Path(folder)
+    with scratch() as base:
         for name in recording.attachments:
-            target = (base / name).resolve()
-            if not target.is_relative_to(base.resolve()):
-                raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(recording.attachment(name))
+            try:
+                target = (base / name).resolve()
+                if not target.is_relative_to(base.resolve()):
+                    raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(recording.attachment(name))
+            except (OSError, ValueError) as error:  # of no name, too long a one, one that is also a folder
+                problem = f"a file in the recording cannot be unpacked: {getattr(error, 'strerror', None) or error}"
+                raise BadInput(problem, str(recording.path), value=name) from None
         scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
         scene.write_text(json.dumps(data))
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
-        loaded.settled = settled_cloth(recording)
+        loaded.settled, loaded.recorded_sizes = settled_cloth(recording), recorded_sizes(recording)
         if loaded.live:
             loaded.recorded_poses = recorded_poses(recording)
         yield loaded
+
+
+def recorded_sizes(recording: Recording) -> dict[str, int]:
+    """See Loaded.recorded_sizes."""
+    state, amounts = (next(recording.messages([topic]), None) for topic in FRAMES)
+    phi = recording.arrays(amounts)[0].get("phi", np.zeros(0))
+    sizes = {"cells": 2 * math.prod(phi.shape[-2:])} if phi.size else {}
+    return sizes if state is None else sizes | {"vertices": len(recording.points(state))}
 
 
 def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:
@@ -96,6 +107,9 @@ def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:
     """The time [s] at which a run of the recording's scene goes on. Raises BadInput where it cannot or need not."""
+    if strange := [topic for topic in recording.counts if topic_of(topic) is None]:
+        problem, remedy = "a run cannot go on with a topic that none records", "write the recording anew without it"
+        raise BadInput(problem, str(recording.path), value=strange[0], remedy=remedy)
     t = recording.common_checkpoint().t
     frame, frames = round(t * loaded.scene.frame_rate), loaded.scene.frames
     if frame > frames or (frame == frames and recording.complete):

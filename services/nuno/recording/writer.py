@@ -15,7 +15,8 @@ from typing import BinaryIO
 
 from pydantic import ValidationError
 
-from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
+from nuno.process import hold
+from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile
 from nuno.wire.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
@@ -73,7 +74,9 @@ def _open(path: Path) -> BinaryIO:
         if path.exists() and not _is_mcap(path):
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
-        return part.open("xb")
+        stream = part.open("xb")
+        hold(stream.fileno())  # who reads it sees that it grows
+        return stream
     except FileExistsError:
         remedy = "it is being written, or its run was killed: choose another name, or move it away"
         raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None
@@ -129,7 +132,7 @@ class RecordingWriter:
         """
         start = time.perf_counter()
         kind = topic_of(topic)
-        if kind is None or not (math.isfinite(header.t) and 0 <= header.t < 2**62 * 1e-9 and 0 <= header.seq < 2**32):
+        if kind is None or not (math.isfinite(header.t) and 0 <= header.t < LATEST * 1e-9 and 0 <= header.seq < 2**32):
             raise BadMessage(f"cannot be recorded: topic {topic!r}, number {header.seq}, time {header.t} s")
         log_time = round(header.t * 1e9)
         if header.frame < 0:

@@ -86,6 +86,14 @@ def lines(report: Report) -> list[tuple[str, str]]:
     return rows
 
 
+def recorded_lines(report: Report) -> list[tuple[str, str]]:
+    """The same of a report that comes out of a file, which may have other fields, or of other types."""
+    try:
+        return lines(report) if report else []
+    except Exception as error:  # whatever such a field leads to
+        return [("report", f"damaged: {type(error).__name__}: {error}")]
+
+
 def _step(report: Report) -> str:
     dt, limit = report["dt"], report["dt_limit"]
     if dt is None:

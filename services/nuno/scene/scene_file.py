@@ -73,6 +73,8 @@ class Loaded:
     """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
     recorded_poses: Mapping[int, bytes] = field(default_factory=dict)
     """Of a recording whose bodies were told where to be: the messages that say where they were, by frame."""
+    recorded_sizes: Mapping[str, int] = field(default_factory=dict)
+    """Of a recording: how many "vertices" or "cells" it has."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""
     empty: tuple[str, ...] = ()

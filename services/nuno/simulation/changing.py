@@ -17,15 +17,18 @@ from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import beside
+from nuno.handed import check_fabric
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.chosen import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.ordered import Ordered
 from nuno.simulation.relax import Stillness
-from nuno.stepping.stepped import Stepper
+from nuno.stepping.stepped import Stepper, fitting
+from nuno.wrong import Wrong, check_array
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Int, State
+from nuno_schemas.layout import Bounds
 from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.plugin import Rested
 from nuno_schemas.system import StepReport
@@ -233,16 +236,26 @@ class Changing(Stepper):
 
     def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
-        arrays, text = point.arrays, point.text
+        with fitting(self.loaded):
+            another = self._adopt(point.arrays, point.text)
+        if another:
+            self._prepare({})
+            self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
+
+    def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
+        """Whether what is stepped is another now. Raises Wrong, or whatever else a damaged checkpoint leads to."""
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         # The solver's memory is in the order that the recording was stepped in, none where that had no other.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
         if origins:
             self._adopt_fabrics(arrays, text, origins)
         elif _same(before, self.numbers):
-            return
-        self._prepare({})
-        self.steps, self.dt = int(text["steps"]), float(text["dt"])
+            return False
+        if self.numbers is not None:
+            check_array(NUMBERS, self.numbers, np.int32, (self.fabric.number,))
+            if not np.array_equal(np.sort(self.numbers), np.arange(self.fabric.number)):
+                raise Wrong(f"{NUMBERS} does not name each vertex once")
+        return True
 
     def _adopt_fabrics(
         self, arrays: dict[str, NDArray[Any]], text: dict[str, Any], origins: dict[str, dict[str, float]]
@@ -253,8 +266,12 @@ class Changing(Stepper):
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
             fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, bound)
+            check_fabric(fabrics[int(number)])
+        sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}
         self.changes = list(text["changes"])
         self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
+        for i, (change, crest) in enumerate(zip(self.changes, self.crests, strict=True)):
+            check_array(f"fabric/crests/{i}", crest, np.int32, (5, None), Bounds(0, sizes[change["object"]] - 1))
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
 
 

@@ -28,11 +28,12 @@ from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Stage
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.simulation.settle import settle
-from nuno.stepping.stepped import Stepped, copy_into, hash_of
+from nuno.stepping.stepped import Stepped, copy_into, fitting, hash_of
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State
+from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.operation import arranges
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
@@ -96,8 +97,10 @@ class Simulation(Changing):
         bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
 
         def find(frame: int) -> Poses:
-            known = loaded.recorded_poses
-            return decode_poses(known[frame]) if frame in known else bodies.poses(frame / rate)
+            if frame not in loaded.recorded_poses:
+                return bodies.poses(frame / rate)
+            with fitting(loaded):
+                return decode_poses(loaded.recorded_poses[frame], len(bodies.geometry.frames))
 
         simulation = cls(loaded, bodies.geometry, find(0), threads)
         simulation.find_poses = find
@@ -120,11 +123,13 @@ class Simulation(Changing):
         self.stillness = Stillness(scene.frame_rate, self.fabric.number, scene.rest_speed or REST_SPEED * self._size)
         if scene.until == "rest":
             self.memory.arrays.update(self.stillness.memory)
+            self.memory.bounds["rest_frames"] = Bounds(0)
         self.relaxation = None
         if _finds_damping(self.loaded):
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
             self.memory.arrays[RELAXATION] = self.relaxation.memory
+            self.memory.bounds[RELAXATION] = Bounds(0.0)
         if source is not None:
             known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
             arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
@@ -271,6 +276,7 @@ class Simulation(Changing):
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """See `Stepper`; what operations made is in the checkpoint."""
+        self.check_time(point)
         for event in changes:
             if event.text == "set":
                 self.set(str(event.args["item"]))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Checkpoint, Recorded
 from nuno.recording.restore import control_events
@@ -34,6 +36,9 @@ def resume(stepper: Stepper, path: Path) -> None:
             problem, remedy = "the recording goes on after the end of the scene", "lengthen it: --set duration=10s"
             value, limit = f"frame {point.frame}", f"{frames} frames"
             raise BadInput(problem, str(path), value=value, limit=limit, remedy=remedy)
+        if not all(np.isfinite(values).all() for values in point.state.values()):
+            problem, remedy = "the last checkpoint is not finite: its run diverged", "run its scene with a shorter step"
+            raise BadInput(problem, str(path), value=f"frame {point.frame}", remedy=remedy)
         take_up(stepper, recording, point)
 
 

@@ -6,7 +6,8 @@ import hashlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
 from nuno.words import factor, megabytes, roughly
+from nuno.wrong import Wrong, check_array
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
@@ -36,6 +38,12 @@ class Stepped:
     report: Any
     seconds: float
     digest: str
+
+
+GROWN, FEW = 4, 1000
+"""A scene may seem to have so many times the vertices that were recorded, and so many more: models count roughly."""
+FINEST = 1000
+"""Of so many steps one may be made by what is changed while a run goes on."""
 
 
 class Stepper(ABC):
@@ -146,8 +154,22 @@ class Stepper(ABC):
         """What holds up the frame that is being stepped, in words; called while it is."""
         return ""
 
+    def check_time(self, point: Checkpoint) -> None:
+        """Raises BadInput for a checkpoint of a time or a step that no frame of this scene has."""
+        with fitting(self.loaded):
+            steps, dt = int(point.text["steps"]), float(point.text["dt"])
+            if point.frame < 0 or not math.isclose(point.t * self.loaded.scene.frame_rate, point.frame, abs_tol=1e-6):
+                raise Wrong(f"the checkpoint's frame {point.frame} is not at t = {point.t:g} s")
+            whole = self.steps * self.dt
+            if not (0 < steps <= FINEST * self.steps and math.isclose(steps * dt, whole, rel_tol=1e-9)):
+                raise Wrong(f"the checkpoint's {steps} steps of dt = {dt:g} s are no frame, which is {whole:g} s")
+
     def take_over(self, point: Checkpoint) -> None:
-        """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit."""
+        """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit, before any of
+        it is taken.
+        """
+        with fitting(self.loaded):
+            check_kept(self.memory, point.memory)
         copy_into(self.arrays(), point.state)
         copy_into(self.memory.arrays, point.memory)
         self.frame = point.frame
@@ -181,11 +203,40 @@ class Stepper(ABC):
         return max(time.perf_counter() - start, 1e-9)
 
 
-def require_memory(loaded: Loaded, field: str, what: str, size: int, remedy: str) -> None:
-    """Raises BadInput, at the scene's `field`, for what takes more bytes than are free."""
+@contextmanager
+def fitting(loaded: Loaded) -> Iterator[None]:
+    """What is wrong with what was recorded, whatever it is, as BadInput."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except (Wrong, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        text = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        problem, remedy = f"the recording is damaged: {text}", "take another copy, or run its scene again"
+        raise BadInput(problem, loaded.file, remedy=remedy) from None
+
+
+def check_kept(memory: Memory, given: Arrays) -> None:
+    """Raises Wrong for entries out of the bounds that a solver gives for its memory: see `Memory.bounds`."""
+    for name, values in given.items():
+        if name in memory.bounds:
+            check_array(MEMORY + name, values, values.dtype.type, values.shape, memory.bounds[name])
+        elif name in memory.arrays and values.dtype.kind in "iu":
+            raise Wrong(f"{MEMORY}{name} holds integers that its solver gives no bounds for, in Memory.bounds")
+
+
+def require_memory(loaded: Loaded, field: str, number: int, noun: str, size: int, remedy: str) -> None:
+    """Raises BadInput, at the scene's `field`, for so many vertices or cells that take more bytes than are free, or are
+    far more than the recording that the scene is from has.
+    """
+    value, known = f"{number:,} {noun}", loaded.recorded_sizes.get(noun)
+    if known is not None and number > GROWN * known + FEW:
+        remedy = "take another copy of the recording"
+        error = BadInput("the scene is not the one that was recorded", value=value, limit=f"{known:,}", remedy=remedy)
+        raise loaded.at(field, error)
     available = psutil.virtual_memory().available
     if size > available:
-        value, limit = f"{what}, about {size / 2**30:.1f} GiB", f"{available / 2**30:.1f} GiB are free"
+        value, limit = f"{value}, about {size / 2**30:.1f} GiB", f"{available / 2**30:.1f} GiB are free"
         error = BadInput("the scene does not fit in memory", value=value, limit=limit, remedy=remedy)
         raise loaded.at(field, error)
 
@@ -201,9 +252,9 @@ def hash_of(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
 def copy_into(held: Arrays, given: Arrays, some: bool = False) -> None:
     """Have the values of arrays of the same names, or of only some of them. Raises BadInput for others."""
     for name in given if some else held | given:
-        here, there = (arrays[name].shape if name in arrays else "nothing" for arrays in (held, given))
+        here, there = (f"{a[name].dtype} {a[name].shape}" if name in a else "nothing" for a in (held, given))
         if here != there:
             problem, remedy = "the checkpoint does not fit this scene", "resume with the recording's own scene"
-            raise BadInput(problem, value=f"{name} of shape {there}", limit=f"{here}", remedy=remedy)
+            raise BadInput(problem, value=f"{name}, {there}", limit=here, remedy=remedy)
     for name, values in given.items():
         np.copyto(held[name], values)

@@ -24,7 +24,7 @@ from nuno.recording.recorded import Frame, Recorded
 from nuno.seen.shown import draw_bodies, size_of
 from nuno.seen.sight import NO_POINTS
 from nuno.studio.shape import Shape, read_shape
-from nuno.wire.arrays import BadMessage, decode_points, origin_of
+from nuno.wire.arrays import origin_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
@@ -87,7 +87,7 @@ class Film:
                 elif message.topic == FABRIC.name:
                     changes.append(last)
                 else:
-                    numbers[last] = recording.whole(recording.json(message.payload).get("frame", -1))
+                    numbers[last] = recording.said(message)["frame"]
         except BadInput as error:  # what stands before the damage is shown
             later = [one.message_start_time for one in recording.layout.chunks if one.message_end_time > last]
             self.end, self.problem = min(later, default=last) / 1e9, str(error)
@@ -103,10 +103,8 @@ class Film:
             x = self.stills(self.times[:1])[0].x
             self.origin, geometry = origin_of(x), recording.last(GEOMETRY.name)
             if geometry is not None:
-                try:
+                with recording.damage_reported(geometry):
                     self._bodies = draw_bodies(decode_geometry(geometry.payload), size_of(x))
-                except BadMessage as error:
-                    raise self._damaged(geometry, error) from None
 
     @property
     def says(self) -> list[str]:
@@ -220,10 +218,7 @@ class Film:
         return Still(time / 1e9, number, shape, x, body, after != before)
 
     def _points(self, message: Recorded) -> Float:
-        try:
-            x = decode_points(message.payload)
-        except BadMessage as error:
-            raise self._damaged(message, error) from None
+        x = self.recording.points(message)
         number, digest = self.numbers[bisect_right(self.times, message.log_time) - 1], ""
         if self._changes:
             check_size(self.recording, list(self.shape(self.shape_at(message.log_time)).pieces),
@@ -233,10 +228,5 @@ class Film:
     def _body(self, message: Recorded | None) -> Float:
         if message is None or not len(self._bodies.vertices):
             return NO_POINTS
-        try:
+        with self.recording.damage_reported(message):
             return self._bodies.at(decode_poses(message.payload))
-        except (BadMessage, IndexError) as error:
-            raise self._damaged(message, error) from None
-
-    def _damaged(self, message: Recorded, error: Exception) -> BadInput:
-        return BadInput(f"{message.topic} at {message.t:g} s is damaged: {error}", str(self.recording.path))

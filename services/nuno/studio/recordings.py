@@ -12,7 +12,7 @@ from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of
-from nuno.report.show import lines
+from nuno.report.show import recorded_lines
 from nuno.scene.files import stamp_of
 from nuno.supervision import log, runs
 from nuno_schemas.errors import BadInput
@@ -64,7 +64,7 @@ class Recordings:
         path = self.find(name)
         with open_recording(path) as recording:
             report, lacks = recording.report(), shortcoming(recording)
-            rows, dyed = lines(report) if report else [], recording.dyed_alone
+            rows, dyed = recorded_lines(report), recording.dyed_alone
         (facts,) = (one for one in self.list() if one["name"] == name)
         return facts | {"rows": rows, "lacks": lacks or "", "dyed": dyed}
 

@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from nuno.process import hold, sweep
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
@@ -117,8 +118,11 @@ class _File(_Once, logging.FileHandler):
         if target.is_file() or not target.exists():  # else a pipe, which is written as it is
             self.target = target.resolve()
             self.fresh = self.target.with_name(f".{self.target.name}.{secrets.token_hex(4)}")
+            sweep(self.target.parent, f".*{SUFFIX}.????????")
         self.named = str(self.target)
         super().__init__(self.fresh, "w", "utf-8")
+        if self.stream is not None:
+            hold(self.stream.fileno())
 
     def emit(self, record: logging.LogRecord) -> None:
         """See logging.Handler."""

@@ -21,6 +21,10 @@ ARRAYS_SCHEMA = "nuno.Arrays"
 _DTYPES = {"float64", "float32", "int64", "int32", "uint8", "int8", "bool"}
 
 
+MOST_TEXT, MOST_FIELDS = 1 << 24, 10_000
+"""Bytes of JSON and fields of protobuf in a message: read, each two bytes of more would take a hundred of memory."""
+
+
 class BadMessage(ValueError):
     """A payload that is not what its topic promises."""
 
@@ -83,8 +87,11 @@ def _tagged(field: int, length: int) -> bytes:
 
 def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Bytes -> named arrays (read-only) and the mapping. Raises BadMessage."""
+    check_protobuf(payload, empty=True)
     try:
         message = _arrays_class().FromString(payload)
+        if len(message.text) > MOST_TEXT:
+            raise ValueError(f"a text of {len(message.text):,} letters")
         text = json.loads(message.text or "{}")
     except (DecodeError, ValueError, RecursionError) as error:
         raise BadMessage(f"not a nuno.Arrays message: {error}") from None
@@ -101,6 +108,8 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
             arrays[array.name] = np.frombuffer(array.data, dtype).reshape(tuple(array.shape))
         except ValueError as error:  # more axes, or longer ones, than numpy can have
             raise BadMessage(f"array {array.name!r}: {error}") from None
+        if dtype == np.bool_ and arrays[array.name].view(np.uint8).max(initial=0) > 1:
+            raise BadMessage(f"array {array.name!r} of bool holds what is neither true nor false")
     return arrays, text
 
 
@@ -108,10 +117,15 @@ _FIXED = {1: 8, 5: 4}
 """Bytes of protobuf's wire types of fixed length."""
 
 
-def check_protobuf(payload: bytes) -> None:
-    """Raises BadMessage where fields do not fill a payload exactly; nothing is copied."""
-    at = 0
+def check_protobuf(payload: bytes, empty: bool = False) -> None:
+    """Raises BadMessage where fields do not fill a payload exactly, or are too many; nothing is copied. None at all
+    are a message that is `empty`.
+    """
+    at = fields = 0
     while at < len(payload):
+        fields += 1
+        if fields > MOST_FIELDS:
+            raise BadMessage(f"a message of more than {MOST_FIELDS:,} fields")
         key, at = _varint(payload, at)
         kind = key & 7
         if kind == 0:
@@ -123,7 +137,7 @@ def check_protobuf(payload: bytes) -> None:
             at += _FIXED[kind]
         else:
             raise BadMessage(f"no protobuf message: wire type {kind} at byte {at}")
-    if at != len(payload) or not payload:
+    if at != len(payload) or not (payload or empty):
         raise BadMessage(f"no protobuf message: fields of {at} bytes in {len(payload)}")
 
 

@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import json
 import sys
+from collections.abc import Collection
 
 from nuno import registry
 from nuno.choose.cloth import decide
@@ -71,12 +72,16 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else []), "allow_unstable=true"]
     loaded = [decide(scene_file.read(shipped.find(name), overrides)) for name in args.scenes]
     kinds = {DyeProblem if one.solver is None else Problem for one in loaded}
-    solvers = [name for kind in kinds for name in registry.installed(kind.group)]
-    observables = [name for kind in kinds for name in kind.observables]
-    for field, given, known in (("--solvers", args.solvers, solvers), ("--observable", args.observable, observables)):
-        options.require_known(options.names_of(given), known, field.removeprefix("--").removesuffix("s"), field)
-        if given is not None and not options.names_of(given):
+    solvers = [list(registry.installed(kind.group)) for kind in kinds]
+    observables = [list(kind.observables) for kind in kinds]
+    for field, given, each in (("--solvers", args.solvers, solvers), ("--observable", args.observable, observables)):
+        wanted, known = options.names_of(given), [name for names in each for name in names]
+        options.require_known(wanted, known, field.removeprefix("--").removesuffix("s"), field)
+        if given is not None and not wanted:
             raise BadInput("none is named: the sweep would be empty", field=field, value=given)
+        if wanted and not all(set(wanted) & set(names) for names in each):
+            remedy = "name some of both, or give scenes of cloth and scenes of dye by turns"
+            raise BadInput("one of the scenes has none of these", field=field, value=given, remedy=remedy)
     names = [one.scene.name for one in loaded]
     if len(set(names)) < len(names):
         raise BadInput("two scenes have one name, and would write the same files", field="SCENE", value=names)
@@ -85,6 +90,11 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     if args.resume:
         require([args.out / f"precision-{name}.jsonl" for name in names])
     return loaded
+
+
+def _own(text: str | None, known: Collection[str]) -> list[str]:
+    """What is named and known: of scenes of cloth and of dye each has its own."""
+    return [name for name in options.names_of(text) if name in known]
 
 
 def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
@@ -100,7 +110,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     told(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
          f"from {path}")  # fmt: skip
     problem = pose(loaded)
-    solvers, omitted = choose_solvers(problem, options.names_of(args.solvers))
+    solvers, omitted = choose_solvers(problem, _own(args.solvers, registry.installed(problem.group)))
     solvers, own = add_own(problem, solvers)
     sweep = start_sweep(problem, solvers, told)
     sweep.omitted[:0] = omitted
@@ -115,4 +125,5 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
         scene=f"{problem.describe()}, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",
         reference=f"{reference.how}; {reference.seconds:.2g} s for both{disturbed}",
     )
-    return Findings(problem, sweep, floors, horizon, reference.how, about, own, options.names_of(args.observable))
+    shown = _own(args.observable, problem.observables)
+    return Findings(problem, sweep, floors, horizon, reference.how, about, own, shown)

@@ -85,9 +85,8 @@ class Findings:
 
         Orders are fitted in the first.
         """
-        return [
-            name for name in (self.problem.leading, *(self.shown or self.problem.observables)) if name in self.floors
-        ]
+        named = (self.problem.leading, *(self.shown or self.problem.observables))
+        return [name for name in named if name in self.floors] or list(self.floors)
 
     @property
     def own_sentence(self) -> str:

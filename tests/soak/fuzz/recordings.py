@@ -7,6 +7,7 @@ import tempfile
 import zlib
 from functools import cache
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import nuno
@@ -17,11 +18,13 @@ from nuno.scene import scene_file, shipped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 from soak.fuzz.containers import RECORDING
+from soak.fuzz.forged import forge
 from soak.fuzz.kind import TAU3, Kind, Read, require
 from soak.fuzz.mutate import mutate_text
 
 CLOTH: dict[str, Any] = {
-    "nuno": 1, "name": "cloth", "duration": "40 ms", "frame_rate": "50 Hz", "record": {"checkpoint_every": "20 ms"},
+    "nuno": 1, "name": "cloth", "duration": "40 ms", "frame_rate": "50 Hz",
+    "record": {"checkpoint_every": "20 ms", "contact_forces": True},
     "objects": [{"name": "a", "model": {
         "plugin": "sheet", "size": ["1 m", "1 m"], "resolution": [2, 2], "cells": "triangles"}}],
     "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "radius": "0.1 m", "centre": [0, -3, 0]}}],
@@ -103,6 +106,10 @@ PARTS: tuple[Any, ...] = (
 )
 
 
+def _mutate(data: bytes, random: Random) -> bytes:
+    return forge(data, random) if random.random() < 0.3 else RECORDING.mutate(data, random)
+
+
 def _scenes(folder: Path) -> list[bytes]:
     """Short ones that come with nuno and need no files, and one with an anchor."""
     found = [
@@ -131,7 +138,7 @@ def _scene(folder: Path) -> Read:
 RECORDINGS = (
     Kind("scene YAML", _scenes, _scene, lambda data, random: mutate_text(data, random, WORDS),
          ("nuno.scene", "nuno_schemas")),
-    Kind("MCAP", lambda folder: list(recorded()), _recording, RECORDING.mutate,
+    Kind("MCAP", lambda folder: list(recorded()), _recording, _mutate,
          ("nuno.recording", "nuno.wire.arrays", "mcap", "nuno.exports.cloth", "nuno.collision.messages"),
          longest=80_000),
 )  # fmt: skip
