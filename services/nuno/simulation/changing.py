@@ -6,7 +6,7 @@ import contextlib
 import json
 from abc import abstractmethod
 from collections.abc import Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
@@ -233,7 +233,8 @@ class Changing(Stepper):
 
     def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
-        arrays, text = point.arrays, point.text
+        own = (NUMBERS, *(name for name in point.arrays if name.startswith("fabric/")))
+        arrays, text = {name: point.arrays[name].copy() for name in own if name in point.arrays}, deepcopy(point.text)
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         # The solver's memory is in the order that the recording was stepped in, none where that had no other.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)

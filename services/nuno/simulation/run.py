@@ -243,10 +243,10 @@ class Simulation(Changing):
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
-    def keep(self) -> Checkpoint:
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
         """See `Stepper`: with the objects that operations have changed."""
-        point, (fabrics, changes) = super().keep(), self.altered()
-        return Checkpoint(point.arrays | fabrics, changes | point.text)
+        (arrays, text), (fabrics, changes) = super().whole(), self.altered()
+        return arrays | fabrics, changes | text
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """See `Stepper`; what operations made is in the checkpoint."""

@@ -7,6 +7,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -118,10 +119,15 @@ class Stepper(ABC):
         return self.arrays().values()
 
     def keep(self) -> Checkpoint:
-        """The whole present state, enough to go on from in the same bits."""
+        """A copy of the whole present state, enough to go on from in the same bits."""
+        arrays, text = self.whole()
+        return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
+
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays and text of a checkpoint of the present state: its own arrays, which the next frame changes."""
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
         text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
-        return Checkpoint(arrays, text)
+        return arrays, text
 
     def take_over(self, point: Checkpoint) -> None:
         """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit."""
