@@ -311,7 +311,7 @@ class Simulation(Changing):
         self.before = self.find_poses(max(self.frame - 1, 0))
         self.poses = self.find_poses(self.frame)
         self._begin_growth()
-        if self.growth is not None and ENERGY in point.arrays:
+        if self.growth is not None and np.isfinite(point.arrays.get(ENERGY, np.nan)).all():
             copy_into({ENERGY: self.growth.account}, {ENERGY: point.arrays[ENERGY]})
 
     def set(self, item: str) -> None:
