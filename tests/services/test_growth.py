@@ -121,7 +121,7 @@ def test_work_of_bodies_and_of_changes_is_no_growth(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_step_that_brings_energy_in_is_told_from_wind(case: Path) -> None:
-    """Where more than gravity does work, a frame in half steps shows what the step did: of hinges that blow up in a
+    """Where more than gravity does work, a frame in shorter steps shows what the step did: of hinges that blow up in a
     breeze, and of a swing that wind gives six times the energy that its weight could.
     """
     hinges, swing = (case / name / "scene.yaml" for name in (HINGES, SWING))

@@ -25,7 +25,7 @@ from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.costs import Costs, Moment, Stage
-from nuno.simulation.growth import SPURIOUS, Growth, internal
+from nuno.simulation.growth import FINER, Growth, internal
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.simulation.settle import settle
 from nuno.stepping.stepped import Stepped, copy_into, hash_of
@@ -226,13 +226,13 @@ class Simulation(Changing):
             return report
         said = f"{report.message}; " if report.message else ""
         if report.status == "ok":
-            had, now = self.growth.account[1], internal(report.energy)
             if begun is not None:
-                finer = Stage(self.solver, self.system, 2 * self.steps, 0.5 * self.dt).replay(begun)[1]
-                if finer.status == "ok" and now <= SPURIOUS * internal(finer.energy):
+                finer = Stage(self.solver, self.system, FINER * self.steps, self.dt / FINER).replay(begun)[1]
+                if finer.status == "ok" and not self.growth.is_more(report.energy, internal(finer.energy)):
                     self.growth.allow(report.energy)
                     return report
-            said = f"the energy has grown to {now:.3g} J where {had:.3g} J is all that there was; "
+            grown, had = internal(report.energy), self.growth.account[1]
+            said = f"the energy has grown to {grown:.3g} J where {had:.3g} J is all that there was; "
         elif report.status != "diverged":
             return report
         return replace(report, status="diverged", message=said + self._too_long())
