@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,8 +80,8 @@ def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> Moment:
         return Moment(frame, dye.t, dye.digest(), none, none, phi=phi, fixed=fixed)
     x, v = cloth.state.x.copy(), cloth.state.v.copy()
     if forces:
-        return Acted(frame, cloth.t, cloth.digest(), x, v, cloth.fabric, cloth.present_forces(), phi, fixed)
-    return Moment(frame, cloth.t, cloth.digest(), x, v, cloth.fabric, None, phi, fixed)
+        return Acted(frame, cloth.t, cloth.digest(), x, v, deepcopy(cloth.fabric), cloth.present_forces(), phi, fixed)
+    return Moment(frame, cloth.t, cloth.digest(), x, v, deepcopy(cloth.fabric), None, phi, fixed)
 
 
 class _Part:

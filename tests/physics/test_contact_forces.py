@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -162,7 +161,7 @@ def test_the_same_is_felt_after_a_change_and_from_a_checkpoint(tmp_path: Path, c
     before = felt(simulation)[0]
     assert before.force[1] < -0.01
     simulation.set("damping=4.0")
-    point = deepcopy(simulation.keep())
+    point = simulation.keep()
     resumed = rest(tmp_path, "symplectic_euler", contact, duration=0.01)
     resumed.resume(point)
     for one in (simulation, resumed):

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from nuno import registry
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_integrators.explicit.fixed_step import NoConfig
-from nuno_integrators.explicit.kicks import steps_a_kick
+from nuno_integrators.explicit.kicks import SAFE, steps_a_kick
 from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, divide
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_schemas.fabric import Float, Hinges, Springs, State
@@ -66,6 +66,20 @@ def test_what_kicks_leave_out_falls_with_the_time_between_them(damping: float, o
         often = end(system, Respa(), RespaConfig(every=1), steps, duration)
         errors.append(np.abs(end(system, Respa(), RespaConfig(every=5), steps, duration) - often)[0].max())
     assert abs(-np.polyfit(np.log(counts), np.log(errors), 1)[0] - order) < 0.3, errors
+
+
+def test_a_shorter_step_brings_kicks_nearer_too() -> None:
+    """The error, against a kick in every step extrapolated to none, falls with the step though many make a kick."""
+    system, duration = strip(damping=0.02), 0.1
+    state = State(system.fabric.position, system.fabric.velocity)
+    fewest = int(np.ceil(duration / (SAFE * Respa().limit(RespaConfig(), system, state).dt)))
+    kicks = {n: Respa().steps_a_kick(RespaConfig(), system, duration / n, duration) for n in (fewest, 8 * fewest)}
+    assert kicks[fewest] == kicks[8 * fewest] > 1
+    often = [end(system, Respa(), RespaConfig(every=1), k * fewest, duration) for k in (16, 32)]
+    exact = 2.0 * often[1] - often[0]
+    counts = [fewest << k for k in range(4)]
+    errors = [np.abs(end(system, Respa(), RespaConfig(), n, duration) - exact)[0].max() for n in counts]
+    assert abs(-np.polyfit(np.log(counts), np.log(errors), 1)[0] - 1.0) < 0.2, errors
 
 
 def test_kicks_stand_for_many_steps_of_damped_springs() -> None:
@@ -183,7 +197,7 @@ def test_bending_that_is_faster_than_contact_acts_in_every_step() -> None:
         assert not always or division.slow[0] == pytest.approx(np.sqrt(contact.omega_squared), rel=1e-6)
         fast, slow = both_rates(system, State(system.fabric.position, system.fabric.velocity))
         dt = 0.7 * Respa().limit(RespaConfig(), system, State(system.fabric.position, system.fabric.velocity)).dt
-        kicks = division.steps_a_kick(dt)
+        kicks = division.steps_a_kick(dt, dt)
         assert kicks > steps_a_kick(fast, slow, dt) if always else kicks == steps_a_kick(fast, slow, dt)
 
 
@@ -194,7 +208,7 @@ def test_kicks_of_contact_feed_no_bending(bend: float) -> None:
     state, plugin = State(system.fabric.position.copy(), system.fabric.velocity.copy()), Respa()
     dt = 0.7 * plugin.limit(RespaConfig(), system, state).dt
     kicks, (_, slow), (contact,) = (
-        plugin.steps_a_kick(RespaConfig(), system, dt),
+        plugin.steps_a_kick(RespaConfig(), system, dt, dt),
         both_rates(system, state),
         system.terms,
     )

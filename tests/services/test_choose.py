@@ -129,7 +129,7 @@ def test_the_error_of_kicks_is_seen(tmp_path: Path) -> None:
     problem = make_problem(scene_file.read(tmp_path / "random.yaml", ("duration=0.25", "solver.plugin=leapfrog")))
     plugin, higher = (registry.load("nuno.integrators", name) for name in ("respa", "leapfrog"))
     steps = 17
-    assert plugin.steps_a_kick(plugin.Config(), problem.system, problem.frame / steps) > steps
+    assert plugin.steps_a_kick(plugin.Config(), problem.system, problem.frame / steps, problem.frame) > steps
     trials = Trials(problem.system, (None,) * (problem.frames + 1), problem.frame, problem.frames, problem.size)
     x = simulate(problem, plugin, plugin.Config(), steps).series.x[1:]
     fine = simulate(problem, higher, higher.Config(), 16 * steps).series.x[1:]

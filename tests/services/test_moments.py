@@ -40,7 +40,9 @@ def test_every_frame_of_cloth_and_dye_is_the_runs_own(garment: Path, tmp_path: P
     for number, moment in moments.items():
         assert (moment.digest, moment.t) == (shown[number].digest, shown[number].t)
         assert np.abs(moment.x - shown[number].x).max() < 1e-7
-        assert moment.forces is None
+        assert moment.forces is None and moment.fabric is not None
+    own = [moment.fabric.position for moment in moments.values() if moment.fabric is not None]
+    assert not any(np.shares_memory(one, other) for one, other in pairwise(own)), "what is handed out is a copy"
     for number, point in points.items():
         assert moments[number].x.tobytes() == point.x.tobytes() and moments[number].v.tobytes() == point.v.tobytes()
     # A run that ends at a frame between two checkpoints keeps that frame.

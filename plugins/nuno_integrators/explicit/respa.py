@@ -6,6 +6,9 @@ alone, whose force is cheap to find. Bending, wind and contact are softer by an 
 several times as much. A kick of theirs is as strong as the steps that it stands for, and cloth is held off itself
 and off bodies once for each kick, along the straight way since the last one.
 
+A shorter step takes no more steps to a kick than the step that `dt: auto` takes: both are refined together, or the
+error of the kicks would remain whatever the step.
+
 How long a kick may stand for follows from three bounds. Kicks alone are stable, with the share SAFE of the limit left;
 they are no farther apart than the share SMOOTH of a radian of the fastest motion that they cause; and they feed no mode
 of tension. Kicks of a force with the frequency w_s let a mode w that they meet once in half of its period grow by
@@ -38,7 +41,7 @@ import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
-from nuno_integrators.explicit.kicks import MOST, steps_a_kick
+from nuno_integrators.explicit.kicks import MOST, SAFE, steps_a_kick
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.stability import measure_rates, stable_step
@@ -111,17 +114,22 @@ def advance_respa(
 @dataclass(frozen=True)
 class Division:
     """Which kinds of force act in every step; rates [1/s], the greatest angular frequency and damping, of these and of
-    the others; and how far apart kicks of the others may be in any case [s].
+    the others; the longest step that is safe, and how far apart kicks of the others may be in any case [s].
     """
 
     always: tuple[str, ...]
     fast: tuple[float, float]
     slow: tuple[float, float]
+    safe: float = math.inf
     longest: float = math.inf
 
-    def steps_a_kick(self, dt: float) -> int:
-        """For how many steps of dt [s] one kick may stand."""
-        return max(1, min(steps_a_kick(self.fast, self.slow, dt), int(min(MOST, self.longest / dt))))
+    def steps_a_kick(self, dt: float, span: float) -> int:
+        """For how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: no more than of
+        the longest safe step.
+        """
+        steps = (dt, max(dt, span / max(1, math.ceil(span / self.safe))))
+        most = (min(steps_a_kick(self.fast, self.slow, one), int(min(MOST, self.longest / one))) for one in steps)
+        return max(1, min(most))
 
 
 @dataclass
@@ -157,21 +165,20 @@ class Respa(Compiled):
         if has_sliding(system.terms):
             return super().limit(config, system, state)
         fast, slow = both_rates(system, state)
-        whole = math.hypot(fast[0], slow[0]), fast[1] + system.damping
-        step = min(stable_step(self.amplification, *rates, system.damping) for rates in (whole, slow))
+        step, whole = stable(fast, slow, system.damping), math.hypot(fast[0], slow[0])
         if config.every != "auto" and math.isfinite(step) and step > 0.0:
-            step *= min(1.0, divide(system).steps_a_kick(step) / config.every)
-        return StepLimit(step, whole[0], max(whole[1], slow[1]))
+            step *= min(1.0, divide(system).steps_a_kick(step, step) / config.every)
+        return StepLimit(step, whole, max(fast[1] + system.damping, slow[1]))
 
-    def steps_a_kick(self, config: RespaConfig, system: System, dt: float) -> int:
-        """Steps of dt [s] for each kick in this system."""
+    def steps_a_kick(self, config: RespaConfig, system: System, dt: float, span: float) -> int:
+        """Steps of dt [s] for each kick in this system, in frames of `span` [s]."""
         if has_sliding(system.terms):
             return 1
-        return divide(system).steps_a_kick(dt) if config.every == "auto" else config.every
+        return divide(system).steps_a_kick(dt, span) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         if dt != work.dt:
-            work.kicks = work.division.steps_a_kick(dt) if work.every is None else work.every
+            work.kicks = work.division.steps_a_kick(dt, steps * dt) if work.every is None else work.every
             work.dt = dt
         self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         work.last = (steps - 1) % work.kicks + 1
@@ -236,13 +243,19 @@ def divide(system: System) -> Division:
     """How the forces divide, by rates at the start; of tension's damping it is the least that any mode has."""
     fast, slow = both_rates(system, at_start(system))
     always: tuple[str, ...]
-    always, longest = TENSION, math.inf
+    always, longest, safe = TENSION, math.inf, SAFE * stable(fast, slow, system.damping)
     dear = sum(term.omega_squared for term in system.terms if any(kernels_of(part).lists for part in _parts(term)))
     bending = max(0.0, slow[0] ** 2 - sum(term.omega_squared for term in system.terms))
     if 0.0 < dear < bending:
         always, longest = TENSION + BENDING, 0.5 * math.pi / math.sqrt(bending)
         fast, slow = both_rates(system, at_start(system), always)
-    return Division(always, (fast[0], min(fast[1], least_damping(system.fabric, fast[0]))), slow, longest)
+    return Division(always, (fast[0], min(fast[1], least_damping(system.fabric, fast[0]))), slow, safe, longest)
+
+
+def stable(fast: tuple[float, float], slow: tuple[float, float], damping: float) -> float:
+    """Longest stable step [s] under all forces with the damping of tension, and under the others alone."""
+    whole = math.hypot(fast[0], slow[0]), fast[1] + damping
+    return min(stable_step(SymplecticEuler().amplification, *rates, damping) for rates in (whole, slow))
 
 
 def _parts(term: Term) -> Sequence[Any]:

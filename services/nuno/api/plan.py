@@ -84,7 +84,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
     rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
     rows += [("chosen", loaded.why)] if loaded.why else []
-    kept = sum(array.nbytes for array in simulation.keep().arrays.values())
+    kept = sum(array.nbytes for array in simulation.whole()[0].values())
     size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
     return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
 

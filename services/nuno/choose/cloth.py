@@ -139,7 +139,7 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
         evaluations = implicit_evaluations(system.fabric.number)
     fewest = max(1, math.ceil(frame / (safe * limit)))
     if name == KICKED:
-        evaluations = TENSION + 1.0 / plugin.steps_a_kick(config, system, frame / fewest)
+        evaluations = TENSION + 1.0 / plugin.steps_a_kick(config, system, frame / fewest, frame)
     return Method(name, plugin, config, evaluations, fewest)
 
 

@@ -90,7 +90,8 @@ class Trials:
         kicks = getattr(method.plugin, "steps_a_kick", None)
         if kicks is None:
             return method
-        every = min(kicks(method.config, self.system, self.frame / steps), steps)  # a frame ends the last one
+        # A frame ends the last one.
+        every = min(kicks(method.config, self.system, self.frame / steps, self.frame), steps)
         return replace(method, config=method.config.model_copy(update={"every": every}))
 
     def _horizon(self, method: Method, steps: int) -> int:

@@ -204,14 +204,11 @@ class DyeRun(Stepper):
         """See `Stepper`."""
         return str(self._solver.plugin.about(self.system))
 
-    def keep(self) -> Checkpoint:
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
         """See `Stepper`: with what supplies gave so far, and B where it has changed."""
-        point = super().keep()
+        arrays, text = super().whole()
         resist = {"resist": self.cells.resist} if self.resisted else {}
-        return Checkpoint(
-            point.arrays | resist,
-            self._text() | point.text | {"supply": self.supplies.save(self.frame * self.steps)},
-        )
+        return arrays | resist, self._text() | text | {"supply": self.supplies.save(self.frame * self.steps)}
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """See `Stepper`."""
@@ -230,7 +227,7 @@ class DyeRun(Stepper):
         resist = point.arrays.get("resist")
         if resist is not None:
             copy_into({"resist": np.empty_like(self.cells.resist)}, {"resist": resist})
-            self.change_resist(resist)
+            self.change_resist(resist.copy())
             self.memory = self._prepare(self.supplies)
         self.take_over(point)
         try:

@@ -6,7 +6,7 @@ import contextlib
 import json
 from abc import abstractmethod
 from collections.abc import Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
@@ -237,7 +237,8 @@ class Changing(Stepper):
     def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
         with fitting(self.loaded):
-            another = self._adopt(point.arrays, point.text)
+            own = (name for name in point.arrays if name == NUMBERS or name.startswith("fabric/"))
+            another = self._adopt({name: point.arrays[name].copy() for name in own}, deepcopy(point.text))
         if another:
             self._prepare({})
             self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])

@@ -25,7 +25,8 @@ from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
-from nuno.simulation.costs import Costs, Stage
+from nuno.simulation.costs import Costs, Moment, Stage
+from nuno.simulation.growth import FINER, Growth, internal
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.simulation.settle import settle
 from nuno.stepping.stepped import Stepped, copy_into, fitting, hash_of
@@ -42,6 +43,8 @@ SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
 RELAXATION = "relaxation"
 """Array of the memory that damping which finds its own strength goes on from."""
+ENERGY = "energy"
+"""What `Growth.account` is called in a checkpoint."""
 
 
 class Simulation(Changing):
@@ -84,6 +87,8 @@ class Simulation(Changing):
         self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
         self.limit: StepLimit
+        self.growth: Growth | None
+        """None before the first frame, and after what changes the cloth or what acts on it."""
         self._prepare({})
         for operation in (one.plugin for one in self.loaded.operations if not arranges(one.plugin)):
             operation.compile()
@@ -109,7 +114,7 @@ class Simulation(Changing):
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
         """See `Changing`."""
         fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
-        self._still = False
+        self._still, self.growth = False, None
         system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
         self.system = replace(system, leave=self.leave)
         # The limit comes before the solver's memory: both at once would be a run's peak.
@@ -190,10 +195,12 @@ class Simulation(Changing):
             before = self._content() if unmoved and not self.state.v.any() else ""
             self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
             self.costs.before(self.state, self.memory, poses)
+            begun = self._watch(poses, unmoved)
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             if report.status == "left":
                 return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             self.costs.after(report)
+            report = self._judge(report, begun)
             # A frame that changes nothing is followed by frames that change nothing.
             timeless = not any(term.in_python for term in self.system.terms)
             self._still = bool(before) and timeless and report.status == "ok" and before == self._content()
@@ -208,6 +215,49 @@ class Simulation(Changing):
             report = self._weigh(report, (end, end) if end is not None else None)
         self.taken = time.perf_counter() - begin
         return Stepped(self.frame, report, self.taken, self.digest())
+
+    def _begin_growth(self) -> None:
+        """Watch the energy from here on, of an explicit solver whose step is to be stable."""
+        scene = self.loaded.scene
+        if self.loaded.integrator.plugin.explicit and not scene.allow_unstable:
+            slow = REST_SPEED * self._size + float(np.linalg.norm(scene.gravity)) / scene.frame_rate
+            least = 0.5 * float(self.fabric.mass[~self.fabric.pinned].sum()) * slow * slow
+            self.growth = Growth(self.measure(self.poses).energy, self.dt / self.limit.dt, least)
+
+    def _watch(self, poses: tuple[Poses, Poses] | None, unmoved: bool) -> Moment | None:
+        """What a frame begins with in which more than gravity may do work, where the energy is watched."""
+        if self.growth is None:
+            self._begin_growth()
+        if self.growth is None or (unmoved and not self.system.terms and self.fabric.yarns is None):
+            return None
+        return Moment(self.state.copy(), {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
+
+    def _judge(self, report: StepReport, begun: Moment | None) -> StepReport:
+        """The report of a frame, diverged where its step has brought in energy; `begun` as `_watch` gave it."""
+        if self.growth is None or (report.status == "ok" and not self.growth.exceeds(report.energy)):
+            return report
+        said = f"{report.message}; " if report.message else ""
+        if report.status == "ok":
+            if begun is not None:
+                finer = Stage(self.solver, self.system, FINER * self.steps, self.dt / FINER).replay(begun)[1]
+                if finer.status == "ok" and not self.growth.is_more(report.energy, internal(finer.energy)):
+                    self.growth.allow(report.energy)
+                    return report
+            grown, had = internal(report.energy), self.growth.account[1]
+            said = f"the energy has grown to {grown:.3g} J where {had:.3g} J is all that there was; "
+        elif report.status != "diverged":
+            return report
+        return replace(report, status="diverged", message=said + self._too_long())
+
+    def _too_long(self) -> str:
+        """Why an explicit step may be too long, and what helps."""
+        if self.loaded.integrator.plugin.adaptive:
+            return "cloth that is crushed may be stiffer than any step allows: give it a damping_ratio"
+        return (
+            f"the step of {self.dt:.4g} s is {self.dt / self.limit.dt:.2g} of the limit of the cloth at its start, and "
+            "cloth that is stretched, sheared or crushed allows less: give its fabric a damping_ratio of 0.05, or take "
+            f"--set solver.dt={0.5 * self.dt:.7g}"
+        )
 
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
         """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
@@ -269,10 +319,11 @@ class Simulation(Changing):
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
-    def keep(self) -> Checkpoint:
-        """See `Stepper`: with the objects that operations have changed."""
-        point, (fabrics, changes) = super().keep(), self.altered()
-        return Checkpoint(point.arrays | fabrics, changes | point.text)
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+        """See `Stepper`: with the objects that operations have changed, and what the energy may come to."""
+        (arrays, text), (fabrics, changes) = super().whole(), self.altered()
+        energy = {} if self.growth is None else {ENERGY: self.growth.account}
+        return arrays | fabrics | energy, changes | text
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """See `Stepper`; what operations made is in the checkpoint."""
@@ -286,6 +337,9 @@ class Simulation(Changing):
         self.state.t = self.t
         self.before = self.find_poses(max(self.frame - 1, 0))
         self.poses = self.find_poses(self.frame)
+        self._begin_growth()
+        if self.growth is not None and np.isfinite(point.arrays.get(ENERGY, np.nan)).all():
+            copy_into({ENERGY: self.growth.account}, {ENERGY: point.arrays[ENERGY]})
 
     def set(self, item: str) -> None:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""

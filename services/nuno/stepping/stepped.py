@@ -137,10 +137,15 @@ class Stepper(ABC):
         return self.arrays().values()
 
     def keep(self) -> Checkpoint:
-        """The whole present state, enough to go on from in the same bits."""
+        """A copy of the whole present state, enough to go on from in the same bits."""
+        arrays, text = self.whole()
+        return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
+
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays and text of a checkpoint of the present state: its own arrays, which the next frame changes."""
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
         text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
-        return Checkpoint(arrays, text)
+        return arrays, text
 
     def copied(self) -> Checkpoint | None:
         """The present state apart, in case that the next frame is left; None where to copy it would take as long as a
@@ -148,7 +153,7 @@ class Stepper(ABC):
         """
         size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
         size += HASHED * sum(array.nbytes for array in self.arrays().values())
-        return deepcopy(self.keep()) if size < COPIED * self.taken else None
+        return self.keep() if size < COPIED * self.taken else None
 
     def holds(self) -> str:
         """What holds up the frame that is being stepped, in words; called while it is."""

@@ -62,8 +62,8 @@ class Teller(ABC):
 
         The arrays of this frame are shown, too: a resumed run then shows what an unbroken one does.
         """
-        point = point or self.stepper.keep()
-        if self.shown != point.frame:
-            self.publish_arrays(point.digest)
-        self._put(self.stepper.kept, encode_arrays(point.arrays, point.text), point.digest)
-        self.kept = point.frame
+        arrays, text = (point.arrays, point.text) if point else self.stepper.whole()
+        if self.shown != text["frame"]:
+            self.publish_arrays(text["digest"])
+        self._put(self.stepper.kept, encode_arrays(arrays, text), text["digest"])
+        self.kept = text["frame"]
