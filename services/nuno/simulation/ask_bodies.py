@@ -20,8 +20,7 @@ def ask_geometry(context: Context) -> Geometry:
     How long that may take is for the supervisor to say, who then goes: a distance field may have to be built there.
     """
     while context.watch.wait_for({"collision"}, 0.1):
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
+        context.require_supervisor()
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 

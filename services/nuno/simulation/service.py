@@ -248,11 +248,7 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
 
-    def watch() -> None:
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
-
-    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch)
+    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, context.require_supervisor)
     if geometry is not None:
         simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))
     if context.loaded.scene.record.contact_forces and geometry is not None:
