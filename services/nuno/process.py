@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import io
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
+T = TypeVar("T")
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
 
@@ -42,6 +44,63 @@ def return_large_arrays() -> None:
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE)
             ctypes.CDLL(None).mallopt(M_TRIM_THRESHOLD, KEPT)
+
+
+class _Stream(io.TextIOWrapper):
+    """Standard output, or standard error, where nothing fails because it cannot be written."""
+
+    fault = ""
+    """Why something could not be written."""
+
+    def write(self, text: str) -> int:
+        """See io.TextIOWrapper."""
+        return self._note(lambda: super(_Stream, self).write(text)) or len(text)
+
+    def flush(self) -> None:
+        """See io.TextIOWrapper."""
+        self._note(super().flush)
+
+    def _note(self, do: Callable[[], T]) -> T | None:
+        try:
+            return do()
+        except OSError as error:
+            if self.fileno() == 1:
+                if not isinstance(error, BrokenPipeError):  # whoever reads has enough
+                    self.fault = str(error.strerror)
+                raise
+        return None
+
+
+def open_streams() -> None:
+    """Open the standard streams that are closed, on nothing: their numbers would be those of the next files and
+    sockets, which the system's libraries would then write to. What a stream's encoding lacks is written escaped.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free
+    sys.stdin = sys.stdin or open(0, closefd=False)
+    encoding = getattr(sys.stdout or sys.stderr, "encoding", "utf-8")
+    for number, name in (1, "stdout"), (2, "stderr"):
+        own = open(number, "wb", closefd=False)
+        stream = _Stream(own, encoding, "backslashreplace", line_buffering=number == 2 or own.isatty())
+        setattr(sys, name, stream)
+
+
+def check_output() -> bool:
+    """Whether what was printed could be written so far, to the end of the buffer; what is wrong is said."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    fault = getattr(sys.stdout, "fault", "")
+    if fault:
+        print(f"failed: standard output cannot be written: {fault}", file=sys.stderr)
+    return not fault
+
+
+def import_no_own_files() -> None:
+    """Have the Python processes that this one starts import no file of the working folder, as a `queue.py` there."""
+    os.environ["PYTHONSAFEPATH"] = "1"
 
 
 class Terminated(KeyboardInterrupt):
@@ -139,7 +198,4 @@ def leave(code: int) -> NoReturn:
     ended by pthread_exit under Rust frames, which aborts the process ("exception not rethrown"):
     seen in one of six runs.
     """
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    end_process(code)
+    end_process(code if check_output() else code or 1)

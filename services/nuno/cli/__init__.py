@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -62,18 +63,22 @@ class _Parser(argparse.ArgumentParser):
 
 def command() -> NoReturn:
     """The console script: run a command, then leave with its exit code."""
+    process.open_streams()
     process.return_large_arrays()
+    process.import_no_own_files()
     process.end_when_terminated()
     process.fail_on_exit()
     process.refuse_exit()
+    code = 1
     try:
-        process.leave(main())
+        code = main()
     except SystemExit as end:  # of --help
-        process.leave(int(end.code or 0))
-    except Exception:
-        # A fault of ours. Python's own way out would call `fail_on_exit` when Python is no more.
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except Exception:  # a fault of ours
         traceback.print_exc()
-        process.leave(1)
+    finally:
+        # Python's own way out would call `fail_on_exit` when Python is no more.
+        process.leave(code)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,8 +96,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        sys.stderr.close()
+        sys.stdout = open(os.devnull, "w")
         return 1
+    except OSError:
+        if not getattr(sys.stdout, "fault", ""):
+            raise
+        return 1  # which is said at the end
 
 
 def _dispatch(arguments: list[str]) -> int:

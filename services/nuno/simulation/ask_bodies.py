@@ -11,7 +11,6 @@ from nuno.stepping.driver import WINDOW
 from nuno.wire.asked import Asked
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import RunFailed
 
 
 def ask_geometry(context: Context) -> Geometry:
