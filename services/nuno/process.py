@@ -80,10 +80,10 @@ def open_streams() -> None:
             os.fstat(number)
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free
-    sys.stdin = sys.stdin or open(0, closefd=False)
+    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
     encoding = getattr(sys.stdout or sys.stderr, "encoding", "utf-8")
     for number, name in (1, "stdout"), (2, "stderr"):
-        own = open(number, "wb", closefd=False)
+        own = open(number, "wb", closefd=False)  # noqa: SIM115
         stream = _Stream(own, encoding, "backslashreplace", line_buffering=number == 2 or own.isatty())
         setattr(sys, name, stream)
 

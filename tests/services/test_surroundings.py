@@ -1,7 +1,8 @@
-"""What surrounds a command: the files of its folder, and its standard streams."""
+"""What surrounds a command: the files of its folder, its standard streams, and names of files."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 from scenes import write_scene
 
 import nuno
+from nuno.cli import main
 
 NUNO = str(Path(sys.executable).with_name("nuno"))
 
@@ -57,9 +59,51 @@ def test_streams_that_are_closed_or_full_crash_nothing(closing: str, command: st
     done = shell(f'"$@" {closing}', tmp_path, command)
     assert done.returncode == code
     assert "Traceback" not in done.stderr
-    assert ("standard output cannot be written: No space left on device" in done.stderr) is ("> /dev/full" == closing)
+    assert ("standard output cannot be written: No space left on device" in done.stderr) is (closing == "> /dev/full")
 
 
 def test_standard_output_may_be_read_in_part(tmp_path: Path) -> None:
     done = shell('"$@" | head -c 10', tmp_path, "--help")
     assert done.stdout == "nuno: text" and done.stderr == ""
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+LONG = "x" * 256 + ".yaml"
+BYTES = os.fsdecode(b"caf\xe9")
+"""Not UTF-8."""
+NAMED = {
+    "run": ["run", "NAME"], "record": ["run", "SCENE", "--record", "NAME"], "save": ["run", "SCENE", "--save", "NAME.rrd"],
+    "root": ["run", "SCENE", "--root", "NAME"], "resume": ["run", "--resume", "NAME"], "info": ["info", "NAME"],
+    "verify": ["verify", "NAME"], "replay": ["replay", "NAME"], "export": ["export", "NAME", "--npz", "a.npz"],
+    "plan": ["plan", "NAME"], "weave": ["weave", "NAME"], "sew": ["sew", "NAME", "--body", "NAME"],
+    "fit": ["fit", "NAME"], "certs": ["certs", "NAME"], "draw": ["draw", "NAME"],
+    "log": ["run", "SCENE", "--log", "NAME"],
+    "new": ["new", "skirt", "NAME"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [LONG, BYTES], ids=["long", "not UTF-8"])
+@pytest.mark.parametrize("command", NAMED)
+def test_names_that_no_file_can_have_are_refused_in_words(
+    command: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By every command, before anything is written."""
+    monkeypatch.chdir(tmp_path)
+    scene = str(write_scene(tmp_path))
+    before = files(tmp_path)
+    assert main([part.replace("SCENE", scene).replace("NAME", name) for part in NAMED[command]]) == 2
+    said = capsys.readouterr().err
+    assert ("File name too long" if name == LONG else r"is not UTF-8") in said and "remedy" in said
+    assert files(tmp_path) == before
+
+
+def test_a_folder_whose_name_is_not_utf_8_is_named(tmp_path: Path) -> None:
+    """In a form that any terminal shows, and not in the words of Python."""
+    folder = tmp_path / BYTES
+    folder.mkdir()
+    done = shell('"$@"', folder, "run", write_scene(tmp_path), "--no-view")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert r"caf\udce9" in done.stderr and "rename" in done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import sys
@@ -96,9 +97,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return 1
-    except OSError:
+    except OSError as error:
+        if error.filename is not None and error.errno in (errno.ENAMETOOLONG, errno.EACCES):
+            problem, remedy = f"cannot be reached: {error.strerror}", "choose another name or place"
+            print(f"error: {BadInput(problem, value=error.filename, remedy=remedy)}", file=sys.stderr)
+            return 2
         if not getattr(sys.stdout, "fault", ""):
             raise
         return 1  # which is said at the end
@@ -113,6 +118,12 @@ def _dispatch(arguments: list[str]) -> int:
 
         print(f"nuno {version('nuno')}")
         return 0
+    for text in (*arguments, process.working_folder()):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            problem = "a name is not UTF-8, which recordings and messages are written in"
+            raise BadInput(problem, value=text, remedy="rename the file or folder") from None
     module, parser = parser_of(arguments[0])
     return int(module.main(parser.parse_args(arguments[1:])))
 
