@@ -60,6 +60,10 @@ class _Stream(io.TextIOWrapper):
         """See io.TextIOWrapper."""
         self._note(super().flush)
 
+    def close(self) -> None:
+        """Only flush: it is the command's, whose plugins may not close it."""
+        self.flush()
+
     def _note(self, do: Callable[[], T]) -> T | None:
         try:
             return do()

@@ -75,7 +75,8 @@ LONG = "x" * 256 + ".yaml"
 BYTES = os.fsdecode(b"caf\xe9")
 """Not UTF-8."""
 NAMED = {
-    "run": ["run", "NAME"], "record": ["run", "SCENE", "--record", "NAME"], "save": ["run", "SCENE", "--save", "NAME.rrd"],
+    "run": ["run", "NAME"], "record": ["run", "SCENE", "--record", "NAME"],
+    "save": ["run", "SCENE", "--save", "NAME.rrd"],
     "root": ["run", "SCENE", "--root", "NAME"], "resume": ["run", "--resume", "NAME"], "info": ["info", "NAME"],
     "verify": ["verify", "NAME"], "replay": ["replay", "NAME"], "export": ["export", "NAME", "--npz", "a.npz"],
     "plan": ["plan", "NAME"], "weave": ["weave", "NAME"], "sew": ["sew", "NAME", "--body", "NAME"],
@@ -107,3 +108,11 @@ def test_a_folder_whose_name_is_not_utf_8_is_named(tmp_path: Path) -> None:
     done = shell('"$@"', folder, "run", write_scene(tmp_path), "--no-view")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert r"caf\udce9" in done.stderr and "rename" in done.stderr
+
+
+@pytest.mark.parametrize("close", ["sys.stdout.close()", "sys.stderr.close()", "open(1, 'w', closefd=False).close()"])
+def test_a_plugin_cannot_close_the_streams_of_a_command(close: str) -> None:
+    begin, end = "import sys; from nuno import process; process.open_streams()", "print('err', file=sys.stderr)"
+    code = f"{begin}; {close}; print('out'); {end}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("out\n", "err\n")
