@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn, TypeVar
 
+from nuno_schemas.errors import BadInput
+
 T = TypeVar("T")
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
@@ -105,6 +107,18 @@ def check_output() -> bool:
 def import_no_own_files() -> None:
     """Have the Python processes that this one starts import no file of the working folder, as a `queue.py` there."""
     os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def check_compiler() -> None:
+    """Raises BadInput for settings of the user's environment by which no kernel is compiled, or none can run."""
+    without, threads = os.environ.get("NUMBA_DISABLE_JIT", ""), os.environ.get("NUMBA_NUM_THREADS", "1")
+    if without not in ("", "0"):
+        problem = "numba is set to compile nothing, and nuno's kernels cannot do without"
+        raise BadInput(problem, field="NUMBA_DISABLE_JIT", value=without, remedy="unset NUMBA_DISABLE_JIT")
+    if not (threads.isdecimal() and int(threads) > 0):
+        remedy = "unset NUMBA_NUM_THREADS; nuno run --threads N limits them for a run"
+        problem = "numba needs a whole number of threads, at least 1"
+        raise BadInput(problem, field="NUMBA_NUM_THREADS", value=threads, remedy=remedy)
 
 
 class Terminated(KeyboardInterrupt):

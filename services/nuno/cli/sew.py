@@ -16,6 +16,7 @@ from nuno import registry
 from nuno.begin.worn import Garment, describe_worn, is_own, name_garments
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
+from nuno.exports.target import replacing
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
 from nuno.words import many
@@ -91,7 +92,8 @@ def wear(args: argparse.Namespace) -> int:
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
     scale = _find_unit(args.body) if "body" in beside else ""
     moved = {"body": None} | {what: file.name for what, file in beside.items()}
-    scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
+    with replacing(scene) as new:
+        new.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
     roots = dict.fromkeys(str(file.resolve().parent) for _, file in files)
     command = ["run", str(scene), *(word for root in roots if Path(root) != scene.resolve().parent
                                     for word in ("--root", root))]  # fmt: skip

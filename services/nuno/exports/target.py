@@ -86,8 +86,15 @@ def together() -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path, suffix: str) -> Iterator[Path]:
-    """A new file beside `path`, which takes its place when all went well; see `together`. Raises BadInput."""
+    """A new file beside `path`, an export of a kind, which takes its place when all went well. Raises BadInput."""
     check_target(path, suffix)
+    with replacing(path, suffix) as new:
+        yield new
+
+
+@contextmanager
+def replacing(path: Path, suffix: str = "") -> Iterator[Path]:
+    """A new file beside `path`, which takes its place when all went well; see `together`. Raises BadInput."""
     waiting = _TOGETHER.get()
     new = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
     try:
