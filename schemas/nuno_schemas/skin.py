@@ -16,19 +16,21 @@ SMALLEST = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True)
 class Skin:
-    """What carries the v vertices of a skin: k of the j frames from that of its primitive on.
+    """What carries the s vertices of a skin: k of the q frames from that of its primitive on.
 
-    place  (j, 3) [m]    where the frames lie, unturned, in the vertices as they stand in the geometry
-    joint  (v, k) int32  which of these frames, from 0, the one with the largest weight first
-    weight (v, k)        how much of the vertex each carries, one in all
+    place  (q, 3) [m]    where the frames lie, unturned, in the vertices as they stand in the geometry
+    joint  (s, k) int32  which of these frames, from 0, the one with the largest weight first
+    weight (s, k)        how much of the vertex each carries, one in all
+
+    The lengths s and q are a skin's own: a geometry has v vertices and f frames of all its bodies.
     """
 
-    place: Annotated[Float, "j", 3]
-    joint: Annotated[Int, "v", "k", Bounds(0, below="j")]
-    weight: Annotated[Float, "v", "k", Bounds(0.0, 1.0)]
+    place: Annotated[Float, "q", 3]
+    joint: Annotated[Int, "s", "k", Bounds(0, below="q")]
+    weight: Annotated[Float, "s", "k", Bounds(0.0, 1.0)]
 
     def bend(self, x: Float, rotation: Float, translation: Float) -> Float:
-        """(v, 3) where vertices x (v, 3) are [m], with the j frames turned by quaternions (j, 4) and at (j, 3) [m].
+        """(s, 3) where vertices x (s, 3) are [m], with the q frames turned by quaternions (q, 4) and at (q, 3) [m].
 
         Each frame's motion since the skin was bound is a dual quaternion, of which those of a vertex are added by
         weight, and the sum is made one of length 1 (L. Kavan et al., Geometric skinning with approximate dual

@@ -51,20 +51,22 @@ _POWER = r"(?:\*\*|\^)\s*\(?\s*[+-]?\d{1,2}\s*\)?\s*"
 _NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
 _FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
 """As steps are named: 1/240 s."""
+_DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)([^,]*)")
 
 
 def _is_plain(text: str) -> bool:
     """Whether a text is one number and units.
 
     pint evaluates whole expressions: of "9**9**9**9 m" no computer would see the end. After the
-    number, digits may only stand in powers of units, and "1" in "1/s".
+    number, digits may only stand in powers of units, and "1" in "1/s"; pint would take "2 1 s" for a product, and
+    leave out commas.
     """
     number = _NUMBER.match(text)
     if number is None:
         return False
     units = text[number.end() :]
-    rest = re.sub(_POWER, " ", units)
-    return not re.search(f"(?:{_POWER}){{2}}", units) and not re.search(r"[02-9]|1\d|\*\*|\^|\+", rest)
+    rest = re.sub(_POWER + r"|(?<![\w.])1\s*/", " ", units)
+    return not re.search(f"(?:{_POWER}){{2}}", units) and not re.search(r"[\d,]|\*\*|\^|\+", rest)
 
 
 def _parse(text: str, unit: str) -> float:
@@ -72,6 +74,10 @@ def _parse(text: str, unit: str) -> float:
 
     if len(text) > 100:
         raise ValueError("a quantity has at most 100 characters")
+    if comma := _DECIMAL_COMMA.fullmatch(text):
+        sign, whole, decimals, units = comma.groups()
+        thousands = f", or {sign}{whole}{decimals}{units} if thousands are meant" if len(decimals) == 3 else ""
+        raise ValueError(f"a decimal comma; write {sign}{whole or 0}.{decimals}{units}{thousands}")
     if fraction := _FRACTION.fullmatch(text):
         text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
     try:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from nuno import contain
-from nuno.handed import CHECKS, check, check_turn, doubts
+from nuno.handed import check, check_turn, doubts
 from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
@@ -65,7 +65,7 @@ class Foreign:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # what Python asks of an object that is being copied
             raise AttributeError(name)
-        if not hasattr(self._plugin, name) and (name == "Config" or (self._group, name) in CHECKS):
+        if not hasattr(self._plugin, name):
             raise Lacking(f"{self._who} has no {name}", remedy=contain.UNWRITTEN)
         value = getattr(self._plugin, name)
         return self._guarded(name, value) if callable(value) and not isinstance(value, type) else value

@@ -7,6 +7,7 @@ with the field and the first row that is amiss. What annotations say is checked 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,11 @@ def check_term(term: Term, fabric: Fabric) -> None:
         raise Wrong(f"data is {kind}, neither a tuple of named tuples nor a function f(x, v, t, out)")
     for i, part in enumerate(term.data):
         check_layout(f"data[{i}].", part, {"n": fabric.number})
+        kernels = getattr(type(part), "kernels", None)
+        roles = fields(kernels) if is_dataclass(kernels) else ()
+        if all(getattr(kernels, role.name) is role.default for role in roles if role.name != "name"):
+            kind = f"data[{i}] is of type {type(part).__name__}, which has no kernels"
+            raise Wrong(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
 
 
 def check_touched(found: Touched, vertices: int) -> None:

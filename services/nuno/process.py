@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import io
 import os
 import shutil
 import signal
@@ -18,6 +19,9 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn, TypeVar
 
+from nuno_schemas.errors import BadInput
+
+T = TypeVar("T")
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
 
@@ -55,6 +59,79 @@ def return_large_arrays() -> None:
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE)
             ctypes.CDLL(None).mallopt(M_TRIM_THRESHOLD, KEPT)
+
+
+class _Stream(io.TextIOWrapper):
+    """Standard output, or standard error, where nothing fails because it cannot be written."""
+
+    fault = ""
+    """Why something could not be written."""
+
+    def write(self, text: str) -> int:
+        """See io.TextIOWrapper."""
+        return self._note(lambda: super(_Stream, self).write(text)) or len(text)
+
+    def flush(self) -> None:
+        """See io.TextIOWrapper."""
+        self._note(super().flush)
+
+    def close(self) -> None:
+        """Only flush: it is the command's, whose plugins may not close it."""
+        self.flush()
+
+    def _note(self, do: Callable[[], T]) -> T | None:
+        try:
+            return do()
+        except OSError as error:
+            if self.fileno() == 1:
+                if not isinstance(error, BrokenPipeError):  # whoever reads has enough
+                    self.fault = str(error.strerror)
+                raise
+        return None
+
+
+def open_streams() -> None:
+    """Open the standard streams that are closed, on nothing: their numbers would be those of the next files and
+    sockets, which the system's libraries would then write to. What a stream's encoding lacks is written escaped.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free
+    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
+    encoding = getattr(sys.stdout or sys.stderr, "encoding", "utf-8")
+    for number, name in (1, "stdout"), (2, "stderr"):
+        own = open(number, "wb", closefd=False)  # noqa: SIM115
+        stream = _Stream(own, encoding, "backslashreplace", line_buffering=number == 2 or own.isatty())
+        setattr(sys, name, stream)
+
+
+def check_output() -> bool:
+    """Whether what was printed could be written so far, to the end of the buffer; what is wrong is said."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    fault = getattr(sys.stdout, "fault", "")
+    if fault:
+        print(f"failed: standard output cannot be written: {fault}", file=sys.stderr)
+    return not fault
+
+
+def import_no_own_files() -> None:
+    """Have the Python processes that this one starts import no file of the working folder, as a `queue.py` there."""
+    os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def check_compiler() -> None:
+    """Raises BadInput for settings of the user's environment by which no kernel is compiled, or none can run."""
+    without, threads = os.environ.get("NUMBA_DISABLE_JIT", ""), os.environ.get("NUMBA_NUM_THREADS", "1")
+    if without not in ("", "0"):
+        problem = "numba is set to compile nothing, and nuno's kernels cannot do without"
+        raise BadInput(problem, field="NUMBA_DISABLE_JIT", value=without, remedy="unset NUMBA_DISABLE_JIT")
+    if not (threads.isdecimal() and int(threads) > 0):
+        remedy = "unset NUMBA_NUM_THREADS; nuno run --threads N limits them for a run"
+        problem = "numba needs a whole number of threads, at least 1"
+        raise BadInput(problem, field="NUMBA_NUM_THREADS", value=threads, remedy=remedy)
 
 
 class Terminated(KeyboardInterrupt):
@@ -214,7 +291,4 @@ def leave(code: int) -> NoReturn:
     ended by pthread_exit under Rust frames, which aborts the process ("exception not rethrown"):
     seen in one of six runs.
     """
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    end_process(code)
+    end_process(code if check_output() else code or 1)

@@ -19,7 +19,7 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.premises import offer_premises
-from nuno.process import working_folder
+from nuno.process import Terminated, working_folder
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
@@ -101,6 +101,11 @@ class Context:
         """Whether the supervisor was there and has gone."""
         return self.stop.is_set() or self.watch.gone(SUPERVISOR)
 
+    def require_supervisor(self) -> None:
+        """Raises RunFailed where the supervisor was there and has gone."""
+        if self.orphaned():
+            raise RunFailed("the supervisor has gone: its run ended without this service, or its process did")
+
     def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
         """What this service sent and saw, for the report."""
         counts: dict[str, Any] = {"sent": {name: p.sent for name, p in self.bus.publishers.items()}}
@@ -130,11 +135,16 @@ class Finish(BaseModel):
     state: str = "done"
     report: dict[str, Any] | None = None
 
+    @property
+    def failure(self) -> str:
+        """Why the run failed; empty where it did not."""
+        return self.error or ("" if self.state in ("done", "stopped") else f"it ended as {self.state}")
+
 
 def asks_to_finish(inbox: Inbox, question: Question) -> bool:
     """Whether the run is over; a question that cannot be read is refused and counted."""
     try:
-        Finish.model_validate_json(question.payload)
+        inbox.failure = Finish.model_validate_json(question.payload).failure
     except ValidationError as error:
         inbox.refuse(question)
         question.refuse(f"not a question to finish: {error.errors(include_url=False)[0]['msg']}")
@@ -167,14 +177,16 @@ def each_message(
                         return item
                 elif answer is not None:
                     answer(item)
-            elif context.orphaned():
-                raise RunFailed("the supervisor has gone")
+            else:
+                context.require_supervisor()
 
 
 def run_service(
     name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options, stop: threading.Event | None = None
-) -> None:
-    """Run one service until it is asked to finish, or `stop`. Raises what the service raised."""
+) -> str:
+    """Run one service until it is asked to finish, or `stop`; why the run failed, empty where it did not. Raises what
+    the service raised.
+    """
     bus = Bus(session, run, name)
     offer_health(bus)
     offer_premises(bus, loaded, options.resume is not None)
@@ -188,11 +200,12 @@ def run_service(
         args: dict[str, Any] = {"trace": traceback.format_exc()} if error.__cause__ is not None else {}
         context.event("error", str(error), peer=error.peer, **args)
         raise
-    except KeyboardInterrupt:
-        context.event("error", "interrupted")
+    except KeyboardInterrupt as error:
+        context.event("error", f"ended by {'SIGTERM' if isinstance(error, Terminated) else 'SIGINT (Ctrl-C)'}")
         raise
     except BaseException as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())
         raise
     finally:
         bus.close()
+    return next((inbox.failure for inbox in bus.inboxes if inbox.failure), "")

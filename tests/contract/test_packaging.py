@@ -10,17 +10,28 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import yaml
 from distributions import ROOT, build
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 import nuno
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LARGEST = 4_000_000
 """Bytes of a wheel that is small beside what it needs (numba, rerun, SciPy: some hundred megabytes)."""
+
+
+def test_no_version_of_numba_is_taken_that_was_not_tried() -> None:
+    """Kernels reach into its compiler, which changes from one minor version to the next."""
+    (numba,) = (one for one in map(Requirement, PROJECT["project"]["dependencies"]) if one.name == "numba")
+    here = Version(version("numba"))
+    assert numba.specifier.contains(here)
+    assert not numba.specifier.contains(Version(f"{here.major}.{here.minor + 1}"))
 
 
 @pytest.fixture(scope="module")

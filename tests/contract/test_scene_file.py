@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import nuno
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.override import apply_override, overridden
 from nuno_schemas.errors import BadInput
@@ -232,6 +233,12 @@ OVERRIDES = {
     "solver.dt=!!python/name:os.system": ("solver.dt", "tags are not allowed"),
     "solver.dt=\0": ("solver.dt", "not a valid value"),
     "seed=" + "9" * 5000: ("seed", "not a number that can be read"),
+    "duration=2,1 s": ("duration", "a decimal comma"),
+    "solver.dt=0,1": ("solver.dt", "a decimal comma"),
+    "gravity=['0,1', 0, 0]": ("gravity[0]", "a decimal comma"),
+    "seed=010": ("seed", "YAML reads this as a number of base 8: 8"),
+    "duration=1:30": ("duration", "YAML reads this as a number of base 60: 90"),
+    "duration=0:01": ("duration", "not a quantity"),
     "objects[0].model.resolution=[4, 1]": ("objects[0].model.resolution[1]", "out of range"),
 }
 
@@ -244,6 +251,38 @@ def test_wrong_overrides_are_blamed_on_the_command_line(item: str, tmp_path: Pat
     assert error.line is None
     assert error.field == (field or None)
     assert problem in error.problem
+
+
+def test_a_decimal_comma_is_never_dropped(shared_data: Path, tmp_path: Path) -> None:
+    """Neither in YAML nor in Python; with a point the same scene is read."""
+    path = shared_data / "cases" / "01-decimal-comma" / "scene.yaml"
+    with pytest.raises(BadInput, match=r"write 2\.1 s") as caught:
+        scene_file.read(path)
+    assert (caught.value.field, caught.value.line) == ("duration", 3)
+    with pytest.raises(BadInput, match=r"write 1\.1 m"):
+        scene_file.read(path, ["duration=2.1 s"])
+    scene = yaml.safe_load(path.read_text().replace(",1", ".1"))
+    with pytest.raises(BadInput, match=r"write 2\.1 s"):
+        nuno.plan(scene | {"duration": "2,1 s"})
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    assert scene_file.read(tmp_path / "scene.yaml").scene.duration == 2.1
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("10", 10), ("1_000", 1000), ("007", 7), ("0", 0), ("010.5", 10.5), ("0x10", 16), ("'010'", "010"), ("08", "08")],
+)
+def test_numbers_that_are_what_they_look_like_are_read(text: str, value: object) -> None:
+    assert yaml_lines.parse_value(text) == value
+
+
+@pytest.mark.parametrize(("text", "value"), [("010", 8), ("-017", -15), ("1:30", 90), ("1:30.5", 90.5)])
+def test_numbers_of_another_base_are_refused_with_what_they_would_be(text: str, value: float) -> None:
+    """In files they are named with their line; what the remedy says is read as just that number."""
+    with pytest.raises(BadInput, match=f"of base (8|60): {value}") as caught:
+        yaml_lines.parse(f"a: 1\nb: [{text}]\n", "scene.yaml")
+    assert (caught.value.file, caught.value.line, caught.value.field) == ("scene.yaml", 2, "b[0]")
+    assert yaml_lines.parse_value(str(value)) == value
 
 
 def test_fields_beside_an_override_keep_their_line(tmp_path: Path) -> None:

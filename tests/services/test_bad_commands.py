@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import socket
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from refusals import Refused, sheet
+from refusals import Refused, largest_file, sheet
 from scenes import write_scene
 
 import nuno
@@ -125,17 +124,6 @@ def test_a_folder_without_permission() -> None:
             runs.record_path(closed, "run")
         assert caught.value.value == str(closed)
         assert list(closed.iterdir()) == []
-
-
-@contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """The system refuses to let any file of this process grow beyond `size` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_no_room_while_recording_ends_the_run_and_keeps_what_was_whole(refused: Refused, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from refusals import Refused, of_file, write_net
 from scenes import write_scene
 
 from nuno.cli import main
+from nuno.scene import scene_file
 
 NETS: dict[str, tuple[dict[str, Any], str]] = {
     "nan": ({"x": np.full((3, 3), np.nan)}, "x[0, 0]: not a finite number"),
@@ -87,8 +88,17 @@ def test_paths_that_leave_the_folder(how: str, refused: Refused, tmp_path: Path,
     assert "objects[0].model.file" in said
     if how != "link to itself":
         assert "leaves the scene's folder" in said
-        assert "--root DIR" in said
+        assert (f"to {outside / 'net.npz'}" in said) is (how == "link")
+        assert (f"--root {outside}" if how == "link" else "--root DIR") in said
         assert str(tmp_path) in said
+
+
+def test_a_link_may_lead_into_a_folder_that_the_user_names(tmp_path: Path, outside: Path) -> None:
+    """As its remedy says, whatever the file is called there."""
+    (tmp_path / "other.npz").symlink_to(outside / "net.npz")
+    scene = write_scene(tmp_path, objects=of_file("other.npz"), duration=0.1)
+    loaded = scene_file.read(scene, [], [outside])
+    assert loaded.files.resolve("other.npz") == (outside / "net.npz").resolve()
 
 
 def test_a_root_opens_its_folder_and_no_other(refused: Refused, tmp_path: Path, outside: Path) -> None:

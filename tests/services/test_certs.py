@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from refusals import largest_file
 
 from nuno.access import certificates, folder
 from nuno.access.rights import IN, access_control, read_rights
@@ -65,6 +66,16 @@ def test_nothing_is_overwritten(certs: Path, capsys: pytest.CaptureFixture[str])
     assert main(["certs", str(certs), "--roles", "observer,router"]) == 2
     assert "would be overwritten" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in certs.iterdir()} == before
+
+
+def test_a_full_disk_leaves_no_part_of_an_authority(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A key without its certificate, or half of a file, would be in the way of the next try."""
+    for room in (100, 1000):
+        with largest_file(room):
+            assert main(["certs", str(tmp_path / "certs")]) == 2
+        assert "cannot be written: File too large" in capsys.readouterr().err
+        assert list((tmp_path / "certs").iterdir()) == []
+    assert main(["certs", str(tmp_path / "certs"), "--roles", "observer"]) == 0
 
 
 def test_one_that_was_moved_away_is_made_again_by_the_same_authority(certs: Path, tmp_path: Path) -> None:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from persons import skinned
 
 from nuno.collision import mesh as mesh_module
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.mesh import distances, make_columns
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
+from nuno.handed import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.plugin import BodyShape, Mover
+from nuno_schemas.skin import Skin
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)
@@ -102,6 +110,59 @@ def test_bodies_cross_the_bus_unchanged() -> None:
     poses = decode_poses(encode_poses(posed(), 3))
     assert poses.rotation.tobytes() == posed().rotation.tobytes()
     assert poses.translation.tobytes() == posed().translation.tobytes()
+
+
+def joined(parts: Sequence[Geometry]) -> Geometry:
+    """One geometry of several, each on frames of its own."""
+
+    def shifted(name: str, length: str) -> Any:
+        before = np.cumsum([0, *(len(getattr(part, length)) for part in parts)])
+        return np.concatenate(
+            [getattr(part, name) + at for part, at in zip(parts, before, strict=False)], dtype=np.int32
+        )
+
+    plain = ("kind", "a", "b", "radius", "stiffness", "damping", "friction", "vertices")
+    shifts = {"frame": "frames", "body": "bodies", "faces": "vertices", "owner": "kind"}
+    return Geometry(
+        bodies=tuple(f"{name}{i}" for i, part in enumerate(parts) for name in part.bodies),
+        frames=tuple(f"{i}/{name}" for i, part in enumerate(parts) for name in part.frames),
+        skins=tuple(skin for part in parts for skin in part.skins),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in plain},
+        **{name: shifted(name, length) for name, length in shifts.items()},
+    )
+
+
+def cube() -> Geometry:
+    """A mesh of 8 vertices and 12 triangles on one frame."""
+    box = trimesh.creation.box(2.0 * HALF)
+    faces, one = np.array(box.faces, np.int32), bodies((MESH, -HALF, HALF, 0.0))
+    return replace(one, vertices=np.array(box.vertices), faces=faces, owner=np.zeros(12, np.int32))
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
+def test_any_mix_of_bodies_crosses_the_bus_with_each_where_it_is_alone(order: tuple[int, ...]) -> None:
+    """A ball, a rigid mesh and two skins of other numbers of vertices and frames, in any order."""
+    short = replace(skinned(), bodies=("short",))
+    thin = short.skins[0]
+    still = Skin(np.zeros((1, 3)), np.zeros((len(thin.joint), 1), np.int32), np.ones((len(thin.joint), 1)))
+    longer = replace(short, bodies=("still",), frames=("still/world",), skins=(still,))
+    every = [bodies((CAPSULE, A, B, RADIUS)), cube(), short, longer]
+    parts = [every[i] for i in order]
+    back = decode_geometry(encode_geometry(joined(parts)))
+    turns = np.random.default_rng(0).normal(size=(len(back.frames), 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    poses, first = Poses(0.0, turns, turns[:, 1:] * 0.1), 0
+    for i, part in enumerate(parts):
+        own = slice(first, first + len(part.frames))
+        first = own.stop
+        if len(part.faces):
+            alone = part.placed(0, Poses(0.0, poses.rotation[own], poses.translation[own]))
+            for here, there in zip(back.placed(i, poses), alone, strict=True):
+                assert here.tobytes() == there.tobytes()
+    whole = BodyShape(back.frames, back.kind, back.frame, back.a, back.b, back.radius, back.vertices, back.faces,
+                      back.owner, skins=back.skins)  # fmt: skip
+    joints = len(back.frames)
+    check_body(whole, Mover(back.frames, np.full(joints, -1, np.int32), np.zeros((joints, 3)), lambda t: turns))
 
 
 def test_depth_in_a_mesh_is_that_in_the_box_it_has_the_shape_of() -> None:

@@ -75,6 +75,41 @@ def test_every_page_is_found_from_the_first() -> None:
     assert sorted(str(page.relative_to(ROOT)) for page in set(SITE) - found) == []
 
 
+SOURCES = [ROOT / place for place in ("", "plugins", "services", "schemas", "tests")]
+FILE = re.compile(r"(?<![\w./-])((?:nuno\w*|schemas|services|plugins|tests|scenes|deploy|docs)/[\w./-]*\.[a-z0-9]+)\b")
+MODULE = re.compile(r"(?<![\w./@-])(nuno_\w*(?:\.[A-Za-z_]\w*)+)")
+"""In nuno's own packages; names that begin with `nuno.` are also those of groups, messages and the API."""
+
+
+def stale(text: str) -> set[str]:
+    """Paths of the source and names of modules, and of what is in them, that a text has and the project has not."""
+    lost = {name for name in FILE.findall(text) if not any((place / name).exists() for place in SOURCES)}
+    for name in MODULE.findall(text):
+        parts = name.split(".")
+        paths = [
+            (path, parts[length:]) for length in range(len(parts), 0, -1) for place in SOURCES
+            for base in [place.joinpath(*parts[:length])] for path in (base.with_suffix(".py"), base / "__init__.py")
+            if path.is_file()
+        ]  # fmt: skip
+        if not paths or (paths[0][1] and not re.search(rf"\b{paths[0][1][0]}\b", paths[0][0].read_text())):
+            lost.add(name)
+    return lost
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_paths_and_names_of_the_source_are_there(page: Path) -> None:
+    """The changelog tells what was, too."""
+    if page.name != "CHANGELOG.md":
+        assert not stale(page.read_text(encoding="utf-8"))
+
+
+def test_stale_paths_and_names_are_seen() -> None:
+    text = "`nuno_kernels/constraints.py`, `nuno_kernels/forces/constraints.py`, `nuno_schemas.plugin.Config`"
+    assert stale(f"{text}, `nuno_schemas.plugin.Konfig`, `nuno_schemas.plug`, `nuno_kernels.terms.register`") == {
+        "nuno_kernels/constraints.py", "nuno_schemas.plugin.Konfig", "nuno_schemas.plug",
+    }  # fmt: skip
+
+
 def test_broken_links_are_seen(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# A `b` c, d\n\n[x](#a-b-c-d) [![y](no.png)](gone.md) `[z](code)`\n\n```\n[z](code)\n```\n")

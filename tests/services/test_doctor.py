@@ -63,3 +63,21 @@ def test_nothing_is_said_of_threads_before_a_kernel_ran(
     said = capsys.readouterr().out
     assert "failed kernels" in said and "OpenMP" not in said
     assert said.count("not known: no kernel has run") == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("NUMBA_DISABLE_JIT", "1"), ("NUMBA_NUM_THREADS", "0"), ("NUMBA_NUM_THREADS", "two")]
+)
+def test_settings_without_which_kernels_run_are_named_at_the_start_too(
+    name: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(name, value)
+    assert main(["doctor"]) == 1
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("failed kernels"))
+    assert f"{name}={value}: numba " in row
+    assert main(["run", "net", "--no-view"]) == 2
+    said = capsys.readouterr().err
+    assert f"{name}: numba" in said and f"unset {name}" in said
+    monkeypatch.delenv(name)
+    assert main(["plan", "net"]) == 0

@@ -281,6 +281,22 @@ def test_what_cannot_be_gone_on_from_is_refused(
     assert "cut before its first record" in refusal(capsys, cut)
 
 
+def test_a_run_that_is_killed_is_gone_on_from_though_no_checkpoints_were_asked_for(
+    many_chunks: None, tmp_path: Path
+) -> None:
+    """From that of frame 60: the file is as a kill in frame 63 leaves it."""
+    whole = nuno.run(write_scene(tmp_path, duration=1.3, record={}), record=tmp_path / "whole.mcap")
+    killed, on = tmp_path / "killed.mcap.part", tmp_path / "on.mcap"
+    with nuno.open(whole.path) as recording:
+        assert [point.frame for point in recording.checkpoints()] == [60, 65]
+        last = next(chunk for chunk in recording.layout.chunks if chunk.message_start_time >= 63 / 50 * 1e9 - 1)
+    killed.write_bytes(whole.path.read_bytes()[: last.chunk_start_offset])
+    assert main(["run", "--resume", str(killed), "--no-view", "--record", str(on)]) == 0
+    with nuno.open(on) as recording:
+        assert recording.metadata["end"]["digest"] == whole.digest
+        assert sum(1 for _ in recording.frames()) == 66
+
+
 def test_a_recording_damaged_at_its_end_is_gone_on_from(many_chunks: None, tmp_path: Path) -> None:
     whole = nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "whole.mcap")
     with nuno.open(whole.path) as recording:

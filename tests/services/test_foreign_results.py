@@ -22,6 +22,7 @@ __all__ = ["packages"]
 
 GIVEN = """\
 from dataclasses import replace
+from nuno_kernels.terms import register
 from typing import Annotated, NamedTuple
 from nuno_schemas.bodies import *
 from nuno_schemas.dye import *
@@ -34,6 +35,12 @@ class Typed(NamedTuple):
     k: float = 1.0
     of: Annotated[Int, "n"] | None = None
     also: Annotated[Float, "m"] = np.zeros(2)
+register(Typed, name="typed", counts=lambda term: {{}})
+class Unknown(NamedTuple):
+    k: float
+class Idle(NamedTuple):
+    k: float
+register(Idle, name="idle")
 def cloth():
     x = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0, 0.1], [0.1, 0, 0.1]])
     pairs = np.array([[0, 1], [0, 2], [1, 3], [2, 3], [1, 2]], np.int32)
@@ -127,6 +134,8 @@ FAULTS: list[tuple[tuple[str, str], str, str]] = [
     (FORCE, TYPED.format("np.zeros((2, 3)), np.inf"), "data[0].k is inf"),
     (FORCE, TYPED.format("np.zeros((2, 3)), 1.0, np.zeros(3, np.int32)"), "data[0].of is int32 (3,), not int32 (4,)"),
     (FORCE, TYPED.format("np.zeros((2, 3)), (1.0, 2.0)"), "data[0].k is tuple, no number"),
+    (FORCE, "Term('own', (Unknown(1.0),))", "data[0] is of type Unknown, which has no kernels"),
+    (FORCE, "Term('own', (Idle(1.0),))", "data[0] is of type Idle, which has no kernels, and so does nothing"),
     (CLOTH, "(replace(cells(), porosity=2 * np.ones((2, 3, 4))), amounts())",
      "cells.porosity is 2.0 at row 0, outside 0 to 1"),
     (CLOTH, "(cells(), DyeState(np.zeros((2, 3, 4)), np.zeros((2, 3, 4))))",

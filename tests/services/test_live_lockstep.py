@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import nuno
 from nuno.cli import main
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
+from nuno.wire.sessions import spoke
 from nuno_schemas.errors import RunFailed
 
 
@@ -65,6 +68,27 @@ def test_a_frame_that_waits_can_be_paused_and_stopped(tmp_path: Path) -> None:
         assert run.stop().state == "stopped"
     assert places(run.record)[1:].tolist() == [position for position, _ in poses()[:2]]
     assert run.report["followed"]["hand"]["used"] == 2
+
+
+def test_a_program_that_has_died_and_poses_for_nobody_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the key that is listened to, once each."""
+    monkeypatch.setattr("nuno.collision.live.WAITING_AFTER", 0.3)
+    run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    key = f"nuno/{run.run}/poses/hand"
+    sent = [json.dumps({"position": p, "rotation": r}) for p, r in poses()[:2]]
+    with spoke(run.endpoint) as session:
+        for name in (key, key.replace("hand", "hnd"), key):
+            for payload in sent:
+                session.put(name, payload)
+        run.control("resume")
+        run.wait(lambda: run.frame >= 4)
+        time.sleep(1.0)
+        run.stop()
+    with open_recording(run.record) as recording:
+        said = [event.text for event in recording.events() if event.kind == "warning"]
+    assert sum(f"poses come for 'hnd', and no body follows them: hand by {key}" in text for text in said) == 1
+    assert sum(f"no poses of frame 5 by {key} yet" in text and "has the program" in text for text in said) == 1
 
 
 def test_silence_that_ends_a_run_is_no_service_that_died(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

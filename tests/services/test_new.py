@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from pydantic import BaseModel
+from refusals import largest_file
 
 from nuno.cli import main
 from nuno.cli.new import KINDS
@@ -73,3 +74,16 @@ def test_what_is_none_is_refused(
         assert main(["new", *words]) == 2
         assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["sheet", "skirt"])
+def test_a_full_disk_leaves_nothing_that_is_in_the_way_of_the_next(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with largest_file(100):
+        assert main(["new", kind]) == 2
+    assert "cannot write there: File too large" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert main(["new", kind]) == 0
+    assert scene_file.read(tmp_path / f"{kind}.yaml").scene.name == kind

@@ -11,6 +11,8 @@ import zenoh
 from recorded_sheet import RATE, Sheet, write
 
 from nuno import replay as replay_module
+from nuno.cli import main
+from nuno.process import Terminated
 from nuno.recording.reader import Recording, open_recording
 from nuno.replay import WINDOW, Replay
 from nuno.service import ack_topic
@@ -188,3 +190,16 @@ def test_a_replay_recorded_again_holds_the_same_status(session: zenoh.Session, r
     Replay(rate=None).run(Bus(session, "again", "replay"), recording)
     for message in received(inbox, FRAMES):
         assert message.header.digest == f"digest-{message.header.frame}"
+
+
+@pytest.mark.parametrize(("signal", "word"), [(KeyboardInterrupt, "interrupted"), (Terminated, "terminated")])
+def test_one_that_is_ended_by_a_signal_says_so(
+    signal: type[BaseException], word: str, recording: Recording, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def end(self: Replay, bus: Bus, recording: Recording) -> None:
+        raise signal
+
+    monkeypatch.setattr(Replay, "run", end)
+    assert main(["replay", str(recording.path), "--fast", "--no-view"]) == 1
+    assert capsys.readouterr().err.endswith(f"{word} before the end of the recording\n")

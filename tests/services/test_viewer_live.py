@@ -20,7 +20,7 @@ from viewer_run import messages
 
 from nuno.scene import scene_file
 from nuno.service import Options, ack_topic, run_service
-from nuno.viewer.live import LiveView, Ring
+from nuno.viewer.live import LiveView, Ring, keep_page
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import free_port, hub
 from nuno.wire.watch import Watch
@@ -146,6 +146,31 @@ def test_the_web_view_shows_a_run_and_listens_on_loopback_only() -> None:
     finally:
         if live.pid is not None:
             psutil.Process(live.pid).kill()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("ends", ["killed", "in order", "terminated"])
+def test_the_viewer_stays_open_after_a_run_and_not_after_one_that_was_killed(ends: str) -> None:
+    opened = threading.Event()
+    live = LiveView("web", "run", View(), lambda kind, text: opened.set())
+    assert opened.wait(SOON) and live.pid is not None
+    viewer = psutil.Process(live.pid)
+    try:
+        if ends == "killed":
+            assert live._process.stdin is not None
+            live._process.stdin.close()  # as the system does for who is killed
+        else:
+            live.finish()
+            assert viewer.is_running()
+        if ends == "terminated":
+            keep_page("web", {"pid": live.pid}, stays=False)
+        live._process.wait(SOON)
+        if ends != "in order":
+            viewer.wait(SOON)
+        assert viewer.is_running() is (ends == "in order")
+    finally:
+        if viewer.is_running():
+            viewer.kill()
 
 
 def test_the_ring_gives_up_the_oldest_frames_and_nothing_else() -> None:

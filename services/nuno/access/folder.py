@@ -72,14 +72,18 @@ def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> 
         if _path(folder, role).exists():
             remedy = "move it away first, or name other roles: --roles"
             raise BadInput("this would be overwritten", value=str(_path(folder, role)), remedy=remedy)
+    before = set[Path]()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
+        before = set(folder.iterdir())
         authority = _authority(folder)
         pairs = {role: certificates.sign(authority, role, days, hosts) for role in wanted}
         for role, pair in pairs.items():
             _write(_path(folder, role), configuration(role, pair, authority))
     except OSError as error:
+        for path in set(folder.glob("*")) - before:  # a part of a file, or an authority without its key
+            path.unlink()
         remedy = "name a folder of your own"
         raise BadInput(f"cannot be written: {error.strerror}", value=str(folder), remedy=remedy) from None
     return [_kept(folder, role, pair) for role, pair in pairs.items()]

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from nuno.begin.worn import name_garments
+from nuno.exports.target import replacing
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.commented import comment
 from nuno.scene.explain import UNNUMBERED
@@ -35,8 +36,10 @@ def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Pa
     try:
         for path, place in missing.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(place, path)
-        file.write_text(comment(loaded), encoding="utf-8")
+            with replacing(path) as new:
+                shutil.copyfile(place, new)
+        with replacing(file) as new:
+            new.write_text(comment(loaded), encoding="utf-8")
     except OSError as error:
         raise BadInput(f"cannot write there: {error.strerror}", value=str(file)) from None
     return [*missing, file]

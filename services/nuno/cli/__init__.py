@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -63,18 +65,22 @@ class _Parser(argparse.ArgumentParser):
 
 def command() -> NoReturn:
     """The console script: run a command, then leave with its exit code."""
+    process.open_streams()
     process.return_large_arrays()
+    process.import_no_own_files()
     process.end_when_terminated()
     process.fail_on_exit()
     process.refuse_exit()
+    code = 1
     try:
-        process.leave(main())
+        code = main()
     except SystemExit as end:  # of --help
-        process.leave(int(end.code or 0))
-    except Exception:
-        # A fault of ours. Python's own way out would call `fail_on_exit` when Python is no more.
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except Exception:  # a fault of ours
         traceback.print_exc()
-        process.leave(1)
+    finally:
+        # Python's own way out would call `fail_on_exit` when Python is no more.
+        process.leave(code)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -92,8 +98,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        sys.stderr.close()
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return 1
+    except OSError as error:
+        if error.filename is not None and error.errno in (errno.ENAMETOOLONG, errno.EACCES):
+            problem, remedy = f"cannot be reached: {error.strerror}", "choose another name or place"
+            print(f"error: {BadInput(problem, value=error.filename, remedy=remedy)}", file=sys.stderr)
+            return 2
+        if not getattr(sys.stdout, "fault", ""):
+            raise
+        return 1  # which is said at the end
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -105,6 +119,12 @@ def _dispatch(arguments: list[str]) -> int:
 
         print(f"nuno {version('nuno')}")
         return 0
+    for text in (*arguments, process.working_folder()):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            problem = "a name is not UTF-8, which recordings and messages are written in"
+            raise BadInput(problem, value=text, remedy="rename the file or folder") from None
     module, parser = parser_of(arguments[0])
     return int(module.main(parser.parse_args(arguments[1:])))
 

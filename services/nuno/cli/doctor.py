@@ -20,6 +20,7 @@ from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 from nuno.wire.sessions import hub_at
+from nuno_schemas.errors import BadInput
 
 LEAST_MEMORY = 2**29
 """[bytes] that a run of a small scene takes, compiling its kernels included."""
@@ -62,6 +63,9 @@ def main(args: argparse.Namespace) -> int:
 def _checked(check: Callable[[], Row]) -> Row:
     try:
         return check()
+    except BadInput as error:
+        problem = f"{error.field}={error.value}: {error.problem}"
+        return Row(check.__name__.strip("_"), "failed", problem, error.remedy or "")
     except Exception as error:  # whatever breaks here would break a run
         return Row(check.__name__.strip("_"), "failed", f"{type(error).__name__}: {error}")
 

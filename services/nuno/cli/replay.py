@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nuno.cli.common import add_config, add_flags, warn
+from nuno.process import Terminated
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
@@ -67,11 +68,16 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         if shown:
             stack.enter_context(_viewer(stack.enter_context(restored_scene(recording)), bus, options))
         print(plain(f"replaying {recording.path} as {run} at {endpoint}"), file=sys.stderr)
-        with contextlib.suppress(KeyboardInterrupt):
+        ended = ""
+        try:
             replay.run(bus, recording)
+        except KeyboardInterrupt as signal:
+            ended = "terminated" if isinstance(signal, Terminated) else "interrupted"
     total = sum(replay.sent.values())
     print(f"{total} messages, {replay.frames} frames")
-    return 0
+    if ended:
+        print(f"{ended} before the end of the recording", file=sys.stderr)
+    return int(bool(ended))
 
 
 @contextlib.contextmanager

@@ -10,6 +10,8 @@ import threading
 import time
 from pathlib import Path
 
+import zenoh
+
 from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_set
@@ -75,15 +77,29 @@ def main(args: argparse.Namespace) -> int:
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     options.real_time = args.real_time
     own = sessions.identity(args.run, args.service)
+
+    def tell(text: str) -> None:
+        if not args.quiet:
+            print(f"{time.strftime('%H:%M:%S')} {args.run} {args.service}: {text}", file=sys.stderr, flush=True)
+
+    def note(sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).rsplit("/", 1)[-1]
+        tell(f"{name} {'is ready' if sample.kind == zenoh.SampleKind.PUT else 'has gone'}")
+
+    tell(f"connects to {args.connect}")
     with sessions.spoke(args.connect, args.config, PATIENCE, own) as session:
         if args.service in KEEPERS:
             keeping.set()
+        tell("is connected, and prepares; then it waits for the other services of the run")
+        session.liveliness().declare_subscriber(f"nuno/{args.run}/alive/*", note, history=True)
         try:
-            run_service(args.service, loaded, session, args.run, options, stop)
+            if failure := run_service(args.service, loaded, session, args.run, options, stop):
+                raise RunFailed(f"the run failed: {failure}")
         except (BadInput, RunFailed) as error:
             if not args.quiet:
                 raise
             return 2 if isinstance(error, BadInput) else 1
+    tell("the run is over")
     return 0
 
 

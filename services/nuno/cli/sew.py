@@ -16,6 +16,7 @@ from nuno import registry
 from nuno.begin.worn import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
+from nuno.exports.target import replacing
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
 from nuno.words import many
@@ -94,7 +95,8 @@ def wear(args: argparse.Namespace) -> int:
     each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
     garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
     moved = {"body": None} | {what: _name_in(known, file) for what, file in beside.items()}
-    scene.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
+    with replacing(scene) as new:
+        new.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     for pattern in args.patterns:
         _remind(pattern)

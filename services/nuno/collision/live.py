@@ -115,6 +115,18 @@ class Followers:
                 bus.offers.append(bus.session.declare_subscriber(self._key(one), one.receive))
             except zenoh.ZError as error:
                 raise BadInput(f"the bus has no such key: {error}", field="key", value=self._key(one)) from None
+        self._strange: set[str] = set()
+        if self.each:
+            bus.offers.append(bus.session.declare_subscriber(bus.key(f"{POSES.name}/*"), self._doubt))
+
+    def _doubt(self, sample: zenoh.Sample) -> None:
+        """Say once of each name that poses come for that it is of no body which is told where to be."""
+        key = str(sample.key_expr)
+        name = key.rsplit("/", 1)[-1]
+        if name not in self._strange and all(key != self._key(one) for one in self.each):
+            self._strange.add(name)
+            own = ", ".join(f"{one.body} by {self._key(one)}" for one in self.each)
+            self.context.event("warning", f"poses come for {name!r:.60}, and no body follows them: {own}")
 
     def _key(self, one: Follower) -> str:
         return one.live.key or self.context.bus.key(f"{POSES.name}/{one.body}")
@@ -140,7 +152,8 @@ class Followers:
                 left = max(left, self._began + one.live.silence - now)
                 if now - self._began > WAITING_AFTER:
                     text = (
-                        f"is waited for: there are no poses of frame {frame} yet (for {one.live.silence:g} s at most)"
+                        f"is waited for: there are no poses of frame {frame} by {self._key(one)} yet "
+                        f"(for {one.live.silence:g} s at most); has the program that sends them ended?"
                     )
                     self._say(one, "wait", text, frame - 1)
         return left
@@ -177,7 +190,8 @@ class Followers:
             # By the clock nobody has begun yet where nothing has ever come.
             if one.live.stops and (one.live.waits or one.tally.used):
                 raise RunFailed(f"the body {one.body} {problem}, and its motion says silent: stop")
-            self._say(one, "silence", f"{problem}: it stays where it is", frame)
+            each = f", and each frame waits {one.live.silence:g} s for it" if one.live.waits else ""
+            self._say(one, "silence", f"{problem} by {self._key(one)}: it stays where it is{each}", frame)
 
     def _next(self, one: Follower, frame: int) -> bool:
         """Have the next poses that can be followed as the goal; whether there were any."""

@@ -101,8 +101,15 @@ def together() -> Iterator[_Together]:
 
 @contextmanager
 def writing(path: Path, suffix: str) -> Iterator[Path]:
-    """A new file, which takes its place when all went well; see `together`. Raises BadInput."""
+    """A new file, an export of a kind, which takes its place when all went well. Raises BadInput."""
     check_target(path, suffix)
+    with replacing(path) as new:
+        yield new
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A new file, which takes its place when all went well; see `together`. Raises BadInput."""
     with together() as files, _told(path):
         yield (new := files.near(path.parent) / path.name)
         files.waiting[path] = new

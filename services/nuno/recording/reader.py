@@ -152,13 +152,9 @@ class Recording(RecordedFile):
         raise self._no_checkpoint()
 
     def _no_checkpoint(self) -> BadInput:
-        every = (self.scene.get("record") or {}).get("checkpoint_every")
-        early, never = (
-            "its run ended before the first: run its scene again",
-            "record with --set record.checkpoint_every=1s",
-        )
-        remedy = early if every else never
-        return BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
+        problem = "the recording holds no checkpoint: its run ended before the first"
+        remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=1s"
+        return BadInput(problem, str(self.path), remedy=remedy)
 
     def series(self, end: float | None = None) -> dict[str, NDArray[Any]]:
         """Columns over the frames, or over those with t < end [s]; see `read_series`."""

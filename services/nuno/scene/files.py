@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import os
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,22 +32,29 @@ class SceneFiles:
     def resolve(self, name: str) -> Path:
         """The existing file `name`. Raises BadInput if it is missing or outside every root."""
         missing: list[Path] = []
-        for root in (self.folder, *self.roots):
+        links: list[Path] = []
+        allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
+        bases = [root.resolve() for root in (self.folder, *self.roots)]
+        for base in bases:
             try:
-                base = root.resolve()
                 path = (base / name).resolve()
                 found = path.is_file()
                 stamp = stamp_of(path) if found else (0, 0)
             except (OSError, ValueError, RuntimeError):  # a link to itself, a NUL, a name too long
                 raise BadInput("not the name of a file", value=name, remedy="check the name") from None
-            if not path.is_relative_to(base):
+            if not any(path.is_relative_to(one) for one in bases):
+                if found and Path(os.path.normpath(base / name)).is_relative_to(base):
+                    links.append(path)
                 continue
             if found:
                 self.used[name] = path
                 self.stamps.setdefault(name, stamp)
                 return path
             missing.append(path)
-        allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
+        for path in links:
+            problem = f"the file is a link that leaves the scene's folder, to {path}"
+            remedy = f"put the file itself there, or name its folder with --root {shlex.quote(str(path.parent))}"
+            raise BadInput(problem, value=name, limit=allowed, remedy=remedy)
         if missing:
             raise BadInput(
                 "no such file",

@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from nuno.process import check_compiler
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen import Chosen, choose_operation, choose_plugin
 from nuno.scene.elsewhere import told_where
@@ -203,6 +204,7 @@ def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path]
 
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
+    check_compiler()
     with told_where(data):
         return _load(data, lines, file, files)
 

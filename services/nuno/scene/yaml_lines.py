@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +20,8 @@ LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
 START = "write `name: value` lines; for a scene, start from a shipped one: nuno scenes --paths"
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
+_TRAP = re.compile(r"[-+]?(?:0[0-7_]*[1-7][0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
+"""Numbers that are not what they look like: of base 8 and base 60, in YAML 1.1."""
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 
 
@@ -70,10 +73,20 @@ class _Reader:
         if not node.value and not node.style:
             self.empty.append(path)
         try:
-            return self.scalars.construct_object(node)
+            value = self.scalars.construct_object(node)
+            if not node.style and isinstance(value, int | float) and _TRAP.fullmatch(node.value):
+                raise self._other_base(node, path, value)
+            return value
         except ValueError:  # an integer of more digits than Python converts, for one
             problem, line = "not a number that can be read", node.start_mark.line + 1
             raise BadInput(problem, self.file, line, dotted(path), node.value, remedy="write fewer digits") from None
+
+    def _other_base(self, node: yaml.ScalarNode, path: Path, value: float) -> BadInput:
+        base, decimal = (60, "") if ":" in node.value else (8, f", or {int(node.value.replace('_', ''))}")
+        return BadInput(
+            f"YAML reads this as a number of base {base}: {value}", self.file, node.start_mark.line + 1, dotted(path),
+            node.value, remedy=f"write {value}{decimal}, or '{node.value}' in quotes where text is meant",
+        )  # fmt: skip
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         result: dict[str, Any] = {}

@@ -11,7 +11,6 @@ from nuno.stepping.driver import WINDOW
 from nuno.wire.asked import Asked
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import RunFailed
 
 
 def ask_geometry(context: Context) -> Geometry:
@@ -20,8 +19,7 @@ def ask_geometry(context: Context) -> Geometry:
     How long that may take is for the supervisor to say, who then goes: a distance field may have to be built there.
     """
     while context.watch.wait_for({"collision"}, 0.1):
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
+        context.require_supervisor()
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 

@@ -249,12 +249,9 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
 
-    def watch() -> None:
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
-
     leave = np.zeros(1, np.int64)
     attendant = Attendant(context, leave)
+    watch = context.require_supervisor
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch, leave)
     if geometry is not None:
         simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))

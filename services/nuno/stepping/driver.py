@@ -116,8 +116,8 @@ class Driver(Teller):
             item.answer(self.answers[item.name]())
         elif isinstance(item, Question) and asks_to_finish(self.inbox, item):
             self.finish = item
-        elif timeout > 0 and self.context.orphaned():
-            raise RunFailed("the supervisor has gone")
+        elif timeout > 0:
+            self.context.require_supervisor()
 
     def _note(self, ack: Ack, message: Message) -> None:
         if message.topic != ack_topic(ack.service).name or ack.frame > self.stepper.frame:
@@ -192,8 +192,7 @@ class Driver(Teller):
         """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
         while not self.stepper.finished:
             self.listen(0)
-            if self.context.orphaned():  # nobody would end what goes on, nor hear how it ended
-                raise RunFailed("the supervisor has gone")
+            self.context.require_supervisor()  # nobody else would end what goes on, or hear how it ended
             start = time.perf_counter()
             while self.state == "paused" and self.finish is None:
                 self.listen(0.5)
@@ -261,9 +260,8 @@ class Driver(Teller):
         for name, value in report.totals.items():
             self.totals[name] = self.totals.get(name, 0) + value
         self.message = report.message
-        every, frame = self.scene.record.checkpoint_every, self.stepper.frame
-        due = every is not None and frame % self.scene.in_frames(every) == 0
-        if due and report.status == "ok" and frame < self.scene.frames:
+        frame = self.stepper.frame
+        if frame % self.scene.checkpoint_frames == 0 and report.status == "ok" and frame < self.scene.frames:
             self.keep()
         self.wait_for((frame - WINDOW) // self.every * self.every)  # those between are not all acknowledged
         return str(report.status)

@@ -182,8 +182,7 @@ class Stepper(ABC):
     @property
     def checkpoints(self) -> int:
         """How many a run keeps."""
-        every = self.loaded.scene.record.checkpoint_every
-        return 1 + (int(self.loaded.scene.duration / every) if every else 0)
+        return math.ceil(self.loaded.scene.frames / self.loaded.scene.checkpoint_frames)
 
     def describe_step(self, solver: str, limit: float) -> str:
         """A solver by its name, its step and the longest stable one [s], for `nuno plan`."""

@@ -99,8 +99,8 @@ def _exit(code: int) -> str:
 def serve_command(
     name: str, loaded: Loaded, options: Options, endpoint: str, run: str, config: str | None = None
 ) -> list[str]:
-    """The command line that runs one service."""
-    command = [sys.executable, "-m", "nuno", "serve", name, str(loaded.path), "--run", run, "--connect", endpoint]
+    """The command line that runs one service; a module of the working folder must not stand in for one of ours (-P)."""
+    command = [sys.executable, "-P", "-m", "nuno", "serve", name, str(loaded.path), "--run", run, "--connect", endpoint]
     flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
     flags += [("--root", root) for root in loaded.files.roots]
     flags += [("--must-see", service) for service in options.must_see]

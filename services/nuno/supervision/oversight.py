@@ -74,6 +74,8 @@ class Supervisor:
         self.needed = [name for name in plan.services if name not in self.dispensable]
         self.without: dict[str, str] = {}
         """Services that the run goes on without, and why."""
+        self.strange: set[str] = set()
+        """Services of this run's name that take no part in it, of which that was said."""
         self.cut_off: Callable[[], str] = str
         """What is wrong with the connection to the hub, "" for nothing."""
         self.broken = ""
@@ -201,6 +203,9 @@ class Supervisor:
             for name in self.dispensable - self.watch.alive() - self.without.keys():
                 self._hear({name}, progress)
                 self._miss(name, self.exited().get(name) or GONE, progress)
+            for name in self.watch.alive() - {SUPERVISOR, *self.plan.services} - self.strange:
+                self.strange.add(name)
+                self.say(f"the {name} service takes no part: the run was started without it", progress)
             if dead := [name for name in self.needed if name not in self.watch.alive()]:
                 if self._drain(progress) or self._hear(set(dead), progress):
                     break
@@ -243,15 +248,15 @@ class Supervisor:
                 if not error and name not in self.without:
                     self._lose(name, "", progress)
                 continue
-            request: dict[str, Any] = {"error": error}
+            failed = error or any(service in self.errors for service in self.needed)
+            state = "failed" if failed or not self.ended else str(self.ended.get("state", "failed"))
+            request: dict[str, Any] = {"error": error, "state": state}
             if name == "recorder":
                 # A service that failed answers no more: of what it sent, what has come here has to come there.
                 heard = self.inbox.counts
                 sent = {t: n + heard.missing[t] - self.unrecorded.get(t, 0) for t, n in heard.received.items()}
                 sent |= {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
-                failed = error or any(service in self.errors for service in self.needed)
-                state = "failed" if failed or not self.ended else str(self.ended.get("state", "failed"))
-                request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
+                request |= {"discard": discard, "expected": sent, "report": report(answers)}
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
             if name == "render" and progress is not None and not error:

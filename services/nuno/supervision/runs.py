@@ -209,7 +209,7 @@ def note_recording(path: Path) -> None:
     """Let `last` mean a recording that is being written, by a run of the folder that this program works in."""
     here = working_folder()
     notes = folder() / RECORDED
-    target = notes / f"{hashlib.sha256(here.encode()).hexdigest()[:32]}.json"
+    target = notes / f"{hashlib.sha256(os.fsencode(here)).hexdigest()[:32]}.json"
     new = target.with_suffix(f".{os.getpid()}")
     with suppress(OSError):  # no run fails for it
         notes.mkdir(exist_ok=True)

@@ -26,7 +26,8 @@ from nuno_schemas.errors import BadInput, RunFailed
 CONTROL_TIMEOUT = 120.0
 """How long an answer may take [s]: it comes between frames, and what is added for the first time is compiled."""
 CONNECT_PATIENCE = 20.0
-SIGNALS = ("interrupted", "terminated")
+TERMINATED = "terminated"
+SIGNALS = ("interrupted", TERMINATED)
 """What SIGINT and SIGTERM do to a run."""
 AT_ONCE = " (once more, and they end at once)"
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import psutil
 
+from nuno.viewer.stream import END
 from nuno_schemas.messages import FRAMES, STATE
 from nuno_schemas.view import View
 
@@ -123,8 +124,12 @@ class LiveView:
         self.frames += topic == self._leader
         self._ring.put((topic, frame, t, payload))
 
-    def finish(self) -> None:
-        """Wait, not for long, until the last frames are shown; the viewer itself stays open."""
+    def finish(self, stays: bool = True) -> None:
+        """Wait, not for long, until the last frames are shown; the viewer itself `stays` open, or ends as it does
+        where this process is killed.
+        """
+        if stays:
+            self._ring.put((END, 0, 0.0, b""))
         self._ring.close()
         self._connected.wait(CONNECT_SECONDS)
         end = time.monotonic() + FINISH_MOST
@@ -180,14 +185,18 @@ class LiveView:
             self._announce("warning", f"the run goes on without a view: {error}")
 
 
-def keep_page(view: str | None, answer: Mapping[str, Any]) -> None:
-    """Leave the page of a web view there until the user ends it (Ctrl-C); `answer` is the viewer service's last."""
+def keep_page(view: str | None, answer: Mapping[str, Any], stays: bool = True) -> None:
+    """Leave the page of a web view there until the user ends it (Ctrl-C), or end it at once where it is not to stay;
+    `answer` is the viewer service's last.
+    """
     if view != "web" or not answer.get("pid"):
         return
-    print("the page stays until you press Ctrl-C", flush=True)
     with contextlib.suppress(psutil.NoSuchProcess):
         viewer = psutil.Process(int(answer["pid"]))
         try:
+            if not stays:
+                raise KeyboardInterrupt
+            print("the page stays until you press Ctrl-C", flush=True)
             viewer.wait()
         except KeyboardInterrupt:
             viewer.terminate()

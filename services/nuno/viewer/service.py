@@ -103,14 +103,16 @@ class Viewer:
             self.show(message)
         self.early = None
 
-    def close(self) -> dict[str, Any]:
-        """End the views; what they showed. Raises RunFailed if the file could not be written."""
+    def close(self, stays: bool = True) -> dict[str, Any]:
+        """End the views; what they showed. A live view's viewer `stays` open. Raises RunFailed if the file could not be
+        written.
+        """
         summary: dict[str, Any] = {"frames": self.frames, "seconds": self.seconds}
         if self.file is not None:
             file, self.file = self.file, None
             summary |= {"shown": file.bridge.frames, "saved": file.bridge.frames, "file": str(file.finish())}
         if self.live is not None:
-            self.live.finish()
+            self.live.finish(stays)
             summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
             summary |= {"pid": self.live.pid, "page": self.live.page}
         return summary
@@ -132,7 +134,7 @@ def main(context: Context) -> None:
         finish = each_message(context, viewer.inbox, viewer.handle)
         viewer.drain()
     except RunFailed:
-        viewer.close()
+        viewer.close(stays=False)
         raise
     finish.answer_json(context.counts(viewer.inbox) | viewer.close())
 

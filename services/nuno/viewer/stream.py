@@ -29,6 +29,8 @@ START_SECONDS = 20.0
 FLUSH_SECONDS = 10.0
 """How long it may take to accept one frame."""
 GOODBYE_SECONDS = 2.0
+END = "end"
+"""Topic of the last message, after which the viewer stays open: where none comes, the run was killed."""
 LOOPBACK = "127.0.0.1"
 
 
@@ -97,7 +99,7 @@ def connect(address: str, run: str) -> Any:
 
 
 def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | None = None) -> int:
-    """Log what comes until the input ends; frames shown.
+    """Log what comes until the input ends; frames shown. Raises EOFError where it ends without END.
 
     Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
     which then skips frames, and keeps this process from collecting what nobody takes.
@@ -107,9 +109,11 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
     from nuno_schemas.messages import FRAMES
 
     bridge = Bridge(recording, view, live=True, painter=painter)
+    ended = False
     while line := source.readline():
         head = json.loads(line)
         payload = source.read(head["size"])
+        ended = head["topic"] == END
         try:
             bridge.feed(head["topic"], head["frame"], head["t"], payload)
         except BadMessage:
@@ -117,6 +121,8 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
         if head["topic"] in FRAMES:
             recording.flush(timeout_sec=FLUSH_SECONDS)
             say(shown=bridge.frames)
+    if not ended:
+        raise EOFError
     bridge.flush()
     recording.flush(timeout_sec=FLUSH_SECONDS)
     return bridge.frames
@@ -147,6 +153,7 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
     if hasattr(os, "nice"):
         # The viewer inherits it: on a machine with few cores the solver goes first.
         os.nice(5)
+    viewer = None
     try:
         address = mode
         if mode in ("window", "web"):
@@ -159,6 +166,9 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
         goodbye = threading.Thread(target=recording.disconnect, daemon=True)
         goodbye.start()
         goodbye.join(GOODBYE_SECONDS)
+    except (EOFError, BrokenPipeError):  # the run was killed
+        if viewer is not None:
+            viewer.kill()
     except Exception as error:
         say(error=str(error) or type(error).__name__)
     # Leaving in the ordinary way would wait for a viewer that may never answer.

@@ -98,6 +98,8 @@ class Inbox:
         self.payload_bytes = 0
         self.frame = -1
         """Last one taken in."""
+        self.failure = ""
+        """Why the run failed, as the question that ended it says."""
         self._bus = bus
         self._next: dict[str, int] = {}
         self._queue: queue.SimpleQueue[zenoh.Sample | Question | None] = queue.SimpleQueue()

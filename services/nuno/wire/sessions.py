@@ -142,11 +142,13 @@ def spoke(
     try:
         session = _open(config)
     except zenoh.ZError as error:
-        raise BadInput(
-            f"nothing answers there: {_short(error)}",
-            value=endpoint,
-            remedy="start the hub first (nuno serve router), or check --connect",
-        ) from None
+        problem = f"nothing answers there: {_short(error)}"
+        remedy = "start the hub first (nuno serve router), or check --connect"
+        with ExitStack() as stack, suppress(BadInput):
+            if own is not None and stack.enter_context(spoke(endpoint, extra)):  # it refuses this identity alone
+                problem = f"this service of the run is there already (or vanished less than {SILENCE_SECONDS:g} s ago)"
+                remedy = "end the other one, or give the run and all its services another name with --run"
+        raise BadInput(problem, value=endpoint, remedy=remedy) from None
     with _closing(session):
         yield session
 

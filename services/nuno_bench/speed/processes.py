@@ -19,7 +19,7 @@ from nuno_bench.report.result import Result
 from nuno_bench.speed.steps.meshes import DAMPING, net_arrays, scene_of, sheet, sheet_scene
 from nuno_schemas.errors import RunFailed
 
-NUNO = (sys.executable, "-m", "nuno", "run")
+NUNO = (sys.executable, "-P", "-m", "nuno", "run")
 STEPPED = re.compile(r"^(\d+\.\d+) of ")
 """A line of `nuno run`'s progress where there is no terminal: simulated time first."""
 PATIENCE = 120.0
