@@ -21,7 +21,6 @@ from typing import NoReturn, TypeVar
 
 from nuno_schemas.errors import BadInput
 
-T = TypeVar("T")
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 LARGE, KEPT = 1 << 22, 1 << 25
 
