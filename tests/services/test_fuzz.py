@@ -173,7 +173,9 @@ def test_strokes_of_the_page_that_are_none(face: str, height: str, words: str, t
         assert words in _refused("page request", request.encode(), tmp_path)
 
 
-@pytest.mark.parametrize("face", ["1/1/1 2/1/1 247483649/4/1", "1/1 2/2 -247483649/3", "00000000001/1 2/2 3\\\n00000000/3"])
+@pytest.mark.parametrize(
+    "face", ["1/1/1 2/1/1 247483649/4/1", "1/1 2/2 -247483649/3", "00000000001/1 2/2 3\\\n00000000/3"]
+)
 def test_room_is_not_made_for_vertices_that_a_triangle_alone_knows(face: str, tmp_path: Path) -> None:
     """A reader that takes some bytes for each number up to the largest runs out of them."""
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf {face}\n")
