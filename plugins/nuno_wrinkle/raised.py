@@ -13,6 +13,7 @@ from nuno_schemas.lines import Smoothing
 from nuno_wrinkle.edges import any_of
 from nuno_wrinkle.lines import Crossed
 from nuno_wrinkle.split import smooth, split_faces
+from nuno_wrinkle.surface import link_faces
 
 THIN = 1e-6
 """Least area of a triangle, as a share of its longest side squared."""
@@ -54,6 +55,8 @@ class Raised:
     left: int
     normal: Float
     """(m, 3) of the triangles that were split"""
+    drawn: Int | None
+    """(f + 2 m, 3) of the points of `Corners`, to which the new vertices' are added; None of cloth without"""
 
 
 def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
@@ -86,14 +89,25 @@ def raise_lines(
     )
     raised = flat.copy()
     raised[n:] += crossed.height[:, None] * normal
-    flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
+    drawn = None
+    if fabric.corners is None:
+        flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
+    else:  # as it is cut along the seams of its texture: no edge there is flipped
+        laid, new = fabric.corners, np.arange(n, n + m, dtype=np.int32)
+        vertex, points = np.append(laid.vertex, new), len(laid.vertex)
+        drawn, beyond = (
+            np.concatenate([a, np.zeros((2 * m, 3), np.int32)]) for a in (laid.faces, link_faces(laid.faces, points))
+        )
+        flipped, left = split_faces(flat[vertex], raised[vertex], crossed.face, points, drawn, beyond, shares)
+        faces = vertex[drawn]
+        beyond = link_faces(faces, len(flat))
     local = np.append(region.face, np.arange(len(old), len(faces), dtype=np.int32))
     beside = _neighbours(fabric, faces[local], beyond[local] < 0, len(flat), smoothing)
     held = _smooth(flat, raised, faces[local], beside, smoothing)
     same = (faces[region.face] == old[region.face]).all(axis=1)
     changed = np.append(region.face[~same], local[len(region.face) :]).astype(np.int32)
     smoothed = beside.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
-    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal)
+    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal, drawn)
 
 
 @dataclass(frozen=True)

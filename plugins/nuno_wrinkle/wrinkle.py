@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Fabric, Float, Int, Springs, State
+from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Springs, State
 from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
@@ -97,8 +97,8 @@ class Wrinkle:
 
 
 def _require_triangles(fabric: Fabric) -> None:
-    if fabric.corners is not None:
-        raise BadInput("lines are not drawn on cloth whose texture is cut along seams", field="object")
+    if fabric.corners is not None and fabric.corners.panels is not None:
+        raise BadInput("lines are not drawn on cloth that is sewn of panels", field="object")
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
         raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)
@@ -114,6 +114,12 @@ def _outcome(
         between = np.einsum("mc,mc...->m...", crossed.at, values[corners].astype(np.float64))
         return np.ascontiguousarray(np.concatenate([values, between.astype(values.dtype)]))
 
+    laid = fabric.corners
+    if laid is not None and raised.drawn is not None:
+        between = np.einsum("mc,mcu->mu", crossed.at, laid.points[laid.faces[crossed.face]])
+        points = np.concatenate([laid.points, between.astype(np.float32)])
+        new = np.arange(fabric.number, len(raised.x), dtype=np.int32)
+        laid = Corners(points, np.append(laid.vertex, new), raised.drawn)
     held = fabric.pinned[corners].all(axis=1)
     changed = replace(
         fabric,
@@ -125,6 +131,7 @@ def _outcome(
         springs=net.springs,
         hinges=net.hinges,
         uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
+        corners=laid,
         bindings=tuple(_bound(binding, fabric, crossed) for binding in fabric.bindings),
         origin=model,
     )

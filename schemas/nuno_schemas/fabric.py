@@ -266,6 +266,13 @@ class Fabric:
         return vertex if self.numbers is None else int(self.numbers[vertex])
 
     @property
+    def laid_out(self) -> Corners | None:
+        """Its texture coordinates, by corners of triangles; None where it has none."""
+        if self.corners is not None or self.uv is None:
+            return self.corners
+        return Corners(self.uv, np.arange(self.number, dtype=np.int32), self.faces)
+
+    @property
     def bears_tension(self) -> bool:
         """Whether it has any springs or triangles of a membrane."""
         return any(part is not None and part.number > 0 for part in (self.springs, self.membrane))
