@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from nuno_kernels.meshes.obj import read_obj
 from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
@@ -47,7 +47,7 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
             found.append(line)
             continue
         path = files.resolve(line.file)
-        rows = read_obj(path)
+        rows = _read_strokes(path)
         found += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
         if not rows:
             raise BadInput(
@@ -56,31 +56,21 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
     return tuple(found)
 
 
-def read_obj(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
-    """Points of each element `l` of an OBJ file; numbers below 0 count back from the last vertex. Raises BadInput."""
+def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
+    """Points of each line of an OBJ file. Raises BadInput."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise BadInput("too large for lines", str(path), value=size, limit=f"{LARGEST_FILE} bytes")
-    vertices: list[tuple[float, float, float]] = []
-    lines = []
-    for number, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        words = text.split()
-        try:
-            if words[:1] == ["v"]:
-                x, y, z = (float(word) for word in words[1:4])
-                if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-                    raise ValueError("not a finite position")
-                vertices.append((x, y, z))
-            elif words[:1] == ["l"]:
-                corners = [int(word.split("/")[0]) for word in words[1:]]
-                if len(corners) > MOST_POINTS:
-                    raise ValueError(f"a line has {MOST_POINTS} points at most")
-                if len(corners) < 2 or any(not 1 <= abs(c) <= len(vertices) for c in corners):
-                    raise ValueError("a line has two vertices at least, which stand before it")
-                lines.append(tuple(vertices[c - 1 if c > 0 else c] for c in corners))
-        except ValueError as error:
-            raise BadInput(f"cannot be read: {error}", str(path), number, value=text.strip()) from None
-    return lines
+    try:
+        mesh = read_obj(path.read_bytes())
+    except BadInput as error:
+        raise replace(error, file=str(path)) from None
+    except ValueError as error:
+        raise BadInput(f"cannot be read as OBJ: {error}", str(path)) from None
+    most = max(map(len, mesh.lines), default=0)
+    if most > MOST_POINTS:
+        raise BadInput("a line has too many points", str(path), value=most, limit=f"{MOST_POINTS} points")
+    return [tuple(map(tuple, mesh.points[stroke].tolist())) for stroke in mesh.lines]
 
 
 def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...], tolerance: float) -> Crossed:

@@ -20,6 +20,8 @@ from nuno_kernels.meshes.file import load_mesh, read_closed
 from nuno_kernels.meshes.polygons import triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.lines import Line
+from nuno_wrinkle.lines import read_lines
 
 CUBE = trimesh.creation.box((1.0, 1.0, 1.0))
 QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6), (1, 2, 6, 5), (0, 4, 7, 3))
@@ -235,6 +237,14 @@ def test_lines_that_cannot_be_meant_are_named(line: str, words: str, tmp_path: P
     with pytest.raises(BadInput, match=words) as refused:
         load_mesh(tmp_path / "a.obj")
     assert refused.value.line == 17
+
+
+def test_lines_drawn_on_cloth_are_read_as_faces_are(tmp_path: Path) -> None:
+    """A byte order mark, remarks, numbers that count back, and a line that goes on after a backslash."""
+    text = "v 0 0 0 # one\nv 1 0 0\nl -2 -1\nv 1 1 0\nl 1/1 2 \\\n  -1 # all\n"
+    (tmp_path / "a.obj").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    found = read_lines([Line(file="a.obj", height=0.01)], Folder(tmp_path))
+    assert [line.points for line in found] == [((0, 0, 0), (1, 0, 0)), ((0, 0, 0), (1, 0, 0), (1, 1, 0))]
 
 
 def test_rows_of_a_ply_as_they_come(tmp_path: Path) -> None:

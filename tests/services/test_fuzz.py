@@ -132,7 +132,7 @@ def test_archives_that_are_none(fault: str, tmp_path: Path) -> None:
 
 def test_lines_that_are_no_lines(tmp_path: Path) -> None:
     said = _refused("OBJ of lines", b"v 0 0 0\nv 1 nan 0\nl 1 2\n", tmp_path)
-    assert "input.obj:2: cannot be read: not a finite position" in said
+    assert "input.obj:2: file: cannot be read as OBJ: not a finite position" in said
     (tmp_path / "none.obj").write_bytes(b"v 0 0 0\n")
     plugin = registry.load("nuno.operations", "wrinkle")
     lines = [{"points": [[0, 0, 0], [1, 0, 0]], "height": 0.01}, {"file": "none.obj", "height": 0.01}]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -11,7 +12,7 @@ from nuno_schemas.errors import BadInput
 
 
 def read_obj(data: bytes) -> RawMesh:
-    """The surface of an OBJ file: faces with their texture coordinates; all else is left out.
+    """What an OBJ file holds: faces with their texture coordinates, and lines; all else is left out.
 
     Raises BadInput with the line of what cannot be read.
     """
@@ -23,6 +24,7 @@ def read_obj(data: bytes) -> RawMesh:
     drawn: list[int] = []
     count: list[int] = []
     lines: list[int] = []
+    strokes: list[list[int]] = []
     number, following = 1, 1
     for line in text.split(b"\n"):
         number, following = following, following + 1 + line.count(b"\v")
@@ -33,6 +35,8 @@ def read_obj(data: bytes) -> RawMesh:
         try:
             if kind == b"v":
                 points.append((float(words[1]), float(words[2]), float(words[3])))
+                if not all(map(math.isfinite, points[-1])):
+                    raise ValueError("not a finite position")
             elif kind == b"vt":
                 texture.append((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
             elif kind in (b"f", b"fo"):
@@ -45,6 +49,10 @@ def read_obj(data: bytes) -> RawMesh:
                 lines.append(number)
                 if len(words) < 4:
                     raise ValueError(f"a face of {len(words) - 1} corners")
+            elif kind == b"l":
+                strokes.append([_index(word.split(b"/")[0], len(points), "vertex") for word in words[1:]])
+                if len(words) < 3 or max(strokes[-1]) >= len(points):
+                    raise ValueError("a line has two vertices at least, which stand before it")
         except (ValueError, IndexError) as error:
             reason = str(error) if isinstance(error, ValueError) else "numbers are missing"
             shown = b" ".join(words).decode("utf-8", "replace")
@@ -59,7 +67,7 @@ def read_obj(data: bytes) -> RawMesh:
     x, corners = np.array(points, np.float64).reshape(-1, 3), np.array(corner, np.int64)
     place = triangulate(x, corners, np.array(count, np.int64), lines)
     uv = np.array(texture, np.float32)[np.array(drawn, np.int64)[place]] if any(drawn) else None
-    return RawMesh(x, corners[place].astype(np.int32), uv)
+    return RawMesh(x, corners[place].astype(np.int32), uv, tuple(np.array(stroke) for stroke in strokes))
 
 
 def _index(word: bytes, known: int, what: str) -> int:

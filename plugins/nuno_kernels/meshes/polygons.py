@@ -33,12 +33,13 @@ class RawMesh:
     """A file's triangles, with its own numbers and in its order.
 
     points (n, 3) in the file's unit, also those of no triangle; faces (f, 3); uv (f, 3, 2) texture coordinates of each
-    corner, v upwards, NaN where it has none; None where none has any
+    corner, v upwards, NaN where it has none; None where none has any; lines: of each line of an OBJ file the points
     """
 
     points: Float
     faces: Int
     uv: NDArray[np.float32] | None = None
+    lines: tuple[Places, ...] = ()
 
 
 def plain(data: bytes) -> bytes:
