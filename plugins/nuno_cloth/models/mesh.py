@@ -160,14 +160,12 @@ def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None,
             remedy = "unwrap the mesh in the program that it comes from, or leave `texture` out"
             raise BadInput(problem, str(path), field="texture", value=f"face {np.argmax(missing)}", remedy=remedy)
         return {}
-    vertex, u, v = faces.reshape(-1), uv[..., 0].reshape(-1), uv[..., 1].reshape(-1)
-    order = np.lexsort((v, u, vertex))
-    apart = np.ones(len(order), bool)
-    apart[1:] = (np.diff(vertex[order]) != 0) | (np.diff(u[order]) != 0.0) | (np.diff(v[order]) != 0.0)
-    own, place = order[apart], np.empty(len(order), np.int32)
-    place[order] = np.cumsum(apart) - 1
-    points = np.ascontiguousarray(uv.reshape(-1, 2)[own])
-    return {"uv": points} if len(points) == number else {"corners": Corners(points, vertex[own], place.reshape(-1, 3))}
+    each = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2)])
+    own, place = np.unique(each, axis=0, return_inverse=True)
+    points = np.ascontiguousarray(own[:, 1:], np.float32)
+    if len(points) == number:
+        return {"uv": points}
+    return {"corners": Corners(points, own[:, 0].astype(np.int32), place.reshape(-1, 3).astype(np.int32))}
 
 
 def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:

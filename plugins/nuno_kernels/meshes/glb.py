@@ -19,8 +19,11 @@ from nuno_schemas.fabric import Float
 
 TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_", "MSFT_texture_")
-"""Extensions that begin so change nothing of where a surface is."""
+HARMLESS = (
+    "KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_",
+    "MSFT_texture_",
+)  # fmt: skip
+"""Extensions that begin so are read, or change nothing of where a surface is."""
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 REPEATED = "EXT_mesh_gpu_instancing"
 
@@ -61,8 +64,8 @@ def join_parts(parts: list[Part]) -> RawMesh:
 def open_glb(data: bytes) -> tuple[Any, bytes]:
     """The JSON and the bytes of a GLB file.
 
-    Raises BadInput for an extension that it requires and that is not read here, LookupError, TypeError or ValueError
-    for what does not hold together.
+    Raises BadInput for an extension that moves or packs what is in it and is not read here, LookupError, TypeError or
+    ValueError for what does not hold together.
     """
     found, at = {}, 12
     if data[:4] != b"glTF":
@@ -72,21 +75,20 @@ def open_glb(data: bytes) -> tuple[Any, bytes]:
         found[kind] = data[at + 8 : at + 8 + length]
         at += 8 + length
     said = json.loads(found[b"JSON"])
-    required = [name for name in said.get("extensionsRequired", ()) if name not in PACKED]
-    for name in said.get("extensionsUsed", ()):
-        if name == REPEATED and name not in required:
-            required.append(name)
-    for name in required:
-        if name != "KHR_mesh_quantization" and not name.startswith(LOOKS):
-            raise BadInput("the file needs an extension of glTF that is not read", field="file", value=name,
-                           remedy=f"export it without {name}")  # fmt: skip
+    for name in (*said.get("extensionsUsed", ()), *said.get("extensionsRequired", ())):
+        if name in PACKED:
+            problem, remedy = "the mesh is compressed, which is not read", "export it anew, uncompressed"
+            raise BadInput(problem, field="file", value=name, remedy=remedy)
+        if name == REPEATED or (name in said.get("extensionsRequired", ()) and not name.startswith(HARMLESS)):
+            problem, remedy = "the file needs an extension of glTF that is not read", f"export it without {name}"
+            raise BadInput(problem, field="file", value=name, remedy=remedy)
     return said, found.get(b"BIN\0", b"")
 
 
 def read_parts(said: Any, data: bytes) -> Iterator[Part]:
     """Triangles of the nodes of the scene that is shown, in the order of nodes.
 
-    Raises BadInput for packed arrays, LookupError, TypeError or ValueError for what does not hold together.
+    Raises LookupError, TypeError or ValueError for what does not hold together.
     """
     nodes = said.get("nodes", [])
     world, shown = find_places(nodes), _shown(said)
@@ -96,14 +98,14 @@ def read_parts(said: Any, data: bytes) -> Iterator[Part]:
             if part.get("mode", 4) not in (4, 5, 6):
                 continue  # points and lines
             named = part["attributes"]
-            points = read_array(said, data, named["POSITION"], part)
+            points = read_array(said, data, named["POSITION"])
             morph = nodes[k].get("weights", mesh.get("weights", ()))
             for amount, target in zip(morph, part.get("targets", ()), strict=False):
                 if amount and "POSITION" in target:
                     points = points + amount * read_array(said, data, target["POSITION"])
             own = np.arange(len(points))
             if "indices" in part:
-                own = read_array(said, data, part["indices"], part).astype(np.int64).ravel()
+                own = read_array(said, data, part["indices"]).astype(np.int64).ravel()
             if not 0 <= own.min(initial=0) <= own.max(initial=0) < len(points):
                 raise ValueError("triangles of vertices that are not there")
             faces = _faces(own, part.get("mode", 4))
@@ -157,17 +159,11 @@ def _faces(own: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     return faces
 
 
-def read_array(said: Any, data: bytes, number: int, part: Any = ()) -> Float:
-    """The rows (n, w) of an accessor, of a primitive `part`, as numbers."""
+def read_array(said: Any, data: bytes, number: int) -> Float:
+    """The rows (n, w) of an accessor, as numbers."""
     accessor = said["accessors"][number]
     width, rows = WIDTHS[accessor["type"]], accessor["count"]
-    packed = [name for name in PACKED if name in part.get("extensions", ())] if part else []
-    if "bufferView" in accessor:
-        found = _rows(said, data, accessor, rows, width)
-    elif packed:
-        _refuse_packed(packed[0])
-    else:
-        found = np.zeros((rows, width))
+    found = _rows(said, data, accessor, rows, width) if "bufferView" in accessor else np.zeros((rows, width))
     if "sparse" in accessor:
         sparse = accessor["sparse"]
         place = _rows(said, data, sparse["indices"], sparse["count"], 1).astype(int)[:, 0]
@@ -180,9 +176,6 @@ def read_array(said: Any, data: bytes, number: int, part: Any = ()) -> Float:
 def _rows(said: Any, data: bytes, array: Any, rows: int, width: int) -> Float:
     """Rows (n, w) of an accessor, or of a part of one, from its buffer."""
     view = said["bufferViews"][array["bufferView"]]
-    for name in PACKED:
-        if name in view.get("extensions", ()):
-            _refuse_packed(name)
     if view.get("buffer", 0) != 0 or "uri" in said["buffers"][0]:
         raise ValueError("it has arrays in other files, which are not read")
     kind = np.dtype("<" + TYPES[array["componentType"]])
@@ -192,11 +185,6 @@ def _rows(said: Any, data: bytes, array: Any, rows: int, width: int) -> Float:
         raise ValueError("an array reaches beyond the file's end")
     values: NDArray[Any] = np.ndarray((rows, width), kind, data, start, (step, kind.itemsize))
     return values.astype(np.float64)
-
-
-def _refuse_packed(name: str) -> None:
-    raise BadInput("the mesh is compressed, which is not read", field="file", value=name,
-                   remedy="export it anew, uncompressed")  # fmt: skip
 
 
 def find_places(nodes: Any) -> dict[int, Float]:
