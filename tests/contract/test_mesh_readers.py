@@ -367,6 +367,21 @@ def test_what_touches_stays_apart_where_the_files_own_numbers_are_closed(tmp_pat
     assert volume(*read_closed(torn, mend=True)) == pytest.approx(2.0)
 
 
+def test_cloth_that_touches_itself_gets_a_remedy_that_helps(tmp_path: Path) -> None:
+    """Two closed boxes that touch cannot be merged, sides of one that have vertices of their own can."""
+    points = [*CORNERS, *(tuple(np.add(at, (1, 1, 0))) for at in CORNERS)]
+    write_obj(tmp_path / "a.obj", points, [*QUADS, *(tuple(k + 8 for k in face) for face in QUADS)])
+    write_obj(tmp_path / "b.obj", [CORNERS[k] for face in QUADS for k in face], np.arange(24).reshape(6, 4).tolist())
+    for merge in (False, True):
+        with pytest.raises(BadInput, match="2 places hold several vertices") as refused:
+            build(Mesh(), {"file": "a.obj", "merge": merge}, Folder(tmp_path))
+        assert refused.value.remedy is not None and "apart" in refused.value.remedy
+    with pytest.raises(BadInput, match="8 places hold several vertices") as refused:
+        build(Mesh(), {"file": "b.obj"}, Folder(tmp_path))
+    assert refused.value.remedy == "merge: true"
+    assert build(Mesh(), {"file": "b.obj", "merge": True}, Folder(tmp_path)).number == 8
+
+
 def test_vertices_are_joined_along_rims_and_edges_without_length(tmp_path: Path) -> None:
     """Each side of a box with vertices of its own, as where a texture is cut; and an edge between two at one place."""
     points = [CORNERS[k] for face in QUADS for k in face]

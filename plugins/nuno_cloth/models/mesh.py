@@ -184,7 +184,9 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
             f"{int((count > 1).sum())} places hold several vertices",
             f"vertex {index}",
             x[index].tolist(),
-            "merge: true",
+            "merge: true"
+            if len(join_vertices(x, faces)[0]) == len(first)
+            else "move what touches apart: cloth in contact has a distance",
         )
     unused = np.setdiff1d(np.arange(len(x)), faces)
     if unused.size:

@@ -150,7 +150,7 @@ class Skirt:
         except BadInput as error:  # of cells that are too elongated
             raise replace(error, field="rows") from None
         share = np.tile(np.arange(config.columns) / config.columns, config.rows)
-        row = np.repeat(np.arange(config.rows), config.columns)
+        row = np.repeat(np.arange(config.rows, dtype=np.int32), config.columns)
         return self._fabric(config, files, x, held, lay_round(share, row, elements.faces), elements, attach)
 
     def _of_ring(

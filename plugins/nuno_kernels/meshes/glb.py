@@ -25,6 +25,8 @@ HARMLESS = (
 )  # fmt: skip
 """Extensions that begin so are read, or change nothing of where a surface is."""
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+MOST_ROWS = 1 << 24
+"""Of an array that is zero but for what a sparse one says."""
 REPEATED = "EXT_mesh_gpu_instancing"
 
 
@@ -163,6 +165,8 @@ def read_array(said: Any, data: bytes, number: int) -> Float:
     """The rows (n, w) of an accessor, as numbers."""
     accessor = said["accessors"][number]
     width, rows = WIDTHS[accessor["type"]], accessor["count"]
+    if "bufferView" not in accessor and rows > MOST_ROWS:
+        raise ValueError(f"an array of {rows} rows that are not in it")
     found = _rows(said, data, accessor, rows, width) if "bufferView" in accessor else np.zeros((rows, width))
     if "sparse" in accessor:
         sparse = accessor["sparse"]

@@ -34,7 +34,7 @@ class Property(NamedTuple):
 def read_ply(data: bytes) -> RawMesh:
     """The surface of a PLY file, with the texture coordinates of its vertices or of its faces' corners.
 
-    Raises ValueError, LookupError or struct.error for a file that is none, and BadInput as `triangulate`.
+    Raises ValueError or LookupError for a file that is none, and BadInput as `triangulate`.
     """
     head, found, text = plain(data).partition(b"\n" + END.encode() + b"\n")
     if not head.startswith(b"ply\n") or not found:
@@ -51,7 +51,10 @@ def read_ply(data: bytes) -> RawMesh:
         }
     at, tables = 0, dict[str, Table]()
     for name, (rows, row) in elements.items():
-        tables[name], at = _read(data, at, rows, row, order)
+        try:
+            tables[name], at = _read(data, at, rows, row, order)
+        except (struct.error, ValueError):
+            raise ValueError(f"it ends before the last {name} of {rows}") from None
     vertex, face = tables.get("vertex", {}), tables.get("face", {})
     x = np.stack([vertex.get(axis, NOTHING)[0] for axis in "xyz"], axis=1)
     corner, count = face.get("vertex_indices", face.get("vertex_index", NOTHING))
