@@ -20,8 +20,11 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
 Places = NDArray[np.int64]
-STRAIGHT = 1e-10
-"""A corner whose triangle has less than this share of the squared extent lies on a straight side."""
+ROUNDING = 1e-10
+"""Share of the squared extent that an area is off by at most."""
+STRAIGHT = 1e-3
+"""Sine of the turn at a corner on a straight side, or less, as files round it; and the share of a triangle's side that
+no other corner lies nearer to it than, if it can be. Else triangles would be slivers."""
 FLAT = 1e-6
 """Share of the extent that corners of a flat polygon may lie off its plane."""
 MOST_CORNERS = 4096
@@ -105,10 +108,10 @@ def _fans(x: Float) -> tuple[Bool, Places]:
         normal = np.cross(y, np.roll(y, -1, axis=1)).sum(axis=1)
         length = np.linalg.norm(normal, axis=1)[:, None]
         normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)[:, None]
-        least = STRAIGHT * extent**2
 
         def turns(one: Float, other: Float) -> Bool:
-            return np.asarray((np.cross(one, other) * normal).sum(axis=2) > least)
+            size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
+            return np.asarray((np.cross(one, other) * normal).sum(axis=2) > STRAIGHT * size)
 
         left = turns(y - np.roll(y, 1, axis=1), np.roll(y, -1, axis=1) - y)
         beyond = y[:, 2:] - y[:, :1]
@@ -130,9 +133,9 @@ def _clip(x: Float) -> Places:
     """(n - 2, 3) corners of the triangles of a polygon (n, 3). Raises ValueError for one that passes through itself."""
     n = len(x)
     if n > MOST_CORNERS:
-        raise ValueError(f"that is not convex has more than {MOST_CORNERS} corners")
+        raise ValueError(f"has more than {MOST_CORNERS} corners")
     y = x - x.mean(axis=0)
-    least = STRAIGHT * float(np.abs(y).max()) ** 2
+    least = ROUNDING * float(np.abs(y).max()) ** 2
     normal = np.cross(y, np.roll(y, -1, axis=0)).sum(axis=0)
     size = float(np.linalg.norm(normal))
     if not size > least:
@@ -177,15 +180,19 @@ def _check_simple(p: Float, least: float) -> None:
 
 
 def _width(p: Float, k: int, left: list[int], least: float) -> float:
-    """How round the ear at the k-th corner left is, its area over its longest side squared; 0 where there is none."""
+    """How round the ear at the k-th corner left is, its area over its longest side squared; 0 where there is none, and
+    little where a corner lies next to the side that is cut, for that would leave a sliver.
+    """
     a, b, c = p[left[k - 1]], p[left[k]], p[left[(k + 1) % len(left)]]
     area = float(_cross(a, b, c))
     if area <= least:
         return 0.0
     others = p[left]
     inside = (_cross(a, b, others) >= -least) & (_cross(b, c, others) >= -least) & (_cross(c, a, others) >= -least)
-    for corner in (a, b, c):
-        inside &= (others != corner).any(axis=1)
-    if inside.any():
+    apart = np.all([(others != corner).any(axis=1) for corner in (a, b, c)], axis=0)
+    if (inside & apart).any():
         return 0.0
-    return area / max(float(((one - other) ** 2).sum()) for one, other in ((a, b), (b, c), (c, a)))
+    side, along = float(((c - a) ** 2).sum()), ((others - a) * (c - a)).sum(axis=1)
+    near = (np.abs(_cross(a, c, others)) < STRAIGHT * side) & (along > 0.0) & (along < side) & apart
+    width = area / max(side, float(((b - a) ** 2).sum()), float(((c - b) ** 2).sum()))
+    return 1e-6 * width if near.any() else width
