@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from nuno_cloth.models.mesh import Mesh
 from nuno_cloth.models.triangles import face_areas
+from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
+from nuno_contact.skin.rig import Rig, weights_of
 from nuno_kernels.meshes.check import volume
-from nuno_kernels.meshes.file import load_mesh, read_closed
+from nuno_kernels.meshes.file import clean_mesh, load_mesh, read_closed
 from nuno_kernels.meshes.polygons import triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -445,3 +447,23 @@ def test_a_print_on_cloth_without_texture_coordinates_is_refused(shared_data: Pa
         with pytest.raises(BadInput, match=words):
             build(Mesh(), {"file": name, "texture": "halves.png"}, Folder(tmp_path))
         assert build(Mesh(), {"file": name}, Folder(tmp_path)).uv is None
+
+
+def test_a_rig_carries_each_side_of_what_touches_by_its_own_weights() -> None:
+    points = np.array([*CORNERS, *np.add(CORNERS, (1, 1, 0))], float)
+    faces = np.concatenate([FACES, FACES + 8]).astype(np.int32)
+    weight = np.repeat(np.eye(2), 8, axis=0)
+    rig = Rig(("one", "other"), np.array([-1, 0], np.int32), np.zeros((2, 3)), points, faces, weight)
+    x, _ = clean_mesh(points, faces)
+    part, share = weights_of(rig, np.arange(2, dtype=np.int32), x)
+    assert part[np.arange(16), share.argmax(axis=1)].tolist() == [0] * 8 + [1] * 8
+
+
+@pytest.mark.parametrize("shift", [(1, 1, 0), (1, 0, 0), (0.5, 1, 0.25), (1, 1, 1)])
+def test_bodies_that_touch_along_edges_sides_and_corners_pass_through_nothing(
+    shift: tuple[float, ...], tmp_path: Path
+) -> None:
+    points = [*CORNERS, *(tuple(np.add(at, shift)) for at in CORNERS)]
+    path = write_obj(tmp_path / "a.obj", points, [*QUADS, *(tuple(k + 8 for k in face) for face in QUADS)])
+    shape = MeshCollider().build(MeshConfig(file=path.name), None, Folder(tmp_path))
+    assert shape.notes == () and shape.vertices is not None and len(shape.vertices) == 16
