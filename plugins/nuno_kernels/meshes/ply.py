@@ -60,6 +60,8 @@ def read_ply(data: bytes) -> RawMesh:
     corner, count = face.get("vertex_indices", face.get("vertex_index", NOTHING))
     if corner.size and not 0 <= corner.min() <= corner.max() < len(x):
         raise ValueError(f"triangles of vertices {corner.min():g} to {corner.max():g}, and there are {len(x)}")
+    if "tristrips" in tables:
+        raise ValueError("its triangles are in strips, which are not read")
     place, uv = triangulate(x, corner.astype(np.int64), count), None
     faces = corner.astype(np.int64)[place]
     if "texcoord" in face and (face["texcoord"][1] == 2 * count).all():
