@@ -27,7 +27,7 @@ STRAIGHT = 1e-3
 no other corner lies nearer to it than, if it can be. Else triangles would be slivers."""
 FLAT = 1e-6
 """Share of the extent that corners of a flat polygon may lie off its plane."""
-MOST_CORNERS = 4096
+MOST_CORNERS = 2048
 """Of a polygon that is not convex; ears take a time that goes with the square."""
 
 
@@ -109,19 +109,22 @@ def _fans(x: Float) -> tuple[Bool, Places]:
         length = np.linalg.norm(normal, axis=1)[:, None]
         normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)[:, None]
 
-        def turns(one: Float, other: Float) -> Bool:
+        def turns(one: Float, other: Float, least: float) -> Bool:
             size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
-            return np.asarray((np.cross(one, other) * normal).sum(axis=2) > STRAIGHT * size)
+            return np.asarray((np.cross(one, other) * normal).sum(axis=2) > least * size)
 
-        left = turns(y - np.roll(y, 1, axis=1), np.roll(y, -1, axis=1) - y)
-        beyond = y[:, 2:] - y[:, :1]
-        # All corners turn left in a star too: only of a convex polygon is each side seen alike from the first corner.
-        seen = [left, turns(y[:, 1:-1] - y[:, :1], beyond), turns(y[:, 1:2] - y[:, :1], beyond)]
-        fan: Bool = np.asarray(np.concatenate(seen, axis=1).all(axis=1))
+        side = np.roll(y, -1, axis=1) - y
+        left = turns(np.roll(side, 1, axis=1), side, STRAIGHT)
+        fan: Bool = np.asarray(left.all(axis=1))
+        if (
+            n > 4
+        ):  # all corners turn left in a star too: only of a convex polygon is each side seen alike from the first
+            first, beyond = y[:, 1:-1] - y[:, :1], y[:, 2:] - y[:, :1]
+            fan &= (turns(first, beyond, ROUNDING) & turns(first[:, :1], beyond, ROUNDING)).all(axis=1)
         flat = (np.abs((y * normal).sum(axis=2)) <= FLAT * extent).all(axis=1)
         near = np.round((y * y).sum(axis=2) / np.where(extent > 0.0, extent, 1.0) ** 2, 6)
-    start = np.lexsort((x[..., 2], x[..., 1], x[..., 0], near), axis=1)[:, 0]
-    start[fan & flat] = 0
+    start, cut = np.zeros(len(x), np.int64), ~(fan & flat)
+    start[cut] = np.lexsort((*np.moveaxis(x[cut], 2, 0)[::-1], near[cut]), axis=1)[:, 0]
     if n == 4:
         one = (~left).sum(axis=1) == 1
         start[one] = np.argmin(left[one], axis=1)
