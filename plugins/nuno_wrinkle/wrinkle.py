@@ -114,12 +114,6 @@ def _outcome(
         between = np.einsum("mc,mc...->m...", crossed.at, values[corners].astype(np.float64))
         return np.ascontiguousarray(np.concatenate([values, between.astype(values.dtype)]))
 
-    laid = fabric.corners
-    if laid is not None and raised.drawn is not None:
-        between = np.einsum("mc,mcu->mu", crossed.at, laid.points[laid.faces[crossed.face]])
-        points = np.concatenate([laid.points, between.astype(np.float32)])
-        new = np.arange(fabric.number, len(raised.x), dtype=np.int32)
-        laid = Corners(points, np.append(laid.vertex, new), raised.drawn)
     held = fabric.pinned[corners].all(axis=1)
     changed = replace(
         fabric,
@@ -131,7 +125,7 @@ def _outcome(
         springs=net.springs,
         hinges=net.hinges,
         uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
-        corners=laid,
+        corners=None if raised.uv is None else Corners.of(raised.faces, raised.uv),
         bindings=tuple(_bound(binding, fabric, crossed) for binding in fabric.bindings),
         origin=model,
     )

@@ -210,6 +210,14 @@ class Corners:
     faces: Annotated[Int, "f", 3, Bounds(0, below="p")]
     panels: Panels | None = None
 
+    @staticmethod
+    def of(faces: Int, uv: NDArray[np.floating[Any]]) -> Corners:
+        """Those of triangles (f, 3) whose corners lie at (f, 3, 2): equal ones of a vertex are one point."""
+        each = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2).astype(np.float32)])
+        own, place = np.unique(each, axis=0, return_inverse=True)
+        points, vertex = np.ascontiguousarray(own[:, 1:], np.float32), own[:, 0].astype(np.int32)
+        return Corners(points, vertex, place.reshape(-1, 3).astype(np.int32))
+
 
 @dataclass(frozen=True)
 class Fabric:

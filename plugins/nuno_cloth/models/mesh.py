@@ -160,12 +160,8 @@ def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None,
             remedy = "unwrap the mesh in the program that it comes from, or leave `texture` out"
             raise BadInput(problem, str(path), field="texture", value=f"face {np.argmax(missing)}", remedy=remedy)
         return {}
-    each = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2)])
-    own, place = np.unique(each, axis=0, return_inverse=True)
-    points = np.ascontiguousarray(own[:, 1:], np.float32)
-    if len(points) == number:
-        return {"uv": points}
-    return {"corners": Corners(points, own[:, 0].astype(np.int32), place.reshape(-1, 3).astype(np.int32))}
+    corners = Corners.of(faces, uv)
+    return {"uv": corners.points} if len(corners.points) == number else {"corners": corners}
 
 
 def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:

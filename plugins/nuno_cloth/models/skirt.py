@@ -229,8 +229,4 @@ def lay_round(share: Float, row: Int, faces: Int) -> Corners:
     """
     around = share[faces]
     over = (around < 0.5) & (np.ptp(around, axis=1)[:, None] > 0.5)
-    key, place = np.unique(faces + len(share) * over, return_inverse=True)
-    vertex = key % len(share)
-    u = np.minimum(share[vertex] + key // len(share), 1.0)
-    points = np.stack([u, 1.0 - row[vertex] / row[-1]], axis=1).astype(np.float32)
-    return Corners(points, vertex.astype(np.int32), place.reshape(-1, 3).astype(np.int32))
+    return Corners.of(faces, np.stack([np.minimum(around + over, 1.0), 1.0 - row[faces] / row[-1]], axis=2))
