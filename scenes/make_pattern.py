@@ -2,8 +2,8 @@
 
 The traditional pattern: discs of one radius R in rows R/2 apart, every other row shifted by R, each
 disc over the row above it, so that only fans are seen; every disc is drawn as rings. The picture
-holds whole waves across and whole pairs of rows, so that it tiles, and a disc's middle lies on
-its left and right edge, so that it is also without a seam where a skirt shows it forth and back.
+holds whole waves across and whole pairs of rows, so that it tiles: its left side goes on at its right one where it goes
+round a skirt.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 PATH = Path(__file__).with_name("seigaiha.png")
-WIDTH, HEIGHT = 1024, 512
-ACROSS, PAIRS = 12, 12
+WIDTH, HEIGHT = 2048, 512
+ACROSS, PAIRS = 24, 12
 """Discs side by side, and pairs of rows. One repeat is 2 R wide and R high: 85 by 43 pixels."""
 RINGS = (0.97, 0.82, 0.67, 0.52, 0.37, 0.22)
 """Outer radii of the rings, over R: indigo and paper take turns."""
@@ -45,7 +45,7 @@ def cover(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def make_pattern() -> Image.Image:
-    """The picture, (512, 1024), in 16 shades between the two colours."""
+    """The picture, (512, 2048), in 16 shades between the two colours."""
     u = (np.arange(WIDTH * SAMPLES) + 0.5) / (WIDTH * SAMPLES) * ACROSS
     v = (np.arange(HEIGHT * SAMPLES) + 0.5) / (HEIGHT * SAMPLES) * PAIRS
     fine = ~cover(u[None, :], v[:, None])

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from nuno_kernels.meshes.obj import read_obj
 from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line
 from nuno_schemas.plugin import Files
-from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, Passed, Way, walk_line
+from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, Passed, Way, link_faces, walk_line
 
 INSIDE = 1e-3
 """Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
@@ -47,7 +47,7 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
             found.append(line)
             continue
         path = files.resolve(line.file)
-        rows = read_obj(path)
+        rows = _read_strokes(path)
         found += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
         if not rows:
             raise BadInput(
@@ -56,31 +56,21 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
     return tuple(found)
 
 
-def read_obj(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
-    """Points of each element `l` of an OBJ file; numbers below 0 count back from the last vertex. Raises BadInput."""
+def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
+    """Points of each line of an OBJ file. Raises BadInput."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise BadInput("too large for lines", str(path), value=size, limit=f"{LARGEST_FILE} bytes")
-    vertices: list[tuple[float, float, float]] = []
-    lines = []
-    for number, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        words = text.split()
-        try:
-            if words[:1] == ["v"]:
-                x, y, z = (float(word) for word in words[1:4])
-                if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-                    raise ValueError("not a finite position")
-                vertices.append((x, y, z))
-            elif words[:1] == ["l"]:
-                corners = [int(word.split("/")[0]) for word in words[1:]]
-                if len(corners) > MOST_POINTS:
-                    raise ValueError(f"a line has {MOST_POINTS} points at most")
-                if len(corners) < 2 or any(not 1 <= abs(c) <= len(vertices) for c in corners):
-                    raise ValueError("a line has two vertices at least, which stand before it")
-                lines.append(tuple(vertices[c - 1 if c > 0 else c] for c in corners))
-        except ValueError as error:
-            raise BadInput(f"cannot be read: {error}", str(path), number, value=text.strip()) from None
-    return lines
+    try:
+        mesh = read_obj(path.read_bytes())
+    except BadInput as error:
+        raise replace(error, file=str(path)) from None
+    except ValueError as error:
+        raise BadInput(f"cannot be read as OBJ: {error}", str(path)) from None
+    most = max(map(len, mesh.lines), default=0)
+    if most > MOST_POINTS:
+        raise BadInput("a line has too many points", str(path), value=most, limit=f"{MOST_POINTS} points")
+    return [tuple(map(tuple, mesh.points[stroke].tolist())) for stroke in mesh.lines]
 
 
 def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...], tolerance: float) -> Crossed:
@@ -93,13 +83,11 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
     total, up = np.zeros((len(faces) + 1, 5)), np.zeros((len(faces), 2), np.bool_)
     chains = []
     for i, line in enumerate(lines):
-        places = x
-        if line.texture is not None:
-            places = _flat(fabric, i)
-        face, at = _lay(fabric, places, line, i, tolerance)
+        way = (x, faces, across) if line.texture is None else _flat(fabric, across, i)
+        face, at = _lay(way[1], way[0], line, i, tolerance)
         if line.closed:
             face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
-        chains.append(_walk(places, faces, across, (face, at), line, i, total, up))
+        chains.append(_walk(*way, (face, at), line, i, total, up))
     clash = np.flatnonzero(up[:, 0] & up[:, 1])
     if clash.size:
         raise BadInput(
@@ -114,20 +102,24 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
     return Crossed(face, at / at.sum(axis=1)[:, None], part[:, 4] / part[:, 3], tuple(order[c] for c in chains))
 
 
-def _flat(fabric: Fabric, i: int) -> Float:
-    """(n, 3) texture coordinates with a third that is 0."""
-    if fabric.uv is None:
+def _flat(fabric: Fabric, across: Int, i: int) -> tuple[Float, Int, Int]:
+    """The cloth as it lies on its texture, cut along seams: points (p, 3) whose third coordinate is 0, triangles (f, 3)
+    and those across their edges, as `surface.link_faces`.
+    """
+    laid = fabric.laid_out
+    if laid is None:
         remedy = "give the line as points [m], or the mesh texture coordinates"
         raise BadInput("the cloth has no texture coordinates", field=f"lines[{i}].texture", remedy=remedy)
-    return np.ascontiguousarray(np.column_stack([fabric.uv, np.zeros(len(fabric.uv))]), np.float64)
+    points = np.ascontiguousarray(np.column_stack([laid.points, np.zeros(len(laid.points))]), np.float64)
+    return points, laid.faces, across if fabric.corners is None else link_faces(laid.faces, len(points))
 
 
-def _lay(fabric: Fabric, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
+def _lay(faces: Int, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
     """Triangle (p,) and barycentric coordinates (p, 3) of each point of a line. Raises BadInput."""
     if line.on_faces is not None:
         numbers = np.array([place.face for place in line.on_faces], np.int64)
-        if numbers.max() >= len(fabric.faces):
-            limit, value = f"0 to {len(fabric.faces) - 1}", int(numbers.max())
+        if numbers.max() >= len(faces):
+            limit, value = f"0 to {len(faces) - 1}", int(numbers.max())
             raise BadInput("there is no such triangle", field=f"lines[{i}].on_faces", value=value, limit=limit)
         return numbers.astype(np.int32), _inwards(np.array([place.at for place in line.on_faces]))
     given = line.points if line.points is not None else line.texture
@@ -137,7 +129,7 @@ def _lay(fabric: Fabric, x: Float, line: Line, i: int, tolerance: float) -> tupl
         raise BadInput(
             "all points of the line are one", field=f"lines[{i}]", value=points[0].tolist(), remedy="draw it longer"
         )
-    face, at, distance = scan_triangles(points, x, fabric.faces)
+    face, at, distance = scan_triangles(points, x, faces)
     worst, most = int(np.argmax(distance)), tolerance if line.points is not None else TEXTURE_TOLERANCE
     if not distance[worst] <= most:
         name, unit = ("points", " m") if line.points is not None else ("texture", "")

@@ -8,14 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.lines import Smoothing
 from nuno_wrinkle.edges import any_of
 from nuno_wrinkle.lines import Crossed
 from nuno_wrinkle.split import smooth, split_faces
+from nuno_wrinkle.surface import link_faces
 
 THIN = 1e-6
 """Least area of a triangle, as a share of its longest side squared."""
+SAME = 1e-6
+"""Texture coordinates are float32."""
 ROUNDS = 50
 """How often smoothing begins again, with more vertices held."""
 
@@ -54,6 +57,8 @@ class Raised:
     left: int
     normal: Float
     """(m, 3) of the triangles that were split"""
+    uv: Float | None
+    """(f + 2 m, 3, 2) texture coordinates of corners; None of cloth that has none by corners"""
 
 
 def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
@@ -86,14 +91,55 @@ def raise_lines(
     )
     raised = flat.copy()
     raised[n:] += crossed.height[:, None] * normal
-    flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
+    laid, uv = fabric.corners, None
+    turn = None if laid is None else _period(laid)
+    if laid is None or turn is not None:
+        flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
+    else:  # as it is cut along the seams of its texture: no edge there is flipped
+        vertex, points = np.append(laid.vertex, np.arange(n, n + m, dtype=np.int32)), len(laid.vertex)
+        drawn, beyond = (
+            np.concatenate([a, np.zeros((2 * m, 3), np.int32)]) for a in (laid.faces, link_faces(laid.faces, points))
+        )
+        flipped, left = split_faces(flat[vertex], raised[vertex], crossed.face, points, drawn, beyond, shares)
+        faces = vertex[drawn]
+        beyond = link_faces(faces, len(flat))
+    if laid is not None:
+        between = np.einsum("mc,mcu->mu", crossed.at, laid.points[laid.faces[crossed.face]])
+        cut = np.concatenate([laid.points, between])
+        uv = cut[drawn] if turn is None else _wrapped(laid, between, turn, faces, n)
     local = np.append(region.face, np.arange(len(old), len(faces), dtype=np.int32))
     beside = _neighbours(fabric, faces[local], beyond[local] < 0, len(flat), smoothing)
     held = _smooth(flat, raised, faces[local], beside, smoothing)
     same = (faces[region.face] == old[region.face]).all(axis=1)
     changed = np.append(region.face[~same], local[len(region.face) :]).astype(np.int32)
     smoothed = beside.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
-    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal)
+    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal, uv)
+
+
+def _period(laid: Corners) -> Float | None:
+    """By how many whole images (2,) the two sides of all seams differ, where that is the same, as round a skirt; else
+    None. Only with it the image goes on beyond a seam.
+    """
+    order = np.argsort(laid.vertex, kind="stable")
+    apart = np.diff(laid.points[order].astype(np.float64), axis=0)[np.diff(laid.vertex[order]) == 0]
+    if not len(apart):
+        return None
+    apart *= np.sign(apart @ apart[0])[:, None]
+    turn = np.round(apart[0])
+    return turn if turn.any() and np.abs(apart - turn).max() <= SAME else None
+
+
+def _wrapped(laid: Corners, between: Float, turn: Float, faces: Int, n: int) -> Float:
+    """(f + 2 m, 3, 2) texture coordinates of corners, those of changed triangles on the side where their new vertex
+    lies: beyond the seam the image goes on, `turn` farther.
+    """
+    place = np.zeros((n + len(between), 2))
+    place[laid.vertex], place[n:] = laid.points, between
+    uv, newest = place[faces], faces.argmax(axis=1)
+    uv += np.round((uv[np.arange(len(faces)), newest][:, None] - uv) @ turn / (turn @ turn))[..., None] * turn
+    same = (faces[: len(laid.faces)] == laid.vertex[laid.faces]).all(axis=1)
+    uv[: len(same)][same] = laid.points[laid.faces[same]]
+    return uv
 
 
 @dataclass(frozen=True)

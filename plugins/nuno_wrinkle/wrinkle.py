@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Fabric, Float, Int, Springs, State
+from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Springs, State
 from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
@@ -97,8 +97,8 @@ class Wrinkle:
 
 
 def _require_triangles(fabric: Fabric) -> None:
-    if fabric.corners is not None:
-        raise BadInput("lines are not drawn on cloth whose texture is cut along seams", field="object")
+    if fabric.corners is not None and fabric.corners.panels is not None:
+        raise BadInput("lines are not drawn on cloth that is sewn of panels", field="object")
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
         raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)
@@ -125,6 +125,7 @@ def _outcome(
         springs=net.springs,
         hinges=net.hinges,
         uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
+        corners=None if raised.uv is None else Corners.of(raised.faces, raised.uv),
         bindings=tuple(_bound(binding, fabric, crossed) for binding in fabric.bindings),
         origin=model,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,16 @@ readable in grey and with the common colour-vision deficiencies."""
 
 MISSING = "#9a9a9a"
 """Colour of a value that is not a number."""
+
+
+def upright(image: Any) -> Any:
+    """An image that Pillow has opened, as viewers show it: turned as its EXIF says, 16 bits rounded to 8."""
+    from PIL import Image, ImageOps
+
+    image = ImageOps.exif_transpose(image)
+    if not image.mode.startswith("I"):
+        return image
+    return Image.fromarray(np.round(np.clip(np.asarray(image, np.float64) / 257.0, 0.0, 255.0)).astype(np.uint8))
 
 
 def to_linear(srgb: ArrayLike) -> NDArray[np.float64]:

@@ -210,6 +210,14 @@ class Corners:
     faces: Annotated[Int, "f", 3, Bounds(0, below="p")]
     panels: Panels | None = None
 
+    @staticmethod
+    def of(faces: Int, uv: NDArray[np.floating[Any]]) -> Corners:
+        """Those of triangles (f, 3) whose corners lie at (f, 3, 2): equal ones of a vertex are one point."""
+        each = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2).astype(np.float32)])
+        own, place = np.unique(each, axis=0, return_inverse=True)
+        points, vertex = np.ascontiguousarray(own[:, 1:], np.float32), own[:, 0].astype(np.int32)
+        return Corners(points, vertex, place.reshape(-1, 3).astype(np.int32))
+
 
 @dataclass(frozen=True)
 class Fabric:
@@ -264,6 +272,13 @@ class Fabric:
     def told(self, vertex: int) -> int:
         """The number by which a user is told of a vertex."""
         return vertex if self.numbers is None else int(self.numbers[vertex])
+
+    @property
+    def laid_out(self) -> Corners | None:
+        """Its texture coordinates, by corners of triangles; None where it has none."""
+        if self.corners is not None or self.uv is None:
+            return self.corners
+        return Corners(self.uv, np.arange(self.number, dtype=np.int32), self.faces)
 
     @property
     def bears_tension(self) -> bool:

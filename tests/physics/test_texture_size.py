@@ -22,13 +22,13 @@ def test_a_sheets_texture_is_as_large_as_the_sheet(cells: str) -> None:
     assert texture_size(sheet) == pytest.approx((0.6, 0.4), rel=1e-6)
 
 
-def test_a_skirts_is_as_wide_as_half_of_its_mean_circle_and_as_high_as_it_is_long() -> None:
-    """u runs round it and back; the mean is by area, which goes with the circle: int r^2 over int r."""
+def test_a_skirts_is_as_wide_as_its_mean_circle_and_as_high_as_it_is_long() -> None:
+    """u runs once round it; the mean is by area, which goes with the circle: int r^2 over int r."""
     low, high, long = 0.2, 0.3, 0.4
     skirt = built("skirt", waist_radius=low, hem_radius=high, length=long, columns=128, rows=33, fabric="denim")
     mean = (high**3 - low**3) / 3.0 / ((high**2 - low**2) / 2.0)
     width, height = texture_size(skirt)
-    assert width == pytest.approx(np.pi * mean, rel=2e-3)
+    assert width == pytest.approx(2.0 * np.pi * mean, rel=2e-3)
     assert height == pytest.approx(long, rel=2e-3)
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import random_wrinkles
-from wrinkled import draw, ridge, sheet
+from wrinkled import BY_HAND, draw, ridge, sheet
 
 from nuno import registry
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import State
+from nuno_schemas.fabric import Corners, State
 from nuno_schemas.operation import Changed, Outcome
 from nuno_wrinkle.split import smooth, split_faces
 from nuno_wrinkle.surface import link_faces
@@ -28,6 +29,50 @@ def changed(made: Outcome) -> Changed:
 def test_whatever_is_drawn_the_mesh_stays_whole() -> None:
     found = [random_wrinkles.draw(seed) for seed in range(200)]
     assert found.count("") > 120
+
+
+@pytest.mark.parametrize("kind", ["points", "texture"])
+def test_a_texture_cut_along_a_seam_stays_so_under_lines(kind: str) -> None:
+    """The image lies half a unit farther on one side of x = 0: a line that crosses by points flips no edge there, and
+    one that is drawn on the image stays on its side.
+    """
+    plain = sheet(13, 12)
+    side = (plain.position[plain.faces].mean(axis=1)[:, 0] > 0.0)[:, None]
+    key, place = np.unique(plain.faces + plain.number * side, return_inverse=True)
+    vertex, right = key % plain.number, key // plain.number
+    points = (plain.position[vertex, :2] + np.stack([0.5 + 0.5 * right, 0.5 + 0.0 * right], 1)).astype(np.float32)
+    laid = Corners(points, vertex.astype(np.int32), place.reshape(-1, 3).astype(np.int32))
+    cloth = replace(plain, uv=None, corners=laid)
+    line = ridge((-0.3, -0.2), (0.3, 0.25)) if kind == "points" else {
+        "texture": [(0.8 + 0.5, 0.3), (0.6 + 0.5, 0.7)], "height": 0.02
+    }  # fmt: skip
+    made = changed(draw(cloth, line)).fabric
+    assert made.corners is not None and made.uv is None and made.number > plain.number
+    np.testing.assert_array_equal(made.corners.vertex[made.corners.faces], made.faces)
+    x = made.position[made.faces]
+    right = x[:, :, 0].mean(axis=1) > 0.0
+    assert np.where(right, x[:, :, 0].min(axis=1) >= -1e-12, x[:, :, 0].max(axis=1) <= 1e-12).all()
+    shift = np.stack([0.5 + 0.5 * right, np.full(len(right), 0.5)], axis=1)
+    np.testing.assert_allclose(made.corners.points[made.corners.faces], x[..., :2] + shift[:, None], atol=1e-6)
+
+
+def test_a_line_along_a_skirts_side_changes_the_cloth_as_if_it_had_no_texture() -> None:
+    """The image goes on round the side, so that edges there are flipped as others are; nowhere is it torn."""
+    model = registry.load("nuno.models", "skirt")
+    config = {"cells": "triangles", "columns": 24, "rows": 9, "fabric": BY_HAND}
+    skirt = model.build(model.Config.model_validate(config), SceneFiles(Path(".")), 0)
+    x = skirt.position.reshape(9, 24, 3)
+    line = {"points": (0.5 * (x[1:-1, 0] + x[1:-1, 1])).tolist(), "height": 5e-3}
+    made, plain = (changed(draw(cloth, line)) for cloth in (skirt, replace(skirt, corners=None)))
+    np.testing.assert_array_equal(made.fabric.faces, plain.fabric.faces)
+    np.testing.assert_array_equal(made.state.x, plain.state.x)
+    laid = made.fabric.corners
+    assert laid is not None and made.fabric.number > skirt.number
+    np.testing.assert_array_equal(laid.vertex[laid.faces], made.fabric.faces)
+    assert np.ptp(laid.points[laid.faces], axis=1).max() < 0.2
+    one, other = np.moveaxis(np.diff(laid.points[laid.faces].astype(float), axis=1), 1, 0)
+    area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    assert (area > 0.0).all() and area.sum() == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_check_that_can_fail() -> None:

@@ -25,6 +25,7 @@ from nuno.scene.scene_file import read
 from nuno.wrong import Wrong
 from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.sew import sew
+from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.fabric import Fabric, Float
 
 PATTERN = Path(__file__).parents[2] / "scenes" / "sewn" / "patterns" / "top.yaml"
@@ -117,3 +118,15 @@ def test_corners_of_other_vertices_are_wrong(fabric: Fabric) -> None:
         check_fabric(replace(fabric, corners=other))
     with pytest.raises(Wrong, match=r"corners\.faces is \d+ at row 0"):
         check_fabric(replace(fabric, corners=replace(fabric.corners, faces=fabric.corners.faces + np.int32(9999))))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply"])
+def test_what_is_written_with_seams_is_read_with_them(suffix: str, recording: Path, tmp_path: Path) -> None:
+    """The sheet has a coordinate for each vertex, the top several along its seams."""
+    with open_recording(recording) as opened:
+        pieces = read_pieces(opened)
+    mesh = load_mesh(export_mesh(recording, tmp_path / f"a{suffix}", 0))
+    assert mesh.uv is not None and any(piece.seamed for piece in pieces)
+    written = [piece.laid_out.points[piece.laid_out.faces] for piece in pieces if piece.laid_out is not None]
+    np.testing.assert_allclose(mesh.uv, np.concatenate(written), atol=1e-7)
+    assert mesh.faces.tolist() == np.concatenate([piece.faces + piece.start for piece in pieces]).tolist()

@@ -133,7 +133,7 @@ def test_archives_that_are_none(fault: str, tmp_path: Path) -> None:
 
 def test_lines_that_are_no_lines(tmp_path: Path) -> None:
     said = _refused("OBJ of lines", b"v 0 0 0\nv 1 nan 0\nl 1 2\n", tmp_path)
-    assert "input.obj:2: cannot be read: not a finite position" in said
+    assert "input.obj:2: file: cannot be read as OBJ: not a finite position" in said
     (tmp_path / "none.obj").write_bytes(b"v 0 0 0\n")
     plugin = registry.load("nuno.operations", "wrinkle")
     lines = [{"points": [[0, 0, 0], [1, 0, 0]], "height": 0.01}, {"file": "none.obj", "height": 0.01}]
@@ -174,18 +174,20 @@ def test_strokes_of_the_page_that_are_none(face: str, height: str, words: str, t
         assert words in _refused("page request", request.encode(), tmp_path)
 
 
-@pytest.mark.parametrize("face", ["1/1/1 247483649/4/1", "1/1 2/2 -247483649/3", "00000000001/1 2/2 3\\\n00000000/3"])
+@pytest.mark.parametrize(
+    "face", ["1/1/1 2/1/1 247483649/4/1", "1/1 2/2 -247483649/3", "00000000001/1 2/2 3\\\n00000000/3"]
+)
 def test_room_is_not_made_for_vertices_that_a_triangle_alone_knows(face: str, tmp_path: Path) -> None:
-    """trimesh would take 32 bytes for each number up to the largest."""
+    """A reader that takes some bytes for each number up to the largest runs out of them."""
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf {face}\n")
     with pytest.raises(BadInput, match="a triangle of a vertex that is not there") as refused:
         load_mesh(tmp_path / "a.obj", ("obj",))
-    assert refused.value.line == 5 and refused.value.limit is not None and "has 6 lines" in refused.value.limit
+    assert refused.value.line == 5
 
 
 def test_numbers_of_vertices_may_begin_with_noughts(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 00000000001 2 \\\n000003\n")
-    assert load_mesh(tmp_path / "a.obj", ("obj",))[1].tolist() == [[0, 1, 2]]
+    assert load_mesh(tmp_path / "a.obj", ("obj",)).faces.tolist() == [[0, 1, 2]]
 
 
 def test_an_object_of_vertices_that_are_not_there_is_not_made_room_for(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,9 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import Edges, face_areas, find_edges
 from nuno_cloth.quantities import Scale
-from nuno_kernels.meshes.file import load_mesh
+from nuno_kernels.meshes.file import join_vertices, load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
@@ -70,8 +70,8 @@ class MeshConfig(Config):
     )
     merge: bool = Field(
         default=False,
-        description="join vertices at the same place: OBJ files with texture seams need it; STL, which has no shared "
-        "vertices, is always merged",
+        description="join vertices at the same place on the rims of the file's pieces: files that are cut along the "
+        "seams of a texture need it; STL, which has no shared vertices, is always merged",
     )
     pin: tuple[Pin, ...] = Field(
         default=(), description="vertex numbers, counted from 0, or boxes of the world {low, high} [m]"
@@ -118,8 +118,8 @@ class Mesh:
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
             pinned=held,
-            uv=uv,
             texture=find_texture(config.texture, files),
+            **lay_out(path, len(x), faces, uv, config.texture is not None),
             origin=_unseen(material, edges),
             **elements._asdict(),
         )
@@ -133,20 +133,35 @@ def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
 
 
 def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
-    """Vertices (n, 3), faces (f, 3) and texture coordinates (n, 2) or None of a file. Raises BadInput."""
+    """Vertices (n, 3), faces (f, 3) and texture coordinates (f, 3, 2) of their corners or None of a file.
+
+    Raises BadInput.
+    """
     try:
-        points, faces, mesh = load_mesh(path, KINDS, maintain_order=True)
+        mesh = load_mesh(path, KINDS)
     except BadInput as error:
         error.file = str(path)
         raise
-    uv = getattr(getattr(mesh, "visual", None), "uv", None)
-    uv = None if uv is None or len(uv) != len(points) else np.ascontiguousarray(uv, np.float32)
+    points, faces = mesh.points, mesh.faces
     if merge or path.suffix.lower() == ".stl":
-        _, kept, joined = np.unique(points, axis=0, return_index=True, return_inverse=True)
-        order = np.argsort(np.argsort(kept))
-        faces, kept = order[joined.reshape(-1)][faces], np.sort(kept)
-        points, uv = points[kept], None if uv is None else uv[kept]
-    return np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int32), uv
+        kept, joined = join_vertices(points, faces)
+        points, faces = points[kept], joined[faces].astype(np.int32)
+    return np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int32), mesh.uv
+
+
+def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None, printed: bool) -> dict[str, Any]:
+    """Texture coordinates as a fabric of so many vertices has them: `uv` of vertices where all triangles agree, else
+    `corners`; none where some triangle has none. Raises BadInput where a print needs them.
+    """
+    missing = np.ones(len(faces), bool) if uv is None else ~np.isfinite(uv).all(axis=(1, 2))
+    if uv is None or missing.any():
+        if printed:
+            problem = f"{int(missing.sum())} of {len(faces)} triangles have no texture coordinates, which a print needs"
+            remedy = "unwrap the mesh in the program that it comes from, or leave `texture` out"
+            raise BadInput(problem, str(path), field="texture", value=f"face {np.argmax(missing)}", remedy=remedy)
+        return {}
+    corners = Corners.of(faces, uv)
+    return {"uv": corners.points} if len(corners.points) == number else {"corners": corners}
 
 
 def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
@@ -165,7 +180,9 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
             f"{int((count > 1).sum())} places hold several vertices",
             f"vertex {index}",
             x[index].tolist(),
-            "merge: true",
+            "merge: true"
+            if len(join_vertices(x, faces)[0]) == len(first)
+            else "move what touches apart: cloth in contact has a distance",
         )
     unused = np.setdiff1d(np.arange(len(x)), faces)
     if unused.size:

@@ -17,7 +17,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno_cloth.fabrics.constants import Lattice
@@ -27,7 +26,7 @@ from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangl
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.outside import require_outside
 from nuno_cloth.models.placement import Attach, find_texture, require_bare
-from nuno_cloth.models.sheet import build_grid, bytes_of_grid, texture_coordinates
+from nuno_cloth.models.sheet import build_grid, bytes_of_grid
 from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
 from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
 from nuno_cloth.models.skirt_over import Wearing, measure, rings
@@ -37,7 +36,7 @@ from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.sewing.draw import draw_together
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Bool, Fabric, Float, Int
+from nuno_schemas.fabric import Binding, Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Files
 from nuno_schemas.vectors import turn
 
@@ -110,7 +109,8 @@ class Skirt:
         if config.cut == "cone":
             return self._of_grid(config, files, circle, points, attach)
         fabric = self._of_ring(config, files, circle, points, attach, (body, config.over.clearance))
-        clear = np.interp(1.0 - fabric.uv[:, 1], falls / config.length, 0.5 * wearing.clear)  # type: ignore[index]
+        row = np.repeat(np.arange(len(falls)), _round(config))
+        clear = np.interp(falls[row], falls, 0.5 * wearing.clear)
         require_outside(fabric.position, clear, body, "skirt", WIDER)
         return fabric
 
@@ -147,8 +147,9 @@ class Skirt:
             elements = build_grid(grid, lattice, resolve(config.fabric), x, config.cells, held)
         except BadInput as error:  # of cells that are too elongated
             raise replace(error, field="rows") from None
-        uv = texture_coordinates(_across(np.arange(config.columns) / config.columns), config.rows)
-        return self._fabric(config, files, x, held, uv, elements, attach)
+        share = np.tile(np.arange(config.columns) / config.columns, config.rows)
+        row = np.repeat(np.arange(config.rows, dtype=np.int32), config.columns)
+        return self._fabric(config, files, x, held, lay_round(share, row, elements.faces), elements, attach)
 
     def _of_ring(
         self, config: SkirtConfig, files: Files, circle: Float, points: Float, attach: Attach | None,
@@ -168,12 +169,11 @@ class Skirt:
             rest = np.zeros(len(edges.pairs))
             rest[edges.of_face] = np.linalg.norm(np.roll(ring.corners, -1, axis=1) - ring.corners, axis=2)
             x = draw_together(x, edges, rest, *body, worn=True, held=held)
-        uv = np.stack([_across(ring.share), 1.0 - ring.row / ring.row[-1]], axis=1).astype(np.float32)
         elements = build_triangles(material, ring.corners, ring.faces, ring.warp, held)
-        return self._fabric(config, files, x, held, uv, elements, attach)
+        return self._fabric(config, files, x, held, lay_round(ring.share, ring.row, ring.faces), elements, attach)
 
     def _fabric(
-        self, config: SkirtConfig, files: Files, x: Float, held: Bool, uv: NDArray[np.float32], elements: Elements,
+        self, config: SkirtConfig, files: Files, x: Float, held: Bool, corners: Corners, elements: Elements,
         attach: Attach | None,
     ) -> Fabric:  # fmt: skip
         waist = np.flatnonzero(held).astype(np.int32)
@@ -182,7 +182,7 @@ class Skirt:
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
             pinned=held,
-            uv=uv,
+            corners=corners,
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),
             **elements._asdict(),
@@ -219,6 +219,12 @@ def _hem(config: SkirtConfig, wearing: Wearing, waist: float) -> float:
     return max(waist + FLARED * config.length, hips / config.fullness * (1.0 + ROUNDING))
 
 
-def _across(share: Float) -> Float:
-    """u of places a share of the way round: there and back."""
-    return np.asarray(1 - np.abs(2 * share - 1))
+def lay_round(share: Float, row: Int, faces: Int) -> Corners:
+    """Texture coordinates of vertices (n,) of which are known the share of the way round and the row: u once round, to
+    the right as seen from outside, from 0 at the left side to 1 there; v from 1 at the waist to 0 at the hem.
+
+    Where rows begin half a step apart, as in a ring, u ends at 1 for both: the image ends at the side.
+    """
+    around = share[faces]
+    over = (around < 0.5) & (np.ptp(around, axis=1)[:, None] > 0.5)
+    return Corners.of(faces, np.stack([np.minimum(around + over, 1.0), 1.0 - row[faces] / row[-1]], axis=2))

@@ -24,8 +24,8 @@ ROUNDING = 1e-9
 class SkirtConfig(Config):
     """A cone, or a ring that is cut flat, whose top row is pinned. Columns start at +x and run towards -z.
 
-    Texture: u runs from 0 to 1 and back around the waist, so that an image has no seam; v is 1 at
-    the waist and 0 at the hem.
+    Texture: u runs from 0 to 1 around the waist, to the right as seen from outside, so that an image goes round once
+    and its sides meet where columns begin, at the left side; v is 1 at the waist and 0 at the hem.
     """
 
     over: AtWaist | None = Field(

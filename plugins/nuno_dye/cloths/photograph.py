@@ -17,7 +17,7 @@ from pydantic import Field, field_validator
 
 from nuno_dye.quantities import Share
 from nuno_dye.supplies.resist import read_image
-from nuno_schemas.colour import parse_hex, to_linear
+from nuno_schemas.colour import parse_hex, to_linear, upright
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.parts import Colour
@@ -66,12 +66,10 @@ class Colours(Config):
 
 def read_photograph(path: Path) -> NDArray[np.uint8]:
     """(h, w, 3) sRGB, upright. Raises BadInput for what is no photograph, and for too many pixels."""
-    from PIL import ImageOps
-
     with _opened(path) as image:
         number = image.width * image.height
         if number <= MOST_PIXELS:
-            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+            return np.asarray(upright(image).convert("RGB"))
     remedy = "scale the photograph"
     raise BadInput("too many pixels", file=str(path), value=number, limit=f"{MOST_PIXELS}", remedy=remedy)
 

@@ -164,13 +164,15 @@ def read_image(
 
     Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image, ImageOps, UnidentifiedImageError
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=["PNG"]) as image:
             found = (image.height, image.width)
-            if shape is None or found == shape:
-                values, cover_ = _read_pixels(image)
+            if shape is None or shape in (found, found[::-1]):
+                turned = ImageOps.exif_transpose(image)
+                found = (turned.height, turned.width)
+                values, cover_ = _read_pixels(turned)
     except UnidentifiedImageError:
         raise BadInput("cannot be read as PNG", file=str(path), remedy="save it as a grey PNG") from None
     except Exception as error:  # whatever a broken file makes of the decoder

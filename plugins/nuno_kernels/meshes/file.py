@@ -1,9 +1,8 @@
-"""Closed triangle meshes from OBJ, PLY, STL and GLB files, read by trimesh, checked, and mended where asked to."""
+"""Triangle meshes from OBJ, PLY, STL and GLB files, checked, and mended where asked to."""
 
 from __future__ import annotations
 
-import logging
-import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,29 +11,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_kernels.meshes.check import check_closed, place_of
-from nuno_kernels.meshes.normals import face_normals
+from nuno_kernels.meshes.glb import read_glb
+from nuno_kernels.meshes.normals import edge_numbers, face_normals
+from nuno_kernels.meshes.obj import read_obj
+from nuno_kernels.meshes.ply import read_ply
+from nuno_kernels.meshes.polygons import RawMesh
+from nuno_kernels.meshes.stl import read_stl
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
-KINDS = ("obj", "ply", "stl", "glb")
+READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
+KINDS = tuple(READERS)
 LARGEST_FILE = 1 << 30
 
 
-def load_surface(path: Path) -> tuple[Float, NDArray[np.int64]]:
+def load_surface(path: Path) -> tuple[Float, Int]:
     """Vertices (n, 3) and triangles (f, 3) of a file as they stand there. Raises BadInput."""
-    return load_mesh(path, KINDS)[:2]
+    mesh = load_mesh(path)
+    return mesh.points, mesh.faces
 
 
 def read_closed(
-    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Any]] = load_surface
+    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
 ) -> tuple[Float, Int]:
     """Vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], seen from outside
     counter-clockwise.
 
-    Vertices at the same place become one (STL has no other way to share them), triangles without area and
-    vertices without triangle are left out. To `mend` also turns triangles that face the wrong way and fills holes.
-    Raises BadInput, with the edge and its place, for a file that cannot be read, or is not a closed surface. It may
-    pass through itself, as scanned bodies do at mouth and armpits: `check_crossings` tells.
+    Vertices at the same place become one where the file's own numbers leave the surface open (STL has no other way to
+    share them), triangles without area and vertices without triangle are left out. To `mend` also turns triangles that
+    face the wrong way and fills holes. Raises BadInput, with the edge and its place, for a file that cannot be read, or
+    is not a closed surface. It may pass through itself, as scanned bodies do at mouth and armpits: `check_crossings`
+    tells.
     """
     x, faces = read_mesh(path, scale, mend, load)
     try:
@@ -48,26 +55,20 @@ def read_closed(
 
 
 def read_mesh(
-    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Any]] = load_surface
+    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
 ) -> tuple[Float, Int]:
     """As `read_closed`, of a file whose surface may have holes."""
     try:
         points, triangles = load(path)
-        x, faces = clean_mesh(points, triangles.astype(np.int32), scale)
+        x, faces = clean_mesh(points, triangles, scale)
         return mend_mesh(x, faces) if mend else (x, faces)
     except BadInput as error:
         error.file = str(path)
         raise
 
 
-def load_mesh(path: Path, kinds: tuple[str, ...], **how: bool) -> tuple[Float, NDArray[np.int64], Any]:
-    """Vertices (n, 3) and triangles (f, 3) of a file as they stand there, and trimesh's mesh with all else.
-
-    `how` goes to the library's reader. Raises BadInput for another kind of file, one that cannot be read, and
-    triangles of vertices that are not there.
-    """
-    import trimesh
-
+def load_mesh(path: Path, kinds: tuple[str, ...] = KINDS) -> RawMesh:
+    """What a file holds as it stands there. Raises BadInput for another kind of file, and one that cannot be read."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in kinds:
         limit = ", ".join(f".{name}" for name in kinds)
@@ -75,39 +76,13 @@ def load_mesh(path: Path, kinds: tuple[str, ...], **how: bool) -> tuple[Float, N
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise BadInput("too large for a mesh", value=size, limit=f"{LARGEST_FILE} bytes")
-    if kind == "obj":
-        _check_numbers(path.read_bytes())
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs traces of what is refused in words here
     try:
-        with path.open("rb") as stream:
-            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True, **how)
-        x = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
-        if faces.size and not 0 <= faces.min() <= faces.max() < len(x):
-            raise ValueError(f"triangles of vertices {faces.min()} to {faces.max()}, and there are {len(x)}")
-    except Exception as error:  # whatever a broken file makes of the decoder
+        mesh = READERS[kind](path.read_bytes())
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, struct.error) as error:
         raise BadInput(f"cannot be read as {kind.upper()}: {error}", field="file") from None
-    if not faces.size:
+    if not mesh.faces.size:
         raise BadInput("the mesh has no triangles", field="file")
-    return x, faces, mesh
-
-
-def _check_numbers(data: bytes) -> None:
-    """Refuse triangles of vertices far beyond those of an OBJ file: trimesh would make room for all up to them.
-
-    There are fewer vertices than lines, and numbers with as many digits as that are left to be compared.
-    """
-    data = data.replace(b"\r\n", b"\n").replace(b"\\\n", b"")  # as trimesh reads it
-    lines = data.count(b"\n") + 1
-    most = len(str(lines))
-    for found in re.finditer(rb"(?m)^f[^\n]*?\d{%d}[^\n]*" % (most + 1), data):
-        largest = max((digits.lstrip(b"0") for digits in re.findall(rb"\d+", found[0])), key=len)
-        if len(largest) > most:
-            raise BadInput(
-                "cannot be read as OBJ: a triangle of a vertex that is not there", field="file",
-                line=data.count(b"\n", 0, found.start()) + 1, value=largest.decode(),
-                limit=f"the file has {lines} lines",
-            )  # fmt: skip
+    return mesh
 
 
 def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:
@@ -115,22 +90,56 @@ def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:
 
     Raises BadInput where nothing is left, and for a vertex without a place.
     """
+    kept, faces = find_vertices(x, faces)
+    return np.ascontiguousarray(x[kept] * scale), faces
+
+
+def find_vertices(x: Float, faces: Int) -> tuple[Int, Int]:
+    """The vertices (m,) of x (n, 3) that `clean_mesh` leaves, ascending, and its faces (f, 3). Raises BadInput."""
     if len(faces) == 0:
         raise BadInput("the mesh has no triangles", field="file")
     bad = ~np.isfinite(x).all(axis=1)
     if bad.any():
         raise BadInput("not a finite position", field=f"vertex {int(np.argmax(bad))}", value=place_of(x[bad][0]))
-    _, kept, joined = np.unique(x, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(kept))
-    faces = order[joined.reshape(-1)][faces].astype(np.int32)
-    x = x[np.sort(kept)] * scale
-    apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    faces = faces[apart]
-    faces = faces[(face_normals(x, faces) != 0.0).any(axis=1)]
-    if len(faces) == 0:
+    kept, joined = join_vertices(x, faces)
+    own = kept[joined[faces]].astype(np.int32)
+    own = own[(own != np.roll(own, 1, axis=1)).all(axis=1)]
+    own = own[(face_normals(x, own) != 0.0).any(axis=1)]
+    if len(own) == 0:
         raise BadInput("no triangle of the mesh has an area", field="file")
-    used, numbers = np.unique(faces, return_inverse=True)
-    return np.ascontiguousarray(x[used]), numbers.reshape(-1, 3).astype(np.int32)
+    used, numbers = np.unique(own, return_inverse=True)
+    return used, numbers.reshape(-1, 3).astype(np.int32)
+
+
+def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of vertices x (n, 3) those that stay, ascending, and which (n,) of these each becomes.
+
+    Those at one place become one on the surface's rim alone, as where a file cuts it along the seams of its texture,
+    or into single triangles; and the ends of an edge without length. Where the surface is closed by its own numbers,
+    what touches stays apart: lips, fingers, the two sides of a slit.
+    """
+    _, first, place = np.unique(x, axis=0, return_index=True, return_inverse=True)
+    place = place.reshape(-1)
+    own = np.arange(len(x))
+    if len(first) < len(x):
+        numbers, pairs = edge_numbers(faces)
+        short = pairs[place[pairs[:, 0]] == place[pairs[:, 1]]]
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components  # slow to import, for files that repeat places alone
+
+        links = coo_array((np.ones(len(short)), (short[:, 0], short[:, 1])), shape=(len(x), len(x)))
+        _, group = connected_components(links, directed=False)
+        own = np.unique(group, return_index=True)[1][group]
+        whole = own[faces][(own[faces] != np.roll(own[faces], 1, axis=1)).all(axis=1)]
+        numbers, pairs = edge_numbers(whole)
+        rim = pairs[np.bincount(numbers.reshape(-1), minlength=len(pairs)) == 1].reshape(-1)
+        alone = np.setdiff1d(own, whole)  # of no triangle, or of such without area
+        loose = np.isin(own, np.concatenate([rim, alone]))
+        lowest = np.full(len(first), len(x))
+        np.minimum.at(lowest, place[loose], own[loose])
+        own = np.where(loose, lowest[place], own)
+    kept, joined = np.unique(own, return_inverse=True)
+    return kept, joined.reshape(-1)
 
 
 def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:

@@ -48,7 +48,8 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
 
 def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
     """Those of all; a fabric without any has one of each vertex, at its texture coordinates."""
-    parts = [f.corners or _plain_corners(f) for f, _ in moved]
+    parts = [f.laid_out or Corners(np.zeros((f.number, 2), np.float32), np.arange(f.number, dtype=np.int32), f.faces)
+             for f, _ in moved]  # fmt: skip
     before = np.cumsum([0, *(len(part.vertex) for part in parts)])
     return Corners(
         np.concatenate([part.points for part in parts]),
@@ -76,11 +77,6 @@ def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
         np.concatenate([p.pairs + at for p, at in zip(all_, before, strict=False)]).astype(np.int32),
         np.concatenate([p.seam + at for p, at in zip(all_, seams, strict=False)]).astype(np.int32),
     )
-
-
-def _plain_corners(fabric: Fabric) -> Corners:
-    points = np.zeros((fabric.number, 2), np.float32) if fabric.uv is None else fabric.uv
-    return Corners(points, np.arange(fabric.number, dtype=np.int32), fabric.faces)
 
 
 def _join_membranes(parts: list[Membrane]) -> Membrane:

@@ -17,12 +17,10 @@ def texture_size(fabric: Fabric) -> tuple[float, float]:
     """Width and height [m] of the whole texture, [0, 1] x [0, 1], on cloth at its start: means over its triangles, by
     area, of |dx/du| and |dx/dv|. Raises ValueError for cloth without texture coordinates.
     """
-    if fabric.corners is not None:
-        points, faces = fabric.corners.points[fabric.corners.faces], fabric.corners.vertex[fabric.corners.faces]
-    elif fabric.uv is not None:
-        points, faces = fabric.uv[fabric.faces], fabric.faces
-    else:
+    laid = fabric.laid_out
+    if laid is None:
         raise ValueError("cloth without texture coordinates")
+    points, faces = laid.points[laid.faces], fabric.faces
     # x = x0 + (dx/du) u + (dx/dv) v on each triangle, so that its two sides have [e1 e2] = [dx/du dx/dv] [t1 t2].
     sides = np.diff(fabric.position[faces], axis=1)
     t = np.diff(points.astype(np.float64), axis=1)
@@ -37,10 +35,11 @@ def texture_size(fabric: Fabric) -> tuple[float, float]:
 
 def check_texture(fabric: Fabric, name: str) -> None:
     """Raises BadInput for a fabric that does not say where on it a cloth's cells lie, in [0, 1] x [0, 1]."""
-    if fabric.uv is None:
+    laid = fabric.laid_out
+    if laid is None:
         remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
         raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
-    low, high = float(fabric.uv.min(initial=0.0)), float(fabric.uv.max(initial=1.0))
+    low, high = float(laid.points.min(initial=0.0)), float(laid.points.max(initial=1.0))
     if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
         problem = "texture coordinates leave the cloth that is dyed"
         remedy = "lay the mesh's texture out without repeating it"

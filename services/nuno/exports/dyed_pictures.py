@@ -76,7 +76,7 @@ class DyedPictures:
         """
         return [
             replace(piece, image=self.texture(t), colour=None)
-            if piece.name == self.name and piece.uv is not None
+            if piece.name == self.name and piece.laid_out is not None
             else piece
             for piece in pieces
         ]

@@ -122,23 +122,29 @@ def panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
 def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
     """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t.
 
-    Those are of vertices: only cloth that has one each comes with them, so that seams stay closed.
+    Where vertices have several, along seams, those are lists of the faces' corners, so that seams stay closed.
     """
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
     uvs = [piece.uv for piece in pieces if piece.uv is not None and not piece.seamed]
+    laid = [piece.laid_out for piece in pieces if piece.laid_out is not None]
+    cut = len(laid) == len(pieces) > len(uvs)
     textured = len(uvs) == len(pieces) > 0 and sum(map(len, uvs)) == len(frame.x)
     kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), *([("s", "<f4"), ("t", "<f4")] if textured else [])]
     columns = [*frame.x.T, *(np.concatenate(uvs).T if textured else [])]
     vertices = np.rec.fromarrays(columns, dtype=np.dtype(kinds))
+    texcoord = "property list uchar float texcoord\n" if cut else ""
     properties = "".join(f"property {'double' if kind == '<f8' else 'float'} {name}\n" for name, kind in kinds)
     stream.write(
         f"ply\nformat binary_little_endian 1.0\ncomment nuno frame {frame.number} at {frame.t!r} s\n"
         f"element vertex {len(frame.x)}\n{properties}"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n".encode()
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n{texcoord}end_header\n".encode()
     )
     stream.write(vertices.tobytes())
-    table = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    lists = [("uvs", "u1"), ("uv", "<f4", 6)] if cut else []
+    table = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3), *lists]))
     table["count"], table["corners"] = 3, faces
+    if cut:
+        table["uvs"], table["uv"] = 6, np.concatenate([one.points[one.faces].reshape(-1, 6) for one in laid])
     stream.write(table.tobytes())
 
 

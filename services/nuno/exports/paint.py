@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.colour import colours, parse_hex
+from nuno_schemas.colour import colours, parse_hex, upright
 from nuno_schemas.fabric import Float, Int
 
 STRETCH = (0.001, 1.0)
@@ -43,7 +43,7 @@ def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
             # Pillow only warns of an image that would unpack to gigabytes.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(source) as image:
-                return np.asarray(image.convert("RGB"))
+                return np.asarray(upright(image).convert("RGB"))
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise ValueError(str(error)) from None
 

@@ -96,12 +96,12 @@ def worn(start: Start) -> list[list[float] | None]:
     cells, _, _ = cloth_of(start.loaded)
     piece = next((one for one in start.sight.pieces if one.name == start.loaded.dyed.said.object), None)
     fabric = start.fabric
-    if piece is None or fabric.uv is None:
+    laid = fabric.laid_out
+    if piece is None or laid is None:
         raise BadInput("no object of this scene is dyed", field="dye.object", remedy="paint on the flat cloth")
-    corners = fabric.corners.points[fabric.corners.faces] if fabric.corners is not None else fabric.uv[fabric.faces]
     _, ny, nx = cells.fibre.shape
     # Cells cover the texture: u to the right and v up, places to the right and down.
-    places = (corners * [1.0, -1.0] + [0.0, 1.0]) * [nx * cells.size, ny * cells.size]
+    places = (laid.points[laid.faces] * [1.0, -1.0] + [0.0, 1.0]) * [nx * cells.size, ny * cells.size]
     dyed = (fabric.faces[:, 0] >= piece.start) & (fabric.faces[:, 0] < piece.stop)
     return [row if own else None for row, own in zip(places.reshape(-1, 6).tolist(), dyed.tolist(), strict=True)]
 

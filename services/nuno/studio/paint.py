@@ -13,7 +13,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from nuno.dye.add import parse
 from nuno.scene import yaml_lines
 from nuno.studio import edit
 from nuno.studio.arrivals import reserve
+from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -156,7 +157,7 @@ def _read(data: object) -> Image.Image:
         image = Image.open(io.BytesIO(base64.b64decode(str(data), validate=True)), formats=["PNG"])
         if max(image.size) > MOST_IMAGE:
             raise BadInput("the stencil is too large", field="image", value=image.size, limit=f"{MOST_IMAGE} pixels")
-        return image.convert("LA")
+        return cast(Image.Image, upright(image).convert("LA"))
     except UNREADABLE as error:
         raise BadInput(f"this stencil cannot be read: {error}", field="image", remedy="a PNG") from None
 

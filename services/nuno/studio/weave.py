@@ -15,6 +15,7 @@ from nuno.begin.after import load_after, write_after
 from nuno.dye.run import build_cloth
 from nuno.scene.override import as_override as _as
 from nuno.studio.arrivals import reserve
+from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 
@@ -66,7 +67,7 @@ def _grey(folder: Path, stencil: str) -> str:
         if picture.format == "PNG" and picture.mode in ("1", "L", "LA", "I", "I;16"):
             return stencil
         grey = io.BytesIO()
-        picture.convert("LA" if "A" in picture.getbands() else "L").save(grey, "PNG")
+        upright(picture).convert("LA" if "A" in picture.getbands() else "L").save(grey, "PNG")
     with tempfile.NamedTemporaryFile() as file:
         file.write(grey.getvalue())
         file.flush()

@@ -63,7 +63,7 @@ class Cloth:
         links: str = "stretch",
     ) -> None:
         self.recording, self.path, self.piece = recording, path, piece
-        self.dyed = dyed and piece.uv is not None
+        self.dyed = dyed and piece.laid_out is not None
         named = piece.texture if not self.dyed else None
         image = images(named) if named and piece.laid_out is not None else None
         self.split = piece.laid_out if image is not None or self.dyed else None

@@ -102,7 +102,8 @@ def _mesh(kind: str, *words: str) -> Kind:
 
     name = {"file": f"input.{kind}"}
     cloth: list[Use] = [] if kind == "glb" else [("nuno.models", "mesh", name | {"merge": False})]
-    follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.elements", "nuno_kernels.meshes.file", "trimesh.exchange")
+    readers = tuple(f"nuno_kernels.meshes.{name}" for name in ("file", "polygons", "obj", "ply", "stl", "glb"))
+    follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.elements", *readers)
     return _file(kind.upper(), f".{kind}", lambda: mesh_seeds(kind), mutate, follows, *cloth,
                  ("nuno.colliders", "mesh", name))  # fmt: skip
 

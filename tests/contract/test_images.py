@@ -1,0 +1,65 @@
+"""Images lie as a viewer shows them, and keep their light, whatever is made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from model_files import Folder
+from PIL import Image
+
+from nuno.exports.paint import read_rgb
+from nuno_dye.cloths.photograph import read_photograph
+from nuno_dye.supplies.resist import read_image
+
+TURN = 0x112
+"""EXIF's orientation."""
+
+
+def picture() -> Image.Image:
+    """Three by two pixels, of which no turn or mirror is another."""
+    return Image.fromarray(np.array([[0, 50, 100], [150, 200, 250]], np.uint8))
+
+
+def written_with(turn: int, path: Path) -> Path:
+    """The picture as a camera that was held so writes it: what undoes the turn is applied to its pixels."""
+    undo = {3: Image.Transpose.ROTATE_180, 6: Image.Transpose.ROTATE_90, 8: Image.Transpose.ROTATE_270,
+            2: Image.Transpose.FLIP_LEFT_RIGHT}  # fmt: skip
+    exif = Image.Exif()
+    exif[TURN] = turn
+    picture().transpose(undo[turn]).save(path, exif=exif)
+    return path
+
+
+@pytest.mark.parametrize("turn", [2, 3, 6, 8])
+def test_every_reader_turns_an_image_as_its_exif_says(turn: int, tmp_path: Path) -> None:
+    path, right = written_with(turn, tmp_path / "a.png"), np.asarray(picture())
+    np.testing.assert_array_equal(read_rgb(path)[..., 0], right)
+    np.testing.assert_array_equal(read_photograph(path)[..., 1], right)
+    np.testing.assert_allclose(read_image(path, (2, 3)), right / 255.0)
+    np.testing.assert_allclose(read_image(path, None), right / 255.0)
+
+
+def test_sixteen_bits_are_as_light_as_eight(tmp_path: Path) -> None:
+    """For each reader, of each of 256 greys, and rounded to the nearest between them."""
+    grey = np.arange(256, dtype=np.uint16).reshape(8, 32)
+    for name, values in (("exact", grey * 257), ("near", grey * 256 + 100)):
+        Image.fromarray(values).save(tmp_path / f"{name}.png")
+        expected = np.round(values / 257.0)
+        for read in (read_rgb, read_photograph):
+            found = read(tmp_path / f"{name}.png")
+            np.testing.assert_array_equal(found, np.repeat(expected[..., None], 3, axis=2))
+
+
+def test_shared_images_look_alike(shared_data: Path) -> None:
+    folder = shared_data / "cases" / "09-texture-exif"
+    if not folder.is_dir():
+        pytest.skip("shared data cases/09-texture-exif is not there")
+    files = Folder(folder)
+    up = read_rgb(files.resolve("up.jpg")).astype(int)
+    for name in ("exif3.jpg", "exif6.jpg"):
+        turned = read_rgb(files.resolve(name)).astype(int)
+        assert turned.shape == up.shape and np.abs(turned - up).mean() < 8.0
+    grey = read_rgb(files.resolve("grey16.png"))
+    assert grey.min() == 0 and grey.max() == 255 and 100 < grey.mean() < 155
