@@ -14,9 +14,20 @@ from studio_desk import served as desk_served
 from studio_desk import write_sheet
 
 from nuno.pages.server import Server
+from nuno.pages.workshop import Workshop
 from nuno.studio.desk import Desk
 from nuno.wire.sessions import spoke
 from nuno_bench.chromium import Page
+
+
+class Shared:
+    """A workshop that outlasts the desk that uses it."""
+
+    def __init__(self, workshop: Workshop) -> None:
+        self.make, self.forget = workshop.make, workshop.forget
+
+    def close(self) -> None:
+        """Nothing: it is another one's."""
 
 
 @pytest.fixture
@@ -43,10 +54,19 @@ def paused(tmp_path: Path) -> Iterator[tuple[Run, zenoh.Session]]:
         run.stop()
 
 
+@pytest.fixture(scope="session")
+def workshop() -> Iterator[Workshop]:
+    """One for all desks: its process takes seconds to begin."""
+    one = Workshop("building it", 300.0, "wait for longer")
+    yield one
+    one.close()
+
+
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workshop: Workshop) -> Iterator[Desk]:
     """The studio's, in a folder of its own with one scene in it."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("nuno.studio.desk.Workshop", lambda *_: Shared(workshop))
     write_sheet(tmp_path)
     one = Desk()
     yield one

@@ -132,9 +132,9 @@ def load(text: str, path: Path, roots: tuple[Path, ...] = ()) -> Loaded:
     return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path, roots)), path=path)
 
 
-def plan(loaded: Loaded) -> list[Row]:
-    """The rows of `nuno plan`. Raises BadInput."""
-    return list(describe(loaded))
+def plan(text: str, path: Path, roots: tuple[Path, ...] = ()) -> list[Row]:
+    """The rows of `nuno plan` for the scene of a text. Raises BadInput."""
+    return list(describe(load(text, path, roots)))
 
 
 def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:

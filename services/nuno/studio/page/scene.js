@@ -1,4 +1,4 @@
-import { ask } from "./ask.js";
+import { ask, PAGE } from "./ask.js";
 import { Cloth } from "./cloth.js";
 import { make } from "./dom.js";
 import { dock } from "./dock.js";
@@ -74,7 +74,10 @@ export class SceneView {
     Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "Text and form beside it (key L)" : "Hide text and form (key L)" });
   }
 
-  close() { this.cloth?.close(); }
+  close() { this.cloth?.close(); this.unplan(); }
+
+  /** End a plan that goes on. */
+  unplan() { if (this.planning) ask("leave", { page: PAGE, plan: true }); }
 
   typed() {
     this.version++;
@@ -129,12 +132,13 @@ export class SceneView {
 
   async plan() {
     const box = document.getElementById("planned"), button = document.getElementById("plan");
-    const close = make("button", { type: "button", className: "close", textContent: "✕", ariaLabel: "Close the plan", onclick: () => { box.hidden = true; } });
+    const close = make("button", { type: "button", className: "close", textContent: "✕", ariaLabel: "Close the plan", onclick: () => { box.hidden = true; this.unplan(); } });
     box.hidden = false;
+    this.planning = true;
     box.replaceChildren(make("span", { className: "soft", textContent: "Planning: the first frame is tried. The first time, this takes a minute or two." }), close);
     button.disabled = true;
-    const answer = await ask("plan", { scene: this.name, text: this.text.value });
-    button.disabled = false;
+    const answer = await ask("plan", { scene: this.name, text: this.text.value, page: PAGE });
+    this.planning = button.disabled = false;
     if (answer.ok) box.replaceChildren(rowsOf(answer.rows), close);
     else box.replaceChildren(answer.words ? wordsOf(answer) : answer.problem, close);
     box.scrollIntoView({ block: "nearest" });
