@@ -142,7 +142,7 @@ def test_a_scene_is_saved_under_another_name_and_a_refused_one_stays_in_the_box(
 
 
 def test_the_text_is_kept_where_the_server_has_gone(page: Page, served: tuple[Desk, Server], tmp_path: Path) -> None:
-    desk, server = served
+    server = served[1]
     page.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path / "kept"))
     look_at_scene(page, server)
     rewrite(page, text := SHEET.replace("0.5 ", "0.6 "))
@@ -248,12 +248,8 @@ def test_nothing_jumps_or_is_covered_while_a_run_goes_on(page: Page, served: tup
             assert page.value(f"{boxes}('{part}').right") <= width
     size(page, 800)
     page.tap("#side-form")  # and the mouse stays over it
-    looks = page.value(
-        "(({color, backgroundColor}) => [color, backgroundColor])(getComputedStyle(document.getElementById('side-form')))"
-    )
-    assert looks == page.value(
-        "(({color, backgroundColor}) => [color, backgroundColor])(getComputedStyle(document.getElementById('run')))"
-    )
+    style = "(({color, backgroundColor}) => [color, backgroundColor])(getComputedStyle(document.getElementById('%s')))"
+    assert page.value(style % "side-form") == page.value(style % "run")
     size(page, 1300)
     page.click("stop")
     page.wait("nuno.dock.now.state === 'over'", PATIENCE)

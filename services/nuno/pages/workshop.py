@@ -125,7 +125,7 @@ class _Interrupted(BaseException):
 def serve(line: Connection) -> None:
     """Make one thing after the other, until whoever asks for them is gone."""
     tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    busy = threading.Event()
+    busy, stopped = threading.Event(), threading.Event()
 
     def hear() -> None:
         with contextlib.suppress(EOFError, OSError):
@@ -135,6 +135,7 @@ def serve(line: Connection) -> None:
 
     def interrupt(*_: object) -> None:
         if busy.is_set():
+            stopped.set()
             raise _Interrupted
 
     signal.signal(signal.SIGTERM, interrupt)
@@ -145,13 +146,12 @@ def serve(line: Connection) -> None:
         try:
             os.chdir(folder)
             answer = True, call(*args)
-        except _Interrupted:
-            answer = False, None
-        except Exception as error:
+        except (Exception, _Interrupted) as error:
             error.add_note(traceback.format_exc())
             answer = False, error
         busy.clear()
-        line.send(answer)
+        line.send((False, None) if stopped.is_set() else answer)  # whatever a library has made of it
+        stopped.clear()
 
 
 if __name__ == "__main__":

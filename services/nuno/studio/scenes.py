@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from nuno.api.plan import Row, describe
-from nuno.draw.append import read_text, write_whole
+from nuno.draw.append import MARK, read_text, write_whole
 from nuno.pages import server
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import item_at
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
+from nuno.studio import edit
 from nuno.studio.named import check_named
 from nuno_schemas.errors import BadInput, nearest
 
@@ -26,6 +27,8 @@ MOST = 20
 SUFFIXES = (".yaml", ".yml")
 NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.ya?ml", re.ASCII)
 """What a new file may be called."""
+NAME = 64
+"""Characters of a scene's name at most."""
 IS_SCENE = re.compile(r"^nuno\s*:", re.MULTILINE)
 
 
@@ -140,11 +143,13 @@ def plan(text: str, path: Path, roots: tuple[Path, ...] = ()) -> list[Row]:
 def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:
     """Write a text to its own file, or under a new name into the folder; what the page says of it. Raises BadInput.
 
-    `before` is what the file said when the page read it: one that was changed since is left alone.
+    `before` is what the file said when the page read it: one that was changed since is left alone. A copy has its own
+    name for its runs and pictures, unless the text has another one than the file had.
     """
+    name = f"{name}.yaml" if isinstance(name, str) and name and "." not in name else name
     own = path.is_file() and name == path.name and path.resolve().parent == folder.resolve()
     if not isinstance(name, str) or not (own or NEW.fullmatch(name)):
-        limit = "letters, digits, - _ . and then .yaml"
+        limit = "letters, digits, - _ ., and at its end .yaml or nothing"
         raise BadInput("not the name of a scene's file", field="name", value=name, limit=limit)
     target = folder / name
     if target.exists() and (not path.exists() or not target.samefile(path)):
@@ -152,7 +157,10 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
     if target.exists() and read_text(target) != before:
         remedy = "save under another name, or open it again to go on from what it says now"
         raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
-    yaml_lines.parse(text, name)
+    data, _ = yaml_lines.parse(text, name)
+    if not own and data.get("name") and data["name"] == _name_in(before.removeprefix(MARK)):
+        stem = re.sub(r"[^A-Za-z0-9_-]", "-", target.stem)[:NAME]
+        text = edit.put(text, ("name",), stem if stem[0].isalpha() else f"scene-{stem}"[:NAME], name)
     write_whole(target, text)
     files = scene_file.files_of(path)
     more = ""
@@ -161,6 +169,14 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
         roots = " ".join(f"--root {root}" for root in (files.folder, *files.roots)) if files_used else ""
         more = f"It names files that lie elsewhere: nuno run {name} {roots}" if roots else ""
     return {"name": name, "file": str(target), "text": more}
+
+
+def _name_in(text: str) -> object:
+    """The name of a text's scene, None where that cannot be read."""
+    try:
+        return yaml_lines.parse(text, "")[0].get("name")
+    except BadInput:
+        return None
 
 
 def _files_used(text: str, path: Path) -> bool:

@@ -47,6 +47,7 @@ export class Cloth {
       this.update();
     });
     for (const one of [this.canvas, this.flat]) this.seen.observe(one);
+    window.addEventListener("pagehide", () => this.forget(), { signal: this.over.signal });
     document.addEventListener("visibilitychange", () => this.update(), { signal: this.over.signal });
     dock.hearers.add(this.hear = () => this.update());
   }
@@ -108,7 +109,7 @@ export class Cloth {
     this.building.abort();
     Object.assign(this, { building: null, wanted: null });
     this.say(this.words ?? "");
-    left = ask("leave", { page: PAGE });
+    left = ask("leave", { page: PAGE }, { keepalive: true });  // also of a page that is closed
   }
 
   /** Follow the run. */
@@ -139,7 +140,7 @@ export class Cloth {
     this.wanted = value;
     setTimeout(() => { if (this.building === building) this.say("Building the cloth …"); }, this.built === null ? 0 : SOON);
     await left;
-    const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE }, building.signal);
+    const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE }, { signal: building.signal });
     if (this.building !== building) return;
     this.building = null;
     this.say(this.words ?? "");
