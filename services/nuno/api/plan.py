@@ -78,6 +78,8 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _worn(simulation, simulation.geometry, simulation.poses)
+    found = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
+    rows += [("WARNING", text) for text in found]
     rows += _texture(simulation)
     seconds = simulation.time_frame()  # from here on the cloth has moved
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
@@ -132,12 +134,10 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
-    """Where the frames that carry cloth start, and whether it starts in a body."""
+    """Where the frames that carry cloth start."""
     frames = dict.fromkeys(build.frame_of(binding, geometry.frames) for binding in simulation.fabric.bindings)
     places = {geometry.frames[i]: poses.translation[i] for i in frames}
-    rows = [
+    return [
         ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
         for name, place in places.items()
     ]
-    rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
-    return rows
