@@ -95,7 +95,7 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
     for i, line in enumerate(lines):
         places = x
         if line.texture is not None:
-            places = _flat(fabric, i)
+            places = on_texture(fabric, i)
         face, at = _lay(fabric, places, line, i, tolerance)
         if line.closed:
             face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
@@ -114,7 +114,7 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
     return Crossed(face, at / at.sum(axis=1)[:, None], part[:, 4] / part[:, 3], tuple(order[c] for c in chains))
 
 
-def _flat(fabric: Fabric, i: int) -> Float:
+def on_texture(fabric: Fabric, i: int) -> Float:
     """(n, 3) texture coordinates with a third that is 0."""
     if fabric.uv is None:
         remedy = "give the line as points [m], or the mesh texture coordinates"
