@@ -62,11 +62,15 @@ def workshop() -> Iterator[Workshop]:
     one.close()
 
 
+@pytest.fixture(autouse=True)
+def _shared(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno.studio.desk.Workshop", lambda *_: Shared(workshop))
+
+
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workshop: Workshop) -> Iterator[Desk]:
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
     """The studio's, in a folder of its own with one scene in it."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("nuno.studio.desk.Workshop", lambda *_: Shared(workshop))
     write_sheet(tmp_path)
     one = Desk()
     yield one

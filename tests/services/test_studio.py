@@ -75,6 +75,19 @@ def test_a_mistake_has_the_very_words_of_the_command_line(desk: Desk, before: st
     assert (mistake["words"], mistake["line"]) == (str(refused.value), refused.value.line)
 
 
+@pytest.mark.parametrize("odd", [[], {}, [[]], 3, None, True, "x" * 5000], ids=lambda odd: str(odd)[:9])
+def test_a_request_of_another_kind_is_refused_in_words(desk: Desk, odd: object) -> None:
+    Path("a.npz").write_bytes((shipped.folder() / "pendulum.npz").read_bytes())
+    for request in (
+        {"do": "open", "scene": odd}, {"do": "check", "scene": odd, "text": SHEET},
+        {"do": "run", "scene": odd, "text": ""}, {"do": "make", "file": "a.npz", "offer": odd},
+        {"do": "about", "file": odd}, {"do": "replay", "recording": odd}, {"do": "plots", "film": odd},
+        {"do": "worn", "start": odd}, {"do": odd},
+    ):  # fmt: skip
+        with pytest.raises(BadInput):
+            desk.act(request)
+
+
 def test_mistakes_that_stand_side_by_side_are_told_together(desk: Desk) -> None:
     text = SHEET.replace("damping: 0.5", "damping: -1").replace("fabric: silk", "fabric: sillk")
     found = about(desk, "check", text.replace("dt: auto", "dt: never"))

@@ -52,9 +52,9 @@ class Scenes:
     def find(self, name: object) -> Path:
         """Raises BadInput where there is none."""
         paths = self.paths()
-        if name not in paths:
+        if not isinstance(name, str) or name not in paths:
             raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
-        return paths[str(name)]
+        return paths[name]
 
     def picture_of(self, name: object) -> Path:
         """What ships with nuno of one of its scenes. Raises BadInput where there is none."""
