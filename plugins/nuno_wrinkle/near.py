@@ -63,7 +63,7 @@ def sprung(fabric: Fabric) -> NDArray[np.bool_]:
     """(f,) whether a triangle has structural springs along all its edges."""
     springs, edges = fabric.springs, edges_of(fabric.faces)
     assert springs is not None
-    pairs = springs.pairs()[np.repeat(springs.kind, springs.count) == STRUCTURAL]
+    pairs = springs.pairs()[springs.of_kind(STRUCTURAL)]
     return np.asarray(np.isin(edges.key, keys_of(pairs))[edges.of_face].all(axis=1))
 
 

@@ -71,20 +71,20 @@ class Wrinkle:
         """Raises BadInput for cloth that has no place for such a line, wherever it moves."""
         _require_triangles(fabric)
         describe(fabric)
-        _require_hinges(config, fabric)
+        if config.keep and fabric.hinges is None:
+            remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"
+            raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
         for i, line in enumerate(config.lines):
             if line.texture is not None:
                 on_texture(fabric, i)
         if not sprung(fabric).any():
-            problem = "no triangle of the cloth has springs along its edges"
-            raise BadInput(problem, field="object", remedy=ON_SPRINGS)
+            raise BadInput("the triangles of the cloth have no spring along an edge", field="object", remedy=ON_SPRINGS)
 
     def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
-        _require_triangles(fabric)
+        self.require(config, fabric)
         model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
         used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
-        _require_hinges(config, fabric)
         size = float(np.linalg.norm(np.ptp(state.x, axis=0)))
         for i, line in enumerate(config.lines):
             if line.file is not None:
@@ -112,12 +112,6 @@ def _require_triangles(fabric: Fabric) -> None:
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
         raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)
-
-
-def _require_hinges(config: WrinkleConfig, fabric: Fabric) -> None:
-    if config.keep and fabric.hinges is None:
-        remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"
-        raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
 
 
 def _outcome(

@@ -136,7 +136,7 @@ def test_a_copy_has_its_own_name_unless_the_text_has_another(desk: Desk) -> None
     mine = SHEET.replace("name: sheet", "name: mine")
     about(desk, "save", mine, before=SHEET, name="theirs")
     assert Path("theirs.yaml").read_text() == mine
-    about(desk, "save", SHEET, before="name: [", name="mended")  # a file that could not be read has no name
+    about(desk, "save", SHEET, before="nam: [", name="mended")
     assert Path("mended.yaml").read_text() == SHEET
 
 

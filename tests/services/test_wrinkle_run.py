@@ -58,7 +58,7 @@ NO_HINGES = {**SHEET, "fabric": {"density": 0.2, "structural": 20.0, "bending": 
 @pytest.mark.parametrize(
     ("model", "more", "problem"),
     [
-        (PLAIN, {}, "no triangle of the cloth has springs along its edges"),
+        (PLAIN, {}, "no spring along an edge"),
         (NO_HINGES, {"keep": True}, "this cloth has no hinges"),
         ({"plugin": "net", "file": "net.npz"}, {}, "cloth of triangles, which this is not"),
         ({"plugin": "mesh", "file": "bare.obj", "tension": "springs", "fabric": "silk"},

@@ -64,14 +64,13 @@ def start_warnings(fabric: Fabric, x: Float, geometry: Geometry | None, poses: P
 
 def _loose(fabric: Fabric, x: Float) -> list[str]:
     """Springs that have a length, and start with both ends at one place: which way they push is nowhere said."""
-    if fabric.springs is None:
+    springs = fabric.springs
+    pairs = springs.pairs() if springs is not None else np.zeros((0, 2), np.int32)
+    loose = (x[pairs[:, 0]] == x[pairs[:, 1]]).all(axis=1)
+    if springs is None or not (loose := loose & (springs.per_spring(springs.rest) > 0.0)).any():
         return []
-    pairs, rest = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.rest)
-    loose = np.flatnonzero((x[pairs[:, 0]] == x[pairs[:, 1]]).all(axis=1) & (rest > 0.0))
-    if not len(loose):
-        return []
-    i, j = pairs[loose[0]] if fabric.numbers is None else fabric.numbers[pairs[loose[0]]]
-    number = f"{len(loose):,} of {len(pairs):,} springs start with both ends at the same place"
+    i, j = pairs[loose][0] if fabric.numbers is None else fabric.numbers[pairs[loose][0]]
+    number = f"{np.count_nonzero(loose):,} of {len(pairs):,} springs start with both ends at the same place"
     return [f"{number}, such as vertices {i} and {j}: they do not push until these part: place them apart"]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import signal
 import subprocess
 import sys
@@ -50,7 +49,8 @@ class Workshop:
             self._require(page, request)
             if self._process is None:
                 self._begin()
-            return self._wait(page, request, (os.getcwd(), call, args))
+            made: Made = self._wait(page, request, (os.getcwd(), call, args))
+            return made
         finally:
             self._turn.release()
 
@@ -124,13 +124,10 @@ class _Interrupted(BaseException):
 
 def serve(line: Connection) -> None:
     """Make one thing after the other, until whoever asks for them is gone."""
-    tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
     busy, stopped = threading.Event(), threading.Event()
 
-    def hear() -> None:
-        with contextlib.suppress(EOFError, OSError):
-            while True:
-                tasks.put(line.recv())
+    def watch() -> None:
+        psutil.Process(os.getppid()).wait()
         os._exit(0)
 
     def interrupt(*_: object) -> None:
@@ -139,9 +136,9 @@ def serve(line: Connection) -> None:
             raise _Interrupted
 
     signal.signal(signal.SIGTERM, interrupt)
-    threading.Thread(target=hear, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
     while True:
-        folder, call, args = tasks.get()
+        folder, call, args = line.recv()
         busy.set()
         try:
             os.chdir(folder)
@@ -155,4 +152,5 @@ def serve(line: Connection) -> None:
 
 
 if __name__ == "__main__":
-    serve(Connection(int(sys.argv[1])))
+    with contextlib.suppress(EOFError):
+        serve(Connection(int(sys.argv[1])))

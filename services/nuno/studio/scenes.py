@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno.api.plan import Row, describe
-from nuno.draw.append import MARK, read_text, write_whole
+from nuno.draw.append import read_text, write_whole
 from nuno.pages import server
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import item_at
@@ -27,8 +27,8 @@ MOST = 20
 SUFFIXES = (".yaml", ".yml")
 NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.ya?ml", re.ASCII)
 """What a new file may be called."""
-NAME = 64
-"""Characters of a scene's name at most."""
+NAMED, NAME = re.compile(r"^name\s*:.*", re.MULTILINE), 64
+"""Where a text has the scene's name, which has so many characters at most."""
 IS_SCENE = re.compile(r"^nuno\s*:", re.MULTILINE)
 
 
@@ -157,8 +157,8 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
     if target.exists() and read_text(target) != before:
         remedy = "save under another name, or open it again to go on from what it says now"
         raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
-    data, _ = yaml_lines.parse(text, name)
-    if not own and data.get("name") and data["name"] == _name_in(before.removeprefix(MARK)):
+    yaml_lines.parse(text, name)
+    if not own and NAMED.findall(text)[:1] == NAMED.findall(before)[:1] != []:
         stem = re.sub(r"[^A-Za-z0-9_-]", "-", target.stem)[:NAME]
         text = edit.put(text, ("name",), stem if stem[0].isalpha() else f"scene-{stem}"[:NAME], name)
     write_whole(target, text)
@@ -169,14 +169,6 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
         roots = " ".join(f"--root {root}" for root in (files.folder, *files.roots)) if files_used else ""
         more = f"It names files that lie elsewhere: nuno run {name} {roots}" if roots else ""
     return {"name": name, "file": str(target), "text": more}
-
-
-def _name_in(text: str) -> object:
-    """The name of a text's scene, None where that cannot be read."""
-    try:
-        return yaml_lines.parse(text, "")[0].get("name")
-    except BadInput:
-        return None
 
 
 def _files_used(text: str, path: Path) -> bool:
