@@ -12,7 +12,7 @@ import numpy as np
 from nuno_kernels.meshes.obj import read_obj
 from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line
 from nuno_schemas.plugin import Files
 from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, Passed, Way, link_faces, walk_line
@@ -106,12 +106,17 @@ def _flat(fabric: Fabric, across: Int, i: int) -> tuple[Float, Int, Int]:
     """The cloth as it lies on its texture, cut along seams: points (p, 3) whose third coordinate is 0, triangles (f, 3)
     and those across their edges, as `surface.link_faces`.
     """
-    laid = fabric.laid_out
-    if laid is None:
-        remedy = "give the line as points [m], or the mesh texture coordinates"
-        raise BadInput("the cloth has no texture coordinates", field=f"lines[{i}].texture", remedy=remedy)
+    laid = on_texture(fabric, i)
     points = np.ascontiguousarray(np.column_stack([laid.points, np.zeros(len(laid.points))]), np.float64)
     return points, laid.faces, across if fabric.corners is None else link_faces(laid.faces, len(points))
+
+
+def on_texture(fabric: Fabric, i: int) -> Corners:
+    """The texture coordinates that line `i` is given on. Raises BadInput where the cloth has none."""
+    if (laid := fabric.laid_out) is None:
+        remedy = "give the line as points [m], or the mesh texture coordinates"
+        raise BadInput("the cloth has no texture coordinates", field=f"lines[{i}].texture", remedy=remedy)
+    return laid
 
 
 def _lay(faces: Int, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:

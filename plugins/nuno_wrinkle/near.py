@@ -59,6 +59,14 @@ class Near:
     stretch: Float
 
 
+def sprung(fabric: Fabric) -> NDArray[np.bool_]:
+    """(f,) whether a triangle has structural springs along all its edges."""
+    springs, edges = fabric.springs, edges_of(fabric.faces)
+    assert springs is not None
+    pairs = springs.pairs()[springs.of_kind(STRUCTURAL)]
+    return np.asarray(np.isin(edges.key, keys_of(pairs))[edges.of_face].all(axis=1))
+
+
 def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
     """What the region is made of. Raises BadInput where edges lack springs, as on a grid of quads."""
     springs = fabric.springs

@@ -16,8 +16,8 @@ from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
 from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.kept import kept_rigidity
-from nuno_wrinkle.lines import Crossed, follow_lines, read_lines
-from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near
+from nuno_wrinkle.lines import Crossed, follow_lines, on_texture, read_lines
+from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near, sprung
 from nuno_wrinkle.net import Net, build_net
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
@@ -67,14 +67,24 @@ class Wrinkle:
         """The lines of files as points. Raises BadInput."""
         return config.model_copy(update={"lines": read_lines(config.lines, files)})
 
-    def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
+    def require(self, config: WrinkleConfig, fabric: Fabric) -> None:
+        """Raises BadInput for cloth that has no place for such a line, wherever it moves."""
         _require_triangles(fabric)
-        model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
-        used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
+        describe(fabric)
         if config.keep and fabric.hinges is None:
             remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"
             raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
+        for i, line in enumerate(config.lines):
+            if line.texture is not None:
+                on_texture(fabric, i)
+        if not sprung(fabric).any():
+            raise BadInput("the triangles of the cloth have no spring along an edge", field="object", remedy=ON_SPRINGS)
+
+    def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
+        self.require(config, fabric)
+        model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
+        used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
         size = float(np.linalg.norm(np.ptp(state.x, axis=0)))
         for i, line in enumerate(config.lines):
             if line.file is not None:

@@ -97,7 +97,11 @@ class Arrangement(Operation, Protocol):
 
 
 class Alteration(Operation, Protocol):
-    """An operation that changes the fabric, and may be applied while a simulation goes on."""
+    """An operation that changes the fabric, and may be applied while a simulation goes on.
+
+    It may have a method `require(config, fabric)`, which raises BadInput for a fabric that it can never change,
+    wherever that moves: a run is then refused before it starts.
+    """
 
     def compile(self) -> None:
         """Compile what `apply` needs, so that a run does not wait for it."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from nets import (
@@ -15,6 +17,7 @@ from nets import (
     start,
 )
 
+from nuno.cloth.worn import start_warnings
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.springs import SpringRuns
@@ -161,6 +164,19 @@ def test_rest_without_gravity_is_exactly_no_motion() -> None:
     run(SymplecticEuler(), system, state, 50, 1e-3)
     assert state.x.tobytes() == position.tobytes()
     assert not state.v.any()
+
+
+def test_springs_without_a_direction_are_warned_of_before_the_first_step() -> None:
+    position = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0], [2, 0, 0]])
+    pairs, one = np.array([(0, 1), (1, 2), (2, 3), (3, 4)], np.int32), np.ones(4)
+    rest = np.array([1.0, 0.5, 1.0, 0.0])  # the last is as long as it wants to be
+    fabric = make_fabric(position, Springs.from_pairs(pairs, one, rest, one))
+    (warning,) = start_warnings(fabric, position, None, None)
+    assert warning.startswith("1 of 4 springs start") and "vertices 1 and 2" in warning
+    (warning,) = start_warnings(replace(fabric, numbers=np.arange(10, 15, dtype=np.int32)), position, None, None)
+    assert "vertices 11 and 12" in warning
+    assert start_warnings(fabric, position + 0.1 * np.arange(5)[:, None], None, None) == []
+    assert start_warnings(make_fabric(position), position, None, None) == []
 
 
 def test_zero_length_springs_exert_no_force_and_are_counted() -> None:

@@ -14,9 +14,20 @@ from studio_desk import served as desk_served
 from studio_desk import write_sheet
 
 from nuno.pages.server import Server
+from nuno.pages.workshop import Workshop
 from nuno.studio.desk import Desk
 from nuno.wire.sessions import spoke
 from nuno_bench.chromium import Page
+
+
+class Shared:
+    """A workshop that outlasts the desk that uses it."""
+
+    def __init__(self, workshop: Workshop) -> None:
+        self.make, self.forget = workshop.make, workshop.forget
+
+    def close(self) -> None:
+        """Nothing: it is another one's."""
 
 
 @pytest.fixture
@@ -41,6 +52,19 @@ def paused(tmp_path: Path) -> Iterator[tuple[Run, zenoh.Session]]:
         yield run, session
     if run.thread.is_alive():
         run.stop()
+
+
+@pytest.fixture(scope="session")
+def workshop() -> Iterator[Workshop]:
+    """One for all desks: its process takes seconds to begin."""
+    one = Workshop("building it", 300.0, "wait for longer")
+    yield one
+    one.close()
+
+
+@pytest.fixture(autouse=True)
+def _shared(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno.studio.desk.Workshop", lambda *_: Shared(workshop))
 
 
 @pytest.fixture

@@ -56,7 +56,7 @@ def ask(
     if body is not None:
         given |= {"Origin": f"http://{host}", "Content-Type": "application/json", "Content-Length": str(len(body))}
     given |= {name.replace("_", "-"): value for name, value in headers.items()}
-    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=60)
     connection.putrequest("GET" if body is None else "POST", f"/{guard.token if token is None else token}/{path}", True)
     for name, value in given.items():
         if value is not None:

@@ -75,6 +75,19 @@ def test_a_mistake_has_the_very_words_of_the_command_line(desk: Desk, before: st
     assert (mistake["words"], mistake["line"]) == (str(refused.value), refused.value.line)
 
 
+@pytest.mark.parametrize("odd", [[], {}, [[]], 3, None, True, "x" * 5000], ids=lambda odd: str(odd)[:9])
+def test_a_request_of_another_kind_is_refused_in_words(desk: Desk, odd: object) -> None:
+    Path("a.npz").write_bytes((shipped.folder() / "pendulum.npz").read_bytes())
+    for request in (
+        {"do": "open", "scene": odd}, {"do": "check", "scene": odd, "text": SHEET},
+        {"do": "run", "scene": odd, "text": ""}, {"do": "make", "file": "a.npz", "offer": odd},
+        {"do": "about", "file": odd}, {"do": "replay", "recording": odd}, {"do": "plots", "film": odd},
+        {"do": "worn", "start": odd}, {"do": odd},
+    ):  # fmt: skip
+        with pytest.raises(BadInput):
+            desk.act(request)
+
+
 def test_mistakes_that_stand_side_by_side_are_told_together(desk: Desk) -> None:
     text = SHEET.replace("damping: 0.5", "damping: -1").replace("fabric: silk", "fabric: sillk")
     found = about(desk, "check", text.replace("dt: auto", "dt: never"))
@@ -105,11 +118,26 @@ def test_a_scene_is_saved_in_the_folder_and_nowhere_else(desk: Desk) -> None:
     assert Path(FILE).read_text() == SHEET and Path("other.yaml").read_text() == "nuno: 1\n"
     about(desk, "save", text, before=SHEET, name=FILE)
     about(desk, "save", text, before=SHEET, name="new.yaml")
-    assert Path(FILE).read_text() == Path("new.yaml").read_text() == text
+    assert Path(FILE).read_text() == text
     own = "my skirt (1).yaml"
     Path(own).write_text(SHEET)
     ask(desk, "save", scene=own, text=text, before=SHEET, name=own)
     assert Path(own).read_text() == text
+
+
+def test_a_copy_has_its_own_name_unless_the_text_has_another(desk: Desk) -> None:
+    for name, file, scene in (
+        ("new", "new.yaml", "new"), ("new-2.yml", "new-2.yml", "new-2"), ("2.b.yaml", "2.b.yaml", "scene-2-b"),
+        (f"{'x' * 90}.yaml", f"{'x' * 90}.yaml", "x" * 64),
+    ):  # fmt: skip
+        about(desk, "save", SHEET, before=SHEET, name=name)
+        assert Path(file).read_text() == SHEET.replace("name: sheet", f"name: {scene}")
+        assert scene_file.read(Path(file)).scene.name == scene
+    mine = SHEET.replace("name: sheet", "name: mine")
+    about(desk, "save", mine, before=SHEET, name="theirs")
+    assert Path("theirs.yaml").read_text() == mine
+    about(desk, "save", SHEET, before="nam: [", name="mended")
+    assert Path("mended.yaml").read_text() == SHEET
 
 
 def test_a_run_has_the_same_bits_as_from_the_command_line_and_is_of_the_text(desk: Desk) -> None:

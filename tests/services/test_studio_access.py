@@ -9,10 +9,12 @@ import http.client
 import json
 import os
 import re
+import socket
 import stat
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -25,13 +27,14 @@ from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
 from nuno.pages.guard import FILE as BYTES
 from nuno.pages.guard import JSON, MOST_BYTES
-from nuno.pages.server import Server, door
+from nuno.pages.server import MOST_CONNECTIONS, Server, door
 from nuno.scene import shipped
 from nuno.studio import arrivals
 from nuno.studio.desk import Desk
 from nuno_bench.chromium import Page
 
 NET = (shipped.folder() / "pendulum.npz").read_bytes()
+NOW = b'{"do": "now"}'
 READ = ("", "main.js", "schema", "drawn?name=net", "shown?file=a.png", "picture?recording=a.mcap",
         "exported?recording=a.mcap&kind=csv")  # fmt: skip
 
@@ -55,7 +58,7 @@ def ask(server: Server, path: str, data: bytes | None = None, token: str | None 
         kind = BYTES if path.startswith("file") else JSON
         given |= {"Origin": f"http://{host}", "Content-Type": kind, "Content-Length": str(len(data))}
     given |= {name.replace("_", "-"): value for name, value in headers.items()}
-    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=60)
     connection.putrequest("GET" if data is None else "POST", f"/{guard.token if token is None else token}/{path}", True)
     for name, value in given.items():
         if value is not None:
@@ -102,6 +105,29 @@ def test_a_file_is_taken_as_the_page_sends_it_and_no_other_way(
 ) -> None:
     assert ask(served[1], "file?name=a.npz", NET, **more) == status
     assert Path("a.npz").is_file() == (status == 200)
+
+
+def test_connections_that_say_nothing_keep_nobody_out(served: tuple[Desk, Server]) -> None:
+    server = served[1]
+    held = http.client.HTTPConnection("127.0.0.1", server.guard.port, timeout=10)
+    held.putrequest("POST", f"/{server.guard.token}/do")
+    for name, value in {"Origin": f"http://127.0.0.1:{server.guard.port}", "Content-Type": JSON}.items():
+        held.putheader(name, value)
+    held.putheader("Content-Length", str(len(NOW)))
+    held.endheaders(NOW[:5])  # the page's own, which is slow
+    crowd = []
+    for i in range(MOST_CONNECTIONS + 8):
+        crowd.append(socket.create_connection(("127.0.0.1", server.guard.port), timeout=10))
+        if i % 2:
+            crowd[-1].sendall(b"GET / HTTP/1.1\r\nHost: ")
+    start = time.monotonic()
+    for _ in range(5):
+        assert ask(server, "schema") == 200
+    assert time.monotonic() - start < 5.0
+    held.send(NOW[5:])
+    assert held.getresponse().status == 200
+    for one in crowd:
+        one.close()
 
 
 def test_what_was_not_read_is_no_other_request(served: tuple[Desk, Server]) -> None:

@@ -184,6 +184,20 @@ def test_what_is_not_what_it_says_is_refused_and_not_kept(desk: Desk, tmp_path: 
     assert "nuno-" not in str(refused.value)
 
 
+@pytest.mark.parametrize("name", ["a.json", "a.csv", "a.yaml"])
+def test_a_photo_that_is_called_a_text_is_refused_as_none(desk: Desk, name: str) -> None:
+    with pytest.raises(BadInput, match=r"not (a )?text") as refused:
+        drop(desk, name, (OWN / "dye/stencil.png").read_bytes())
+    assert "codec" not in str(refused.value) and refused.value.remedy
+
+
+def test_a_pattern_in_yaml_is_found_again_and_made_a_scene_of(desk: Desk) -> None:
+    drop(desk, "body.obj", TETRAHEDRON.encode())
+    told = drop(desk, "skirt.yaml", SKIRT.encode())
+    assert desk.act({"do": "about", "file": "skirt.yaml"})["kind"] == "pattern"
+    assert make(desk, "skirt.yaml", told["offers"][0]["name"]) == "skirt-worn.yaml"
+
+
 def test_what_is_too_large_or_breaks_off_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     data = (OWN / "pendulum.npz").read_bytes()
     with pytest.raises(BadInput, match="broke off"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import nuno
 from nuno.cli import main
 from nuno.exports.cloth import Pieces
 from nuno.recording.restore import control_events
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
@@ -48,6 +49,33 @@ def cloths(folder: Path, **fields: Any) -> Path:
         "solver": "leapfrog",
     }
     return write_scene(folder, **given | fields)
+
+
+PLAIN = {**SHEET, "cells": "quads"}
+NO_HINGES = {**SHEET, "fabric": {"density": 0.2, "structural": 20.0, "bending": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("model", "more", "problem"),
+    [
+        (PLAIN, {}, "no spring along an edge"),
+        (NO_HINGES, {"keep": True}, "this cloth has no hinges"),
+        ({"plugin": "net", "file": "net.npz"}, {}, "cloth of triangles, which this is not"),
+        ({"plugin": "mesh", "file": "bare.obj", "tension": "springs", "fabric": "silk"},
+         {"lines": [{"texture": [[0.2, 0.4], [0.8, 0.5]], "height": 0.01}]}, "no texture coordinates"),
+        ({"plugin": "mesh", "file": "bare.obj", "tension": "membrane", "fabric": "silk"}, {}, "no structural springs"),
+    ],
+)  # fmt: skip
+def test_a_later_line_is_refused_before_the_run_where_the_cloth_can_never_have_it(
+    model: dict[str, Any], more: dict[str, Any], problem: str, tmp_path: Path
+) -> None:
+    shutil.copyfile(shipped.folder() / "pendulum.npz", tmp_path / "net.npz")
+    (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n")
+    operation = {"plugin": "wrinkle", "at": 0.1, "object": "sheet", "lines": [LINE], **more}
+    scene = cloths(tmp_path, objects=[{"name": "sheet", "model": model}], operations=[operation], bodies=[])
+    with pytest.raises(BadInput, match=problem) as refused:
+        Simulation(scene_file.read(scene), None, None, 1)
+    assert str(refused.value.field).startswith("operations[0]")
 
 
 def test_a_run_changes_its_cloth_at_its_frame_and_is_replayed_to_the_last_bit(tmp_path: Path) -> None:

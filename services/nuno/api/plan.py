@@ -79,6 +79,8 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _worn(simulation, simulation.geometry, simulation.poses)
+    found = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
+    rows += [("WARNING", text) for text in found]
     rows += _texture(simulation)
     seconds = simulation.time_frame()  # from here on the cloth has moved
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
@@ -133,7 +135,7 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
-    """Where the frames that carry cloth start, and whether it starts in a body."""
+    """Where the frames that carry cloth start."""
     rows = []
     for binding in simulation.fabric.bindings:
         if (skinned := build.skin_of(binding, geometry)) is not None:
@@ -142,6 +144,4 @@ def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tupl
         frame = build.frame_of(binding, geometry.frames, skinned)
         place = ", ".join(f"{v:.3g}" for v in poses.translation[frame])
         rows.append(("attached", f"to {geometry.frames[frame]}, which starts at [{place}] m"))
-    rows = list(dict.fromkeys(rows))
-    rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
-    return rows
+    return list(dict.fromkeys(rows))

@@ -44,7 +44,7 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise BadInput(
             f"the sheet cannot be read: {reason}", str(path), remedy="is it text, and yours to read?"
         ) from None

@@ -45,18 +45,33 @@ def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:
     )
 
 
-def start_warnings(fabric: Fabric, x: Float, geometry: Geometry, poses: Poses) -> list[str]:
-    """What is to be said of cloth at x (n, 3) [m] before its first step.
+def start_warnings(fabric: Fabric, x: Float, geometry: Geometry | None, poses: Poses | None) -> list[str]:
+    """What is to be said of cloth at x (n, 3) [m] before its first step, beside bodies or without any.
 
     A body through an edge that is held is not refused: capsules are rough bodies, and a waistband that cuts a little
     into one is how it is worn. But nothing takes held vertices out of a body as contact does free ones.
     """
-    depth, found = penetration(x, geometry, poses), list[str]()
+    found = _loose(fabric, x)
+    if geometry is None or poses is None:
+        return found
+    depth = penetration(x, geometry, poses)
     if inside := _told(depth, "vertices"):
         found.append(f"{inside}: place or size the cloth, or move the body, otherwise")
     if inside := _told(depth[fabric.pinned], "held vertices"):
         found.append(f"a body is through the edge that is held: {inside}, and stay there: widen or move that edge")
     return found
+
+
+def _loose(fabric: Fabric, x: Float) -> list[str]:
+    """Springs that have a length, and start with both ends at one place: which way they push is nowhere said."""
+    springs = fabric.springs
+    pairs = springs.pairs() if springs is not None else np.zeros((0, 2), np.int32)
+    loose = (x[pairs[:, 0]] == x[pairs[:, 1]]).all(axis=1)
+    if springs is None or not (loose := loose & (springs.per_spring(springs.rest) > 0.0)).any():
+        return []
+    i, j = pairs[loose][0] if fabric.numbers is None else fabric.numbers[pairs[loose][0]]
+    number = f"{np.count_nonzero(loose):,} of {len(pairs):,} springs start with both ends at the same place"
+    return [f"{number}, such as vertices {i} and {j}: they do not push until these part: place them apart"]
 
 
 def _told(depth: Float, what: str) -> str:

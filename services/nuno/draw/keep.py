@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from nuno.cloth import build
 from nuno.draw.append import append_items
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.seen.shown import see_scene
+from nuno.seen.shown import see_objects
 from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -56,9 +56,9 @@ def as_items(lines: Lines, settings: object) -> list[str]:
 class Trial:
     """The cloth of a scene's objects at the start, on which lines are tried before they are kept."""
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: Loaded, fabrics: Sequence[Fabric]) -> None:
         names = [spec.name for spec in loaded.scene.objects]
-        self._fabrics: dict[str, Fabric] = dict(zip(names, build.build_fabrics(loaded), strict=True))
+        self._fabrics = dict(zip(names, fabrics, strict=True))
         self._plugin = registry.load("nuno.operations", OPERATION)
 
     def apply(self, operation: dict[str, Any]) -> None:
@@ -81,11 +81,12 @@ def with_lines(
     operations = as_operations(lines[first], settings)
     after = append_items(text, LIST, operations, file)
     loaded = load(after)
-    if not np.array_equal(see_scene(loaded)[0].faces, base.faces):
+    sight, _, fabrics = see_objects(loaded)
+    if not np.array_equal(sight.faces, base.faces):
         problem, remedy = "the lines were drawn on other triangles than the text's scene has", "draw them again"
         raise BadInput(problem, file, remedy=remedy)
     if first:
-        trial = Trial(loaded)
+        trial = Trial(loaded, fabrics)
         for operation in operations:
             trial.apply(operation)
     return after

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import re
@@ -13,7 +14,7 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from io import BufferedIOBase
-from socket import socket
+from socket import SHUT_RDWR, socket
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
@@ -25,6 +26,8 @@ from nuno_schemas.errors import BadInput
 LOGGER = logging.getLogger("nuno.pages")
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 MOST_CONNECTIONS = 32
+LEAVING = 1.0
+"""How long a connection may take to end [s] that makes room for another."""
 IDLE = 30.0
 """Silence after which a connection ends [s]: longer than a page waits for what it is told of."""
 SHARED = files("nuno.pages") / "shared"
@@ -76,16 +79,27 @@ class Server(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = 4 * MOST_CONNECTIONS
 
     def __init__(self, package: str, act: Act, told: Mapping[str, Tell], take: Take | None = None) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
         self.act, self.told, self.take, self.files = act, told, take, page_files(package)
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self.silent: dict[socket, None] = {}
+        """Connections on which nothing that may be asked for is asked for, the oldest first."""
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection where there is room for one."""
-        if self._places.acquire(blocking=False):
+        """Take a connection; where there is no room for one, in the place of that which has been silent for longest:
+        another user's program could hold all of them, and say nothing.
+        """
+        taken = self._places.acquire(blocking=False)
+        if not taken:
+            with contextlib.suppress(StopIteration, RuntimeError, OSError):
+                next(iter(self.silent)).shutdown(SHUT_RDWR)
+            taken = self._places.acquire(timeout=LEAVING)
+        if taken:
+            self.silent[request] = None
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
@@ -94,6 +108,7 @@ class Server(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self.silent.pop(request, None)
             self._places.release()
 
     def handle_error(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:
@@ -118,6 +133,7 @@ class Handler(BaseHTTPRequestHandler):
         try:
             parts = urlsplit(self.path)
             name = self.server.guard.check(method, parts.path, self.headers)
+            self.server.silent.pop(self.connection, None)
             query = parse_qs(parts.query)
             kind, body = self._post(name, query) if method == "POST" else self._get(name, query)
             self._send(200, kind, body)
@@ -177,6 +193,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
+        self.server.silent[self.connection] = None
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing: the address, which is a secret, would stand in the log."""

@@ -75,7 +75,7 @@ class SceneFiles:
         try:
             text = path.read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
             remedy = "save it as YAML or JSON in UTF-8"
             raise BadInput(f"the file cannot be read: {reason}", str(path), remedy=remedy) from None
         if path.suffix.lower() == ".json":

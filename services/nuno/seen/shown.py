@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth import build
+from nuno.cloth.join import join_fabrics
 from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface
@@ -38,12 +39,18 @@ def size_of(x: Float) -> float:
 
 def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
     """The cloth of a scene as it is at the start, and its fabric. Raises BadInput for a scene without cloth."""
+    return see_objects(loaded)[:2]
+
+
+def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
+    """The same, and the fabric of each object. Raises BadInput for a scene without cloth."""
     if not loaded.scene.moves:
         remedy = "name a scene with objects, such as hanging-sheet"
         raise BadInput("there is no cloth here that moves", value=loaded.scene.name, remedy=remedy)
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
-    fabric, pieces = build.build_fabric(loaded, geometry, poses)
+    fabrics = build.build_fabrics(loaded, geometry, poses)
+    fabric, pieces = join_fabrics(fabrics, loaded.scene.name), build.place_pieces(loaded, fabrics)
     drawn = draw_bodies(geometry, size_of(fabric.position))
     edges, rest = structural_edges(fabric)
     sight = Sight(
@@ -56,7 +63,7 @@ def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
         rest.astype(np.float32),
         frames=loaded.scene.frames,
     )
-    return sight, fabric
+    return sight, fabric, fabrics
 
 
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:

@@ -80,6 +80,14 @@ class Changing(Stepper):
         """Of each change (5, c) vertices of its object by which its height is measured: on the line, to the left and to
         the right of it, and before and after on it; c may be 0."""
         self._fabrics: list[Fabric] | None = None
+        scene = self.loaded.scene
+        names = [spec.name for spec in scene.objects]
+        for i, (applied, chosen) in enumerate(zip(scene.operations, self.loaded.operations, strict=True)):
+            try:
+                if hasattr(chosen.plugin, "require"):
+                    chosen.plugin.require(chosen.config, self.parts()[names.index(applied.object or names[0])])
+            except BadInput as error:
+                raise self.loaded.at(f"operations[{i}]", error) from None
 
     def add(self, item: str) -> str:
         """Apply an operation, `wrinkle: {...}`, at once; the text that does so again. Raises BadInput."""

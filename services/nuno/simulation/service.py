@@ -60,9 +60,9 @@ class ClothDriver(Driver):
         """What is to be said of how the cloth starts."""
         if simulation.poses is not None:
             simulation.find_poses = self.next_poses
-            if simulation.geometry is not None and simulation.frame == 0:
-                bodies = simulation.geometry, simulation.poses
-                self.warnings = start_warnings(simulation.fabric, simulation.state.x, *bodies)
+        if simulation.frame == 0:
+            bodies = simulation.geometry, simulation.poses
+            self.warnings = start_warnings(simulation.fabric, simulation.state.x, *bodies)
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """See `Driver`; what is added, is added to the dye where the scene has any."""

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,10 +17,12 @@ from nuno.cloth import build
 from nuno.draw.keep import Trial
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
+from nuno.pages.workshop import Workshop
 from nuno.scene.scene_file import Loaded
 from nuno.seen.follow import Follower
-from nuno.seen.shown import see_scene
+from nuno.seen.shown import see_objects
 from nuno.seen.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.studio import scenes
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
@@ -42,34 +44,30 @@ class Start:
     loaded: Loaded
     sight: Sight
     fabric: Fabric
+    objects: Sequence[Fabric]
 
     @cached_property
     def trial(self) -> Trial:
         """Of its objects, on which lines are tried."""
-        return Trial(self.loaded)
+        return Trial(self.loaded, self.objects)
 
 
 class Starts:
-    """The cloth of scenes as they begin, built when a page asks for it, without a run."""
+    """The cloth of scenes as they begin, built in a workshop when a page asks for it, without a run."""
 
-    def __init__(self) -> None:
+    def __init__(self, workshop: Workshop) -> None:
         self._numbers = itertools.count(1)
         self.kept: dict[int, Start] = {}
-        self._building = threading.Lock()
-        self._asked: dict[str, int] = {}
+        self._workshop = workshop
 
-    def see(self, loaded: Loaded, page: str) -> dict[str, Any]:
+    def see(self, loaded: Loaded, page: str, *text: Any) -> dict[str, Any]:
         """Build a scene's cloth: the number that it is told by, and what is not shown of it, in words. Raises BadInput.
 
-        While one is built, of those that a page asks for meanwhile only the last is.
+        text: what `scenes.load` makes the scene of.
         """
-        number = self._asked[page] = next(self._numbers)
-        with self._building:
-            if number != self._asked[page]:
-                raise BadInput("another start has been asked for meanwhile")
-            build.check_memory(loaded)
-            sight, fabric = see_scene(loaded)
-        self.kept[number] = Start(loaded, Board(sight).now, fabric)
+        sight, fabric, objects = self._workshop.make(page, _build, *text)
+        number = next(self._numbers)
+        self.kept[number] = Start(loaded, Board(sight).now, fabric, objects)
         for old in sorted(self.kept)[:-MOST]:
             self.kept.pop(old, None)
         return {"number": number, "words": NO_COLOURS if _painted(loaded, sight) else ""}
@@ -80,6 +78,12 @@ class Starts:
         if start is None:
             raise Refused(NOT_FOUND, "this start is no longer kept")
         return "application/octet-stream", start.sight.encode(-1, -1)
+
+
+def _build(*text: Any) -> tuple[Sight, Fabric, list[Fabric]]:
+    loaded = scenes.load(*text)
+    build.check_memory(loaded)
+    return see_objects(loaded)
 
 
 def _painted(loaded: Loaded, sight: Sight) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import threading
 from collections.abc import Callable, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 from nuno.draw.append import MARK, read_text
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server, Take
+from nuno.pages.workshop import Workshop
 from nuno.recording.restore import resumed_scene
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
@@ -29,9 +31,11 @@ from nuno_schemas.errors import BadInput
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "worn", "paint", "swatches",
+    "worn", "paint", "swatches", "leave",
 )  # fmt: skip
 """What the page may ask for, each a method of a desk."""
+LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
+"""What building the cloth for a page may take [s, bytes], and planning [s]: a first time compiles kernels."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """What a page may ask of a run, as `nuno control`."""
 OF_FILMS = ("replay", "plots", "compare")
@@ -48,9 +52,13 @@ class Desk:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
         self.screen = Screen(self.recordings)
         self._own: Run | None = None
-        self._starts, self._dyed_cloth = Starts(), Dyed()
+        # Planning compiles kernels; a preview is for a look, and a run says itself what it takes.
+        remedy = "run it, or make its triangles or cells larger"
+        self._previews = Workshop("building the cloth for a look", LOOKS[0], remedy, LOOKS[1])
+        self._plans = Workshop("planning", PLANS, "run it; its first frame is what takes long")
+        self._starts, self._dyed_cloth = Starts(self._previews), Dyed(self._previews)
         self._drawing = Drawing(self._starts)
-        self._heavy, self._starting = threading.Lock(), threading.Lock()
+        self._starting = threading.Lock()
         self._schema, self._looks = functools.cache(scenes.schema), functools.cache(swatches)
         self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
 
@@ -73,7 +81,14 @@ class Desk:
             "shape": self.screen.shape,
             "dyed": self.screen.dyed,
         }
+        threading.Thread(target=self._begin_building, daemon=True).start()
         return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
+
+    def _begin_building(self) -> None:
+        """The process that builds cloth takes seconds to begin: it has when a scene is opened."""
+        with contextlib.suppress(BadInput):
+            first = "hanging-sheet"
+            self._see({"scene": first, "text": read_text(self.scenes.find(first)), "page": "first"})
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
@@ -103,6 +118,8 @@ class Desk:
         with self._starting:
             if self._own is not None:
                 self._own.close()
+            self._previews.close()
+            self._plans.close()
             self.screen.close()
             self.recordings.close()
             self.exports.close()
@@ -128,8 +145,7 @@ class Desk:
         }
 
     def _swatches(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        with self._heavy:  # it tests fabrics, once
-            return self._looks()
+        return self._looks()
 
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))
@@ -178,9 +194,12 @@ class Desk:
         return scenes.save(text, str(request.get("before")), path, folder, request.get("name"))
 
     def _plan(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        loaded = self._loaded(request)
-        with self._heavy:  # it compiles kernels
-            return {"rows": scenes.plan(loaded)}
+        return {"rows": self._plans.make(_page(request), scenes.plan, *self._text(request), self.scenes.roots)}
+
+    def _leave(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """End what is built for a page, which does not wait for it any more."""
+        (self._plans if request.get("plan") else self._previews).forget(_page(request))
+        return {}
 
     def _run(self, request: Mapping[str, Any]) -> dict[str, Any]:
         text, path = self._text(request)
@@ -220,11 +239,11 @@ class Desk:
 
     def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
-        return self._starts.see(self._loaded(request), str(request.get("page"))[:40])
+        return self._starts.see(self._loaded(request), _page(request), *self._text(request), self.scenes.roots)
 
     def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
-        return self._dyed_cloth.see(self._loaded(request))
+        return self._dyed_cloth.see(_page(request), *self._text(request), self.scenes.roots)
 
     def _worn(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Where the triangles of a start that is shown lie on the flat cloth. Raises BadInput."""
@@ -276,6 +295,11 @@ class Desk:
         else:
             raise BadInput("no such request", value=does, limit="begin, check, keep, apply, export")
         return {}
+
+
+def _page(request: Mapping[str, Any]) -> str:
+    """What tells the page that asks from others."""
+    return str(request.get("page"))[:40]
 
 
 def _value_of(request: Mapping[str, Any]) -> tuple[Any, str | None]:

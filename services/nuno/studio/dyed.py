@@ -14,7 +14,9 @@ from nuno.dye.supply import Supplies
 from nuno.exports.paint import as_png
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
+from nuno.pages.workshop import Workshop
 from nuno.scene.scene_file import Loaded
+from nuno.studio import scenes
 from nuno.studio.cloth import Start
 from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.dye_picture import Picture, Window, amount_seen
@@ -34,27 +36,44 @@ SHOWN = 0.8
 class Dyed:
     """Pictures of scenes' cloth, drawn when a page asks for them, without a run."""
 
-    def __init__(self) -> None:
+    def __init__(self, workshop: Workshop) -> None:
         self._numbers = itertools.count(1)
         self._kept: dict[int, bytes] = {}
-        self._painter: _Painter | None = None
+        self._workshop = workshop
 
-    def see(self, loaded: Loaded) -> dict[str, Any]:
-        """Build a scene's cloth: the number of its picture, its size [m], its cells, and the dyes. Raises BadInput."""
-        cells, phi, fixed = at_start(loaded)
+    def see(self, page: str, *text: Any) -> dict[str, Any]:
+        """Build a scene's cloth: the number of its picture, its size [m], its cells, and the dyes. Raises BadInput.
+
+        text: what `scenes.load` makes the scene of.
+        """
+        picture, facts = self._workshop.make(page, _draw, *text)
         number = next(self._numbers)
-        self._kept[number] = as_png(self._draw(loaded, cells, phi, fixed))
+        self._kept[number] = picture
         for old in sorted(self._kept)[:-MOST]:
             self._kept.pop(old, None)
+        return {"number": number} | facts
+
+    def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
+        """One of the pictures. Raises Refused."""
+        found = self._kept.get(whole(query, "number"))
+        if found is None:
+            raise Refused(NOT_FOUND, "this picture is no longer kept")
+        return "image/png", found
+
+
+class Flat:
+    """Draws cloth one after the other, of which the next is often the same with another stroke."""
+
+    def __init__(self) -> None:
+        self._painter: _Painter | None = None
+
+    def draw(self, loaded: Loaded) -> tuple[bytes, dict[str, Any]]:
+        """PNG, and what else the page is told. Raises BadInput."""
+        cells, phi, fixed = at_start(loaded)
         _, ny, nx = cells.fibre.shape
         dyes = [{"name": one.name, "colour": one.colour.dark} for one in loaded.dyed.said.dyes]
-        return {
-            "number": number,
-            "cell": cells.size,
-            "cells": [nx, ny],
-            "dyes": dyes,
-            "object": loaded.dyed.said.object,
-        }
+        facts = {"cell": cells.size, "cells": [nx, ny], "dyes": dyes, "object": loaded.dyed.said.object}
+        return as_png(self._draw(loaded, cells, phi, fixed)), facts
 
     def _draw(self, loaded: Loaded, cells: Cells, phi: Float, fixed: Float) -> Picture:
         """All of the cloth, with what keeps dye out over it."""
@@ -71,12 +90,13 @@ class Dyed:
         picture: Picture = np.rint((1.0 - over) * below + over * PASTE).astype(np.uint8)
         return picture
 
-    def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """One of the pictures. Raises Refused."""
-        found = self._kept.get(whole(query, "number"))
-        if found is None:
-            raise Refused(NOT_FOUND, "this picture is no longer kept")
-        return "image/png", found
+
+_FLAT = Flat()
+"""Of a workshop's process."""
+
+
+def _draw(*text: Any) -> tuple[bytes, dict[str, Any]]:
+    return _FLAT.draw(scenes.load(*text))
 
 
 def cloth_of(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:

@@ -69,7 +69,7 @@ class Files:
         return "image/png", picture
 
     def _find(self, name: object) -> Path:
-        path = next((one for one in files_of(self.folder, LISTED) if one.name == name), None)
+        path = next((one for one in files_of(self.folder, tuple(KINDS)) if one.name == name), None)
         if path is None:
             raise BadInput("no such file here", value=name, remedy="load the list again")
         return path

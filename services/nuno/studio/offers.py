@@ -99,9 +99,9 @@ def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[
     """Carry out an offer for a file; the scene that was written. Raises BadInput for a choice that is none."""
     seen = see(path)
     offers = {one.name: one for one in offers_for(seen)}
-    if name not in offers:
+    if not isinstance(name, str) or name not in offers:
         raise BadInput("this cannot be done with it", path.name, value=name, remedy=nearest(str(name), offers))
-    offer, picked = offers[str(name)], dict[str, str]()
+    offer, picked = offers[name], dict[str, str]()
     for choice in (find(path.parent) for find in offer.choices):
         known = [value for value, _ in choice.options]
         value = chosen.get(choice.name, known[0])

@@ -18,6 +18,7 @@ from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import item_at
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
+from nuno.studio import edit
 from nuno.studio.named import check_named
 from nuno_schemas.errors import BadInput, nearest
 
@@ -26,6 +27,8 @@ MOST = 20
 SUFFIXES = (".yaml", ".yml")
 NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.ya?ml", re.ASCII)
 """What a new file may be called."""
+NAMED, NAME = re.compile(r"^name\s*:.*", re.MULTILINE), 64
+"""Where a text has the scene's name, which has so many characters at most."""
 IS_SCENE = re.compile(r"^nuno\s*:", re.MULTILINE)
 
 
@@ -49,9 +52,9 @@ class Scenes:
     def find(self, name: object) -> Path:
         """Raises BadInput where there is none."""
         paths = self.paths()
-        if name not in paths:
+        if not isinstance(name, str) or name not in paths:
             raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
-        return paths[str(name)]
+        return paths[name]
 
     def picture_of(self, name: object) -> Path:
         """What ships with nuno of one of its scenes. Raises BadInput where there is none."""
@@ -132,19 +135,21 @@ def load(text: str, path: Path, roots: tuple[Path, ...] = ()) -> Loaded:
     return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path, roots)), path=path)
 
 
-def plan(loaded: Loaded) -> list[Row]:
-    """The rows of `nuno plan`. Raises BadInput."""
-    return list(describe(loaded))
+def plan(text: str, path: Path, roots: tuple[Path, ...] = ()) -> list[Row]:
+    """The rows of `nuno plan` for the scene of a text. Raises BadInput."""
+    return list(describe(load(text, path, roots)))
 
 
 def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:
     """Write a text to its own file, or under a new name into the folder; what the page says of it. Raises BadInput.
 
-    `before` is what the file said when the page read it: one that was changed since is left alone.
+    `before` is what the file said when the page read it: one that was changed since is left alone. A copy has its own
+    name for its runs and pictures, unless the text has another one than the file had.
     """
+    name = f"{name}.yaml" if isinstance(name, str) and name and "." not in name else name
     own = path.is_file() and name == path.name and path.resolve().parent == folder.resolve()
     if not isinstance(name, str) or not (own or NEW.fullmatch(name)):
-        limit = "letters, digits, - _ . and then .yaml"
+        limit = "letters, digits, - _ ., and at its end .yaml or nothing"
         raise BadInput("not the name of a scene's file", field="name", value=name, limit=limit)
     target = folder / name
     if target.exists() and (not path.exists() or not target.samefile(path)):
@@ -153,6 +158,9 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
         remedy = "save under another name, or open it again to go on from what it says now"
         raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
     yaml_lines.parse(text, name)
+    if not own and NAMED.findall(text)[:1] == NAMED.findall(before)[:1] != []:
+        stem = re.sub(r"[^A-Za-z0-9_-]", "-", target.stem)[:NAME]
+        text = edit.put(text, ("name",), stem if stem[0].isalpha() else f"scene-{stem}"[:NAME], name)
     write_whole(target, text)
     files = scene_file.files_of(path)
     more = ""

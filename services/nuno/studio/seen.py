@@ -14,6 +14,7 @@ from PIL import Image
 
 from nuno import registry
 from nuno.begin.sheet import import_sheet, in_units
+from nuno.draw.append import MARK, read_text
 from nuno.exports.paint import as_png
 from nuno.pages.server import describe
 from nuno.recording.gaps import shortcoming
@@ -210,7 +211,7 @@ def _sheet(path: Path) -> Seen:
 
 def _text(path: Path) -> Seen:
     """A scene, a pattern or a laboratory's sheet."""
-    text = scenes.text_of(path)
+    text = read_text(path).removeprefix(MARK)
     if scenes.IS_SCENE.search(text):
         told = scenes.check(text, path)
         data = told["data"] or {}

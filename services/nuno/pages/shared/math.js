@@ -110,5 +110,10 @@ export class Camera {
     this.target = add(add(this.target, right, -dx * s), up, dy * s);
   }
 
-  zoom(factor) { this.distance = Math.max(0.02 * this.size, Math.min(20 * this.size, this.distance * factor)); }
+  /** Come nearer to a point, which is seen where it was. */
+  zoom(factor, point = this.target) {
+    const before = this.distance;
+    this.distance = Math.max(0.02 * this.size, Math.min(20 * this.size, before * factor));
+    this.target = add(point, add(this.target, point, -1), this.distance / before);
+  }
 }

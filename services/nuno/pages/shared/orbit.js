@@ -15,7 +15,7 @@ export class Orbit {
     canvas.addEventListener("keydown", (e) => this.press(e));
     canvas.addEventListener("wheel", (e) => {
       e.preventDefault();
-      stage.camera.zoom(Math.exp(Math.max(-240, Math.min(240, e.deltaY * (e.deltaMode ? 30 : 1))) * 0.0015));
+      stage.camera.zoom(Math.exp(Math.max(-240, Math.min(240, e.deltaY * (e.deltaMode ? 30 : 1))) * 0.0015), stage.point(e.offsetX, e.offsetY));
       stage.camera.changed();
     }, { passive: false });
   }

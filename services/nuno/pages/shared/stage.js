@@ -1,4 +1,4 @@
-import { Camera } from "./math.js";
+import { add, Camera, dot } from "./math.js";
 import { Painter } from "./gl.js";
 import { rgb } from "./scale.js";
 import { Surface } from "./surface.js";
@@ -105,6 +105,14 @@ export class Stage {
     this.size();
     const { origin, direction } = this.camera.ray(px, py), hit = this.cloth.pick(origin, direction);
     return hit && !this.body.pick(origin, direction, hit.t) ? hit : null;
+  }
+
+  /** The point that a pixel shows: of the cloth, a body or, beside these, as far away as what is looked at. */
+  point(px, py) {
+    this.size();
+    const { camera } = this, { origin, direction } = camera.ray(px, py), cloth = this.cloth.pick(origin, direction);
+    const hit = this.body.pick(origin, direction, cloth?.t) ?? cloth;
+    return add(origin, direction, hit?.t ?? -camera.distance / dot(direction, camera.axes().back));
   }
 
   paint() {

@@ -1,4 +1,4 @@
-import { ask } from "./ask.js";
+import { ask, PAGE } from "./ask.js";
 import { dock } from "./dock.js";
 import { make } from "./dom.js";
 import { Draw } from "./draw.js";
@@ -13,8 +13,10 @@ import { factor } from "./words.js";
 
 /** How long a text stays as it is [ms] until its cloth is built. */
 const STAYS = 700;
-/** What tells this page from others. */
-const PAGE = crypto.randomUUID();
+/** How long cloth may be built [ms] until that is said, where another is shown meanwhile. */
+const SOON = 1000;
+/** The server's answer to the last that was no longer wanted: what is wanted next must not overtake it. */
+let left = null;
 /** Wall time that pictures are counted in [ms]. */
 const SPAN = 2000;
 
@@ -45,6 +47,7 @@ export class Cloth {
       this.update();
     });
     for (const one of [this.canvas, this.flat]) this.seen.observe(one);
+    window.addEventListener("pagehide", () => this.forget(), { signal: this.over.signal });
     document.addEventListener("visibilitychange", () => this.update(), { signal: this.over.signal });
     dock.hearers.add(this.hear = () => this.update());
   }
@@ -85,8 +88,10 @@ export class Cloth {
     const text = this.scene.text?.value;
     if (this.running) this.ran = text;
     else if (this.ran !== text) this.live = "";
+    const runs = this.running && !this.startFirst && !this.flatly;
+    if (!this.visible || document.hidden || runs) this.forget();
     if (!this.visible || document.hidden) this.rest();
-    else if (this.running && !this.startFirst && !this.flatly) this.run();
+    else if (runs) this.run();
     else {
       this.rest();
       if (!this.live) this.start();
@@ -97,6 +102,15 @@ export class Cloth {
   }
 
   rest() { this.following?.abort(); this.following = null; }
+
+  /** The cloth that is being built is no longer wanted: neither the browser nor the server goes on with it. */
+  forget() {
+    if (!this.building) return;
+    this.building.abort();
+    Object.assign(this, { building: null, wanted: null });
+    this.say(this.words ?? "");
+    left = ask("leave", { page: PAGE }, { keepalive: true });  // also of a page that is closed
+  }
 
   /** Follow the run. */
   run() {
@@ -121,11 +135,15 @@ export class Cloth {
     const { value } = this.scene.text;
     this.waiting = null;
     if (this.over.signal.aborted || !this.visible || (this.running && !this.startFirst && !this.flatly) || !this.scene.good) return;
+    this.building?.abort();  // the server ends what this page has asked for before
+    const building = this.building = new AbortController(), flat = this.flatly;
     this.wanted = value;
-    if (this.built === null) this.say("Building the cloth …");
-    const flat = this.flatly;
-    const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE });
-    if (this.over.signal.aborted || this.wanted !== value) return;
+    setTimeout(() => { if (this.building === building) this.say("Building the cloth …"); }, this.built === null ? 0 : SOON);
+    await left;
+    const answer = await ask(flat ? "dyed" : "see", { scene: this.scene.name, text: value, page: PAGE }, { signal: building.signal });
+    if (this.building !== building) return;
+    this.building = null;
+    this.say(this.words ?? "");
     this.box.classList.toggle("flat", flat);
     if (answer.ok && flat) {
       this.flat.src = `flat?number=${answer.number}`;
@@ -191,6 +209,7 @@ export class Cloth {
     if (!this.stage) return;
     this.over.abort();
     this.rest();
+    this.forget();
     this.seen.disconnect();
     dock.hearers.delete(this.hear);
     this.stage.close();

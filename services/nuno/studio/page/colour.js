@@ -4,8 +4,8 @@ import { make } from "./dom.js";
 export function colourOf(input, label, changed) {
   const canvas = document.createElement("canvas").getContext("2d");
   const hex = () => { canvas.fillStyle = "#808080"; canvas.fillStyle = input.value || input.placeholder || "#808080"; return canvas.fillStyle; };
-  const box = make("input", { type: "color", className: "colour", value: hex(), ariaLabel: `${label}, chosen`, id: `choose:${input.id}` });
+  const box = make("input", { type: "color", className: "colour", value: hex(), sent: hex(), ariaLabel: `${label}, chosen`, id: `choose:${input.id}` });
   box.addEventListener("input", () => { input.value = box.value; changed(); });
-  input.addEventListener("input", () => { box.value = hex(); });
+  input.addEventListener("input", () => { box.value = box.sent = hex(); });
   return box;
 }

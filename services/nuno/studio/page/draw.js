@@ -1,5 +1,5 @@
 import { ask } from "./ask.js";
-import { make } from "./dom.js";
+import { download, make } from "./dom.js";
 import { Panel, mm } from "./panel.js";
 import { taken, toast } from "./say.js";
 import { count } from "./words.js";
@@ -178,9 +178,7 @@ export class Draw {
   async export() {
     const answer = await this.ask("export", this.lines.list, "points");
     if (!answer.ok) { this.refused(answer, this.lines.list); return; }
-    const link = make("a", { href: URL.createObjectURL(new Blob([answer.text])), download: answer.name });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    download(answer.name, answer.text);
     this.kept = this.lines.list;
     toast(`Exported ${answer.name}`, "It lies among your browser's downloads.");
   }

@@ -6,6 +6,8 @@ import { swatchesOf } from "./swatches.js";
 
 /** How long nothing is typed [ms] until what was typed goes into the text. */
 const TYPED = 350;
+/** Numbers alone, for which the unit beside the field stands. */
+const BARE = /^[\s\d.,+\-eE[\]]*$/;
 const OWN = "\u0000own";
 
 /** One field: its name, what is written there, what it means, and what may be written. */
@@ -39,7 +41,7 @@ export class Entry {
 
   unit() {
     const { unit } = this.field;
-    return unit && !this.mapping ? make("span", { className: "unit", textContent: unit, title: `a number is in ${unit}; or write another unit behind it` }) : null;
+    return unit && !this.mapping ? make("span", { className: "unit", textContent: unit, title: `a number is in ${unit}; or write another unit behind it`, hidden: !BARE.test(shown(this.value ?? this.field.default)) }) : null;
   }
 
   reset() {
@@ -103,16 +105,20 @@ export class Entry {
     }
     const send = () => {
       clearTimeout(input.timer);
+      if (input.slide) input.slide.sent = input.slide.value;
       if (input.value.trim() === "" || input.value === input.sent) return;
       input.sent = input.value;
       this.form.change({ path: this.path, ...(plain ? { value: input.value } : { written: input.value }) });
     };
     const later = () => { clearTimeout(input.timer); input.timer = setTimeout(send, TYPED); };
     input.slide = this.field.colour ? colourOf(input, this.label, later) : kind === "text" ? slider(this.field, input, this.label, later) : null;
-    input.addEventListener("input", later);
+    input.addEventListener("input", () => { const unit = input.parentElement.querySelector(".unit"); if (unit) unit.hidden = !BARE.test(input.value || input.placeholder); later(); });
     input.addEventListener("change", () => {
       if (input.value.trim() !== "") send();
-      else if (this.value === undefined || this.required) input.value = before;
+      else if (this.value === undefined || this.required) {
+        input.value = before;
+        if (this.required) this.form.refuse(this.path, { problem: "a value is needed here" });
+      }
       else this.form.change({ path: this.path, drop: true });
     });
     return input;

@@ -2,11 +2,14 @@ import { ask } from "./ask.js";
 import { make, sentence } from "./dom.js";
 import { wordsOf } from "./form.js";
 import { rowsOf } from "./rows.js";
-import { taken, toast } from "./say.js";
+import { reason, taken, toast } from "./say.js";
 import { bytes } from "./words.js";
 
 /** What was dropped here since the page was opened, the newest first, by the names it has in the folder. */
 const dropped = new Map();
+/** Grows with all that a person does on the page. */
+let touched = 0;
+for (const kind of ["pointerdown", "keydown", "wheel"]) document.addEventListener(kind, () => { touched++; }, { capture: true, passive: true });
 const $ = (id) => document.getElementById(id);
 const TOLD = "A mesh (OBJ, PLY, STL, GLB), a motion (BVH), a draft (WIF), a stencil (PNG, JPG), a sewing pattern (JSON), a net (NPZ), a laboratory's sheet of a fabric (CSV, YAML), a scene (YAML) or a recording (MCAP).";
 
@@ -15,7 +18,7 @@ export async function files(view) {
   const answer = await ask("files");
   if (!taken(answer)) return;
   // What can be done with one has the others to choose from.
-  await Promise.all([...dropped.keys()].map(async (file) => { const told = await ask("about", { file }); if (told.ok) dropped.set(file, told); else dropped.delete(file); }));
+  await Promise.all([...dropped.keys()].map(async (file) => { const told = await ask("about", { file }); if (told.ok) dropped.set(file, told); }));
   const list = make("div", { id: "files" });
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: "Files" })),
@@ -71,35 +74,46 @@ function offer(told, { name, text, choices }, first) {
   return form;
 }
 
-/** Send files to the server, one after the other, and show what they are. */
+/** Send files to the server, one after the other, and show what they are: at once where nobody does anything else by then. */
 async function send(list) {
-  let last = "";
-  for (const file of list) {
-    const awaited = await ask("expect", { name: file.name, bytes: file.size });
-    if (!taken(awaited)) continue;
-    const answer = await upload(file);
+  const before = touched, added = [], refused = [];
+  for (const [i, file] of list.entries()) {
+    let answer = await ask("expect", { name: file.name, bytes: file.size });
+    if (answer.ok) answer = await upload(file, list.length > 1 ? `${i + 1} of ${list.length}: ` : "");
     $("sending").hidden = true;
-    if (!taken(answer)) continue;
+    if (!answer.ok) { refused.push([file.name, answer]); continue; }
     dropped.delete(answer.file);
     dropped.set(answer.file, answer);
-    last = answer.file;
+    added.push(answer.file);
   }
-  if (!last) return;
-  if (location.hash === "#files") await files($("view"));
-  else location.hash = "#files";
+  if (added.length && touched === before && !window.nuno.scene?.unsaved) {
+    if (location.hash === "#files") await files($("view"));
+    else { location.hash = "#files"; await new Promise((then) => window.addEventListener("hashchange", then, { once: true })); }
+  } else {
+    if (location.hash === "#files") for (const name of added) { document.querySelector(`[data-file="${CSS.escape(name)}"]`)?.remove(); $("files").prepend(card(name, dropped.get(name))); }
+    if (added.length && !refused.length) toast(`Added: ${added.join(", ")}`, "What can be done with it stands under Files.");
+  }
+  if (refused.length) toast(refused.length === 1 ? sentence(refused[0][1].problem) : `${refused.length} files were not taken`, refused.map(([name, answer]) => reason(answer, name)).join("\n"), true);
 }
 
-function upload(file) {
+/** Send one file; `which` of several it is. */
+function upload(file, which) {
   return new Promise((done) => {
     const request = new XMLHttpRequest();
-    const show = (text, share) => { $("sending").hidden = false; $("sending-name").textContent = text; if (share === null) $("sending-share").removeAttribute("value"); else $("sending-share").value = share; };
+    const show = (text, share) => { $("sending").hidden = false; $("sending-name").textContent = which + text; if (share === null) $("sending-share").removeAttribute("value"); else $("sending-share").value = share; };
     request.open("POST", `file?name=${encodeURIComponent(file.name)}`);
     request.setRequestHeader("Content-Type", "application/octet-stream");
     request.responseType = "json";
     request.upload.addEventListener("progress", (e) => show(`${file.name}, ${bytes(file.size)}`, e.loaded / e.total));
-    request.upload.addEventListener("load", () => show(`Looking at ${file.name} …`, null));
-    request.addEventListener("load", () => done(request.response ?? { ok: false, problem: "nuno did not take the file" }));
-    request.addEventListener("error", () => done({ ok: false, problem: "nuno does not answer", remedy: "Is it still running in its terminal?" }));
+    let timer = 0;
+    const end = (answer) => { clearInterval(timer); done(answer); };
+    request.upload.addEventListener("load", () => {
+      const start = performance.now(), look = () => show(`Looking at ${file.name}, ${bytes(file.size)} … ${Math.round((performance.now() - start) / 1000)} s`, null);
+      look();
+      timer = setInterval(look, 1000);
+    });
+    request.addEventListener("load", () => end(request.response ?? { ok: false, problem: "nuno did not take the file" }));
+    request.addEventListener("error", () => end({ ok: false, problem: "nuno does not answer", remedy: "Is it still running in its terminal?" }));
     show(file.name, 0);
     request.send(file);
   });

@@ -28,7 +28,8 @@ export class Form {
   hold(keep) {
     const at = document.activeElement;
     if (!this.box.contains(at) || !at.id) return null;
-    const typed = keep && at instanceof HTMLInputElement ? { value: at.value, sent: at.sent, start: at.selectionStart, end: at.selectionEnd } : null;
+    // What is typed, or chosen by a slider, and not in the text yet is kept in any case; what only shows the text is not.
+    const typed = at instanceof HTMLInputElement && at.sent !== undefined && (keep || at.value !== at.sent) ? { value: at.value, sent: at.sent, start: at.selectionStart, end: at.selectionEnd } : null;
     if (typed) clearTimeout(at.timer);
     return { id: at.id, typed, top: at.getBoundingClientRect().top };
   }
@@ -128,6 +129,17 @@ export class Form {
       make("button", { type: "button", id: `drop:${dotted(path)}`, textContent: "Remove", ariaLabel: `Remove ${name}`, onclick: () => this.change({ path, drop: true }) })));
     row.dataset.path = dotted(path);
     return row;
+  }
+
+  /** Say at a field why what was typed there is not in the text; whether there is such a field. */
+  refuse(path, answer) {
+    const row = this.box.querySelector(`[data-path="${CSS.escape(dotted(path ?? []))}"]`);
+    row?.querySelector(":scope > .refused")?.remove();
+    const words = wordsOf({ words: answer.problem, ...answer });
+    words.classList.add("refused");
+    row?.append(words);
+    row?.classList.add("wrong");
+    return Boolean(row);
   }
 
   /** Bring a mistake into sight. */

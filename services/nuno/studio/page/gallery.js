@@ -38,7 +38,11 @@ export async function gallery(view) {
   search.addEventListener("input", () => {
     const words = search.value.toLowerCase().split(/\s+/);
     for (const item of view.querySelectorAll("li")) item.hidden = !words.every((word) => item.dataset.words.includes(word));
-    for (const section of view.querySelectorAll("section")) section.hidden = !section.querySelector("li:not([hidden])");
+    for (const section of view.querySelectorAll("section")) {
+      const found = section.querySelectorAll("li:not([hidden])").length;
+      section.hidden = !found;
+      section.querySelector("h2 span").textContent = String(found);
+    }
     nothing.hidden = Boolean(view.querySelector("li:not([hidden])"));
   });
 }

@@ -12,6 +12,8 @@ import { SceneView } from "./scene.js";
 
 const view = document.getElementById("view");
 let scene = null, run = null, shown = "";
+/** Where in the browser's history the page is, to go back there; and whether it is asked whether to leave it. */
+let at = 0, asking = false;
 
 /** A run of a scene that the page cannot open: its cloth alone. */
 class RunView {
@@ -29,14 +31,25 @@ class RunView {
   close() { this.cloth.close(); }
 }
 
+/** Whether a scene may be left: it has been saved, or is given up. */
+async function leaves(scene) {
+  const lines = scene.cloth?.draw.unsaved, yes = scene.save && !lines ? "Save" : "", other = "Leave without saving";
+  const said = await confirm({ title: "Leave this scene?", text: lines ? "Lines that were drawn on its cloth are not in the text, and would be lost." : "Its text was changed, and is not saved.", yes, other });
+  return said === other || (said === true && scene.save({ leaving: true }));
+}
+
 /** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME, files. */
 async function route() {
-  const hash = location.hash || "#scenes";
-  if (hash === shown) return;
-  if (scene?.unsaved && !(await confirm({ title: "Leave this scene?", text: "What was changed is not saved and would be lost.", yes: "Leave" }))) {
-    history.replaceState(null, "", shown);
-    return;
+  if (asking || (location.hash || "#scenes") === shown) return;
+  if (scene?.unsaved) {
+    asking = true;
+    const left = await leaves(scene);
+    asking = false;
+    if (!left) { history.go(at - (history.state?.at ?? at + 1)); return; }
   }
+  const hash = location.hash || "#scenes";
+  if (history.state?.at === undefined) history.replaceState({ at: at + 1 }, "");
+  at = history.state.at;
   shown = hash;
   quiet();
   dock.rest();
@@ -57,7 +70,9 @@ async function route() {
   else if (what === "run") { run = new Replay(name); await recording(view, name, run); }
   else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
   else await gallery(view);
-  if (shown === hash) view.dataset.shown = hash;
+  if (shown !== hash) return;
+  view.dataset.shown = hash;
+  if (document.activeElement === document.body) view.focus({ preventScroll: true });  // what had the focus is gone
 }
 
 window.addEventListener("hashchange", route);

@@ -59,10 +59,9 @@ function goingOn(name) {
     const { at, end, ...answer } = await ask("resumable", { recording: name });
     if (!taken(answer)) return;
     const until = at < end ? end : 2 * at;
-    const duration = await confirm({ title: "Go on with this run?", text: `It goes on from its last checkpoint, at ${seconds(at)}, and is recorded anew with what this one holds.`, yes: "Resume", label: "Duration of the whole run", value: `${Number(until.toPrecision(6))} s` });
-    if (!duration) return;
-    const now = await ask("resume", { recording: name, duration });
-    if (taken(now)) dock.follow(now);
+    let now;
+    await confirm({ title: "Go on with this run?", text: `It goes on from its last checkpoint, at ${seconds(at)}, and is recorded anew with what this one holds.`, yes: "Resume", label: "Duration of the whole run", value: `${Number(until.toPrecision(6))} s`, does: async (duration) => (now = await ask("resume", { recording: name, duration })) });
+    if (now?.ok) dock.follow(now);
   } });
 }
 

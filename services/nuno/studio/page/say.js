@@ -1,4 +1,5 @@
 import { sentence } from "./dom.js";
+import { wordsOf } from "./form.js";
 import { placeOf } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
@@ -20,21 +21,35 @@ export function quiet() { if ($("toast").className === "bad") $("toast").hidden 
 /** Say why the server refused something, in the words of the command line; whether it did not. */
 export function taken(answer) {
   if (answer.ok) return true;
-  const more = answer.words ? [placeOf(answer), ...answer.words.split("\n").slice(1)] : [answer.remedy];
-  toast(sentence(answer.problem), more.filter(Boolean).join("\n"), true);
+  toast(sentence(answer.problem), reason(answer), true);
   return false;
+}
+
+/** Where and why, below what the problem is; or all of it, of one of several things. */
+export function reason(answer, name = "") {
+  const more = answer.words ? [placeOf(answer), ...answer.words.split("\n").slice(1)] : [answer.remedy];
+  return [name && `${name}: ${answer.problem}`, ...(name ? more.slice(1) : more)].filter(Boolean).join("\n");
 }
 
 /** Gives what was asked last its answer. */
 let settle = () => {};
 
-/** Ask a person; what they typed where `label` names something to type, and else whether they agreed. */
-export function confirm({ title, text, yes, label = "", value = "" }) {
+/** Does what was agreed to while the box is open. */
+let act = null;
+
+/**
+ * Ask a person; what they typed where `label` names something to type, and else whether they agreed: by `yes`, or by
+ * `other`, which is returned. Where there is `does`, it is done with what was typed, and the box stays with the reason
+ * until that has been taken.
+ */
+export function confirm({ title, text, yes = "", other = "", label = "", value = "", does = null }) {
   const box = $("asked"), input = $("asked-input");
+  act = does;
+  $("asked-said").replaceChildren();
   settle();  // the box was closed, and its event is still to come
   $("asked-title").textContent = title;
   $("asked-text").textContent = text;
-  $("asked-yes").textContent = yes;
+  for (const [id, words] of [["asked-yes", yes], ["asked-other", other]]) Object.assign($(id), { textContent: words, hidden: !words });
   $("asked-label").hidden = !label;
   $("asked-label").querySelector("span").textContent = label;
   input.value = value;
@@ -42,10 +57,19 @@ export function confirm({ title, text, yes, label = "", value = "" }) {
   box.showModal();
   (label ? input : $("asked-no")).focus();
   return new Promise((done) => {
-    settle = () => { settle = () => {}; done(box.returnValue === "yes" && (!label || input.value.trim())); };
+    settle = () => { settle = () => {}; done(box.returnValue === "other" ? other : box.returnValue === "yes" && (!label || input.value.trim())); };
   });
 }
 
+$("asked-yes").addEventListener("click", async (e) => {
+  if (!act) return;
+  e.preventDefault();
+  $("asked-yes").disabled = true;
+  const answer = await act($("asked-input").value.trim());
+  $("asked-yes").disabled = false;
+  if (answer.ok) $("asked").close("yes");
+  else $("asked-said").replaceChildren(wordsOf({ words: answer.problem, ...answer }));
+});
 $("asked").addEventListener("close", () => { if (!$("asked").open) settle(); });
 $("toast").querySelector("button").addEventListener("click", () => { $("toast").hidden = true; });
 // Enter in the input means yes, not the first button of the form.

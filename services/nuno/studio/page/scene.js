@@ -1,6 +1,6 @@
-import { ask } from "./ask.js";
+import { ask, PAGE } from "./ask.js";
 import { Cloth } from "./cloth.js";
-import { make } from "./dom.js";
+import { download, make, sentence } from "./dom.js";
 import { dock } from "./dock.js";
 import { Form, wordsOf } from "./form.js";
 import { rowsOf } from "./rows.js";
@@ -46,7 +46,8 @@ export class SceneView {
         make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form"), side("cloth", "Cloth")),
         make("span", { className: "group" },
           button("undo", "Undo", () => this.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.text.redo(), { title: "Ctrl Shift Z" }),
-          button("save", this.own ? "Save" : "Save as …", () => this.save(), { title: "Ctrl S" }),
+          ...(this.own ? [button("save", "Save", () => this.save(), { title: "Ctrl S" })] : []),
+          button(this.own ? "save-as" : "save", "Save as …", () => this.save({ as: true }), this.own ? { title: "Under another name" } : { title: "Ctrl S" }),
           button("plan", "Plan", () => this.plan(), { title: "What will run, what is left out, the stable step, the cost" }),
           button("run-step", "Step", () => this.run(true), { title: "Start a run that waits after its first frame" }),
           button("run", "Run", () => this.run(false), { className: "main", title: "Ctrl Enter" }))),
@@ -74,7 +75,10 @@ export class SceneView {
     Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "Text and form beside it (key L)" : "Hide text and form (key L)" });
   }
 
-  close() { this.cloth?.close(); }
+  close() { this.cloth?.close(); this.unplan(); }
+
+  /** End a plan that goes on. */
+  unplan() { if (this.planning) ask("leave", { page: PAGE, plan: true }); }
 
   typed() {
     this.version++;
@@ -92,7 +96,8 @@ export class SceneView {
   change(what, does = "change") {
     this.queue = this.queue.then(async () => {
       const version = this.version, answer = await ask(does, { scene: this.name, text: this.text.value, ...what });
-      if (version === this.version && taken(answer)) this.put(answer);
+      if (version !== this.version || (!answer.ok && !answer.gone && this.form.refuse(what.path, answer))) return;
+      if (taken(answer)) this.put(answer);
     });
     return this.queue;
   }
@@ -129,12 +134,13 @@ export class SceneView {
 
   async plan() {
     const box = document.getElementById("planned"), button = document.getElementById("plan");
-    const close = make("button", { type: "button", className: "close", textContent: "✕", ariaLabel: "Close the plan", onclick: () => { box.hidden = true; } });
+    const close = make("button", { type: "button", className: "close", textContent: "✕", ariaLabel: "Close the plan", onclick: () => { box.hidden = true; this.unplan(); } });
     box.hidden = false;
+    this.planning = true;
     box.replaceChildren(make("span", { className: "soft", textContent: "Planning: the first frame is tried. The first time, this takes a minute or two." }), close);
     button.disabled = true;
-    const answer = await ask("plan", { scene: this.name, text: this.text.value });
-    button.disabled = false;
+    const answer = await ask("plan", { scene: this.name, text: this.text.value, page: PAGE });
+    this.planning = button.disabled = false;
     if (answer.ok) box.replaceChildren(rowsOf(answer.rows), close);
     else box.replaceChildren(answer.words ? wordsOf(answer) : answer.problem, close);
     box.scrollIntoView({ block: "nearest" });
@@ -155,15 +161,29 @@ export class SceneView {
     this.take(answer, true);
   }
 
-  async save() {
-    const name = this.own ? this.file : await confirm({ title: "Save the scene", text: "It goes into the folder that the studio was started in.", yes: "Save", label: "Name of the file", value: this.file });
-    if (!name) return;
-    const text = this.text.value, answer = await ask("save", { scene: this.name, text, before: this.saved, name });
-    if (!taken(answer)) return;
-    this.saved = text;
+  /** Save under the scene's own name or, where it has none or `as`, under one that is asked for; whether that was done. */
+  async save({ as = !this.own, leaving = false } = {}) {
+    const text = this.text.value;
+    let answer = {};
+    const does = async (name) => (answer = await ask("save", { scene: this.name, text, before: this.saved, name }));
+    if (!as) await does(this.file);
+    else if (!(await confirm({ title: "Save the scene", text: "It goes into the folder that the studio was started in.", yes: "Save", label: "Name of the file", value: this.file, does })) && !answer.gone) return false;
+    if (answer.gone) return this.keep(answer, text);
+    if (!taken(answer)) return false;
     toast(`Saved as ${answer.name}`, answer.text);
-    if (this.own) this.state();
+    if (leaving) return true;
+    this.saved = text;
+    if (answer.name === this.file && this.own) this.state();
     else location.hash = `#scene=${encodeURIComponent(answer.name)}`;
+    return true;
+  }
+
+  /** Where the server has gone, its page cannot save, but the browser can: whether the text was kept so. */
+  async keep({ problem }, text) {
+    const more = "A nuno studio that was started anew has another address. Keep the text among your browser's downloads, and drop it on the new page.";
+    if (!(await confirm({ title: sentence(problem), text: more, yes: "Keep the text" }))) return false;
+    download(`${this.file.replace(/\.ya?ml$/, "")}.yaml`, text);
+    return true;
   }
 
   keys(e) {

@@ -48,10 +48,12 @@ export function slider(field, input, label, moved) {
     const next = Math.min(high, Math.max(low, Math.round(read(input.value || input.placeholder, field.unit)?.number ?? low) + way));
     input.value = String(next);
     range.value = at(next);
+    range.sent = range.value;
     told();
     moved();
   });
-  input.addEventListener("input", () => { const now = read(input.value, field.unit); if (now) range.value = at(now.number * now.factor); told(); });
+  input.addEventListener("input", () => { const now = read(input.value, field.unit); if (now) { range.value = at(now.number * now.factor); range.sent = range.value; } told(); });
   told();
+  range.sent = range.value;
   return range;
 }
