@@ -197,11 +197,13 @@ def check_size(x: Float, body: str, scale: float) -> None:
     size = float(np.ptp(x, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         return
-    unit, here = unit_of(size / scale), f"bodies.{body}.collider.scale"
-    said = "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
-    remedy = f"say how long its unit is: --set {here}={unit or 'LENGTH'}"
+    here, said = f"bodies.{body}.collider.scale", "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
+    # It may be a part of a person: more than one unit may fit.
+    fits = {unit: size / scale * long for unit, long in UNITS.items() if METRES[0] <= size / scale * long <= METRES[1]}
+    which = [f"{unit} if it is {long:.3g} m long" for unit, long in fits.items()] if len(fits) > 1 else list(fits)
+    remedy = f"say how long its unit is: --set {here}={', '.join(which) or 'LENGTH'}"
     raise BadInput(
         f"the body is too small or too large to wear anything: its file may be in another unit than {said}",
         field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
-        remedy=f"it seems to be in metres: leave {here} out, or --set {here}=1m" if unit == "1m" else remedy,
+        remedy=f"it seems to be in metres: leave {here} out, or --set {here}=1m" if "1m" in fits else remedy,
     )  # fmt: skip

@@ -67,7 +67,7 @@ def rounded_steps(loaded: Loaded) -> list[str]:
     solvers += [("dye.solver.dt", scene.dye.solver, scene.dye.speed)] if scene.dye is not None else []
     for field, solver, speed in solvers:
         frame = speed / scene.frame_rate
-        if solver.dt == "auto" or solver.strict or not frame <= MOST_STEPS * solver.dt:
+        if solver.dt == "auto" or solver.strict or not solver.dt <= frame <= MOST_STEPS * solver.dt:
             continue
         steps = nearest_steps(solver.dt, frame)
         if abs(frame / steps - solver.dt) > ROUNDING * solver.dt:

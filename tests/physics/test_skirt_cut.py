@@ -38,8 +38,10 @@ def corners(fabric: Fabric) -> Float:
 
 def rows_of(fabric: Fabric) -> Float:
     """(n,) how far below the waist each vertex is, along the cloth [m]."""
-    assert fabric.uv is not None
-    return np.asarray(LENGTH * (1.0 - fabric.uv[:, 1].astype(np.float64)))
+    laid, up = fabric.laid_out, np.zeros(fabric.number)
+    assert laid is not None
+    up[fabric.faces] = laid.points[laid.faces][..., 1]
+    return np.asarray(LENGTH * (1.0 - up))
 
 
 def inner_radius(fabric: Fabric, part: float) -> float:

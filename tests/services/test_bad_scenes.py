@@ -18,10 +18,11 @@ SKIRT = {"plugin": "skirt", "waist_radius": 0.1, "hem_radius": 0.2, "length": 0.
 
 STEPS: dict[str, tuple[dict[str, Any], str]] = {
     "does not divide a frame": (
-        {"solver": {"plugin": "rk4", "dt": "3 ms"}}, "0.002857143 s (7 steps) or 0.003333333 s (6 steps)",
+        {"solver": {"plugin": "rk4", "dt": "3 ms", "strict": True}},
+        "0.002857143 s (7 steps) or 0.003333333 s (6 steps)",
     ),
     "longer than a frame": (
-        {"solver": {"plugin": "rk4", "dt": "30 ms"}, "allow_unstable": True}, "0.02 s (1 steps)",
+        {"solver": {"plugin": "rk4", "dt": "30 ms"}, "allow_unstable": True}, "a frame is shorter than a step",
     ),
     "above the limit, as is what is nearest": ({"solver": {"plugin": "rk4", "dt": "30 ms"}}, "dt: auto"),
     "above the limit": (

@@ -240,7 +240,7 @@ def test_lines_that_could_not_be_raised_do_not_go_into_the_text(desk: Desk) -> N
     quads = "  - {name: plain, model: {plugin: sheet, resolution: [5, 5], fabric: denim}}\n# the end"
     two = SHEET.replace("# the end", quads)
     line = LINE | {"points": [[288, 0.2, 0.3], [290, 0.3, 0.3]]}
-    with pytest.raises(BadInput, match="edge of its triangles"):
+    with pytest.raises(BadInput, match="no spring along an edge"):
         keep(desk, see(desk, two), [line], two)
 
 

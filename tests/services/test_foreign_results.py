@@ -141,7 +141,8 @@ FAULTS: list[tuple[tuple[str, str], str, str]] = [
     (CLOTH, "(cells(), DyeState(np.zeros((2, 3, 4)), np.zeros((2, 3, 4))))",
      "phi is float64 (2, 3, 4), not float64 (1, 2, 3, 4)"),
     (("nuno.integrators", "limit"), "StepLimit(np.nan, 1.0, 0.0)", "dt is nan"),
-    (("nuno.integrators", "advance"), "StepReport('fine', 1)", "status is 'fine', not ok, diverged or unconverged"),
+    (("nuno.integrators", "advance"), "StepReport('fine', 1)",
+     "status is 'fine', not ok, diverged, unconverged or left"),
     (("nuno.renderers", "render"), "np.zeros((4, 5, 3))", "it is float64 (4, 5, 3), not uint8 (n, n, 3)"),
     (("nuno.isotherms", "prepare"), "Isotherm('partition', -1.0)", "first is -1.0, less than 0"),
 ]  # fmt: skip

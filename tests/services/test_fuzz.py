@@ -154,7 +154,9 @@ def test_messages_with_numbers_that_are_none(name: str, field: str, number: str,
 
 
 def test_cloth_with_a_vertex_beyond_all_reckoning(tmp_path: Path) -> None:
-    (tmp_path / "far.stl").write_text("solid\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\nendsolid\n")
+    (tmp_path / "far.stl").write_text(
+        "solid\nfacet\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\nendfacet\nendsolid\n"
+    )
     plugin = registry.load("nuno.models", "mesh")
     with pytest.raises(BadInput, match="vertex 0: too far away"):
         plugin.build(plugin.Config(file="far.stl"), SceneFiles(tmp_path), 0)

@@ -62,7 +62,7 @@ def test_a_live_view_of_a_replay_is_given_an_image_that_is_there(
             if topic == FABRIC.name:
                 seen.append(read_image(decode_arrays(payload)[1]["objects"][0]["texture"]))
 
-        def finish(self) -> None:
+        def finish(self, stays: bool = True) -> None:
             pass
 
     monkeypatch.setattr("nuno.viewer.service.LiveView", Watched)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from nuno.collision.pairs import Boxes, boxes_of, overlap
 from nuno_schemas.bodies import Geometry
@@ -58,6 +57,8 @@ class Columns:
 
 def _tree(points: Float) -> Any:
     """Not balanced: that takes longer than it saves, since what bends has a new one in every frame."""
+    from scipy.spatial import KDTree  # it takes a second, and not all that import this look for a distance
+
     return KDTree(points, compact_nodes=False, balanced_tree=False)
 
 

@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe
+from types import FrameType
 from typing import Any, TypeVar
 
 import psutil
@@ -130,10 +131,15 @@ def serve(line: Connection) -> None:
         psutil.Process(os.getppid()).wait()
         os._exit(0)
 
-    def interrupt(*_: object) -> None:
-        if busy.is_set():
-            stopped.set()
-            raise _Interrupted
+    def interrupt(_: int, frame: FrameType | None) -> None:
+        if not busy.is_set():
+            return
+        stopped.set()
+        while frame is not None:
+            if frame.f_code.co_filename.startswith("<frozen importlib"):
+                return  # half a module would stay with this process: it is killed unless the whole is there soon
+            frame = frame.f_back
+        raise _Interrupted
 
     signal.signal(signal.SIGTERM, interrupt)
     threading.Thread(target=watch, daemon=True).start()

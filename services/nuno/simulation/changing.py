@@ -17,7 +17,6 @@ from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import beside
-from nuno.handed import check_fabric
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.chosen import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound, parse
@@ -275,6 +274,8 @@ class Changing(Stepper):
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
             fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, bound)
+            from nuno.handed import check_fabric  # it knows all that plugins give, dye too
+
             check_fabric(fabrics[int(number)])
         sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}
         self.changes = list(text["changes"])

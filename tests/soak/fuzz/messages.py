@@ -10,6 +10,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import yaml
+
 from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
@@ -203,7 +205,7 @@ def _poses(context: Context) -> Callable[[Question], None]:
 def _page(folder: Path) -> Read:
     """What the page asks for: anything but an answer or BadInput would end a request without one."""
     desk = Desk()
-    desk._starts.see(_loaded(CLOTH), "")
+    desk._starts.see(_loaded(CLOTH), "", yaml.safe_dump(CLOTH), folder / "cloth.yaml")
 
     def read(data: bytes) -> None:
         try:
