@@ -84,7 +84,7 @@ def _template() -> jinja2.Template:
     """The scene of patterns on a body that stands, or that stands for a second and sets out."""
     environment = jinja2.Environment(trim_blocks=True, keep_trailing_newline=True)
     environment.filters["quoted"] = json.dumps
-    return environment.from_string(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    return environment.from_string(Path(__file__).with_suffix(".yaml.jinja").read_text(encoding="utf-8"))
 
 
 def is_own(text: str) -> bool:
