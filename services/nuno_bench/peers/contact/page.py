@@ -10,7 +10,7 @@ from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SID
 from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
 from nuno_bench.peers.page import Measured, against, compose
 from nuno_bench.peers.process import Point, fastest, times_ours
-from nuno_bench.report.page import Report, Sections, Table
+from nuno_bench.report.page import Part, Report, Sections, Table
 from nuno_bench.report.result import number, spread_of
 
 HEADINGS = (
@@ -111,6 +111,6 @@ def report(found: Found, about: Mapping[str, str]) -> Report:
         ("All settings", [table]),
         ("Questions that ipc-toolkit answers, too", [asked]),
     ]
-    brief = [LEAD, table, JUDGED, asked, ASKING if asked.rows else ""]
+    brief: list[Part] = [LEAD, table, JUDGED, asked, ASKING if asked.rows else ""]
     title = "Cloth that meets cloth in other engines"
     return compose(found, title, LEAD, sections, brief, about, answers=found.answers)
