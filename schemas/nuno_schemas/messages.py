@@ -14,7 +14,11 @@ from pydantic import BaseModel, ConfigDict
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.live import BodyPoses
 
-DESCRIBED = ConfigDict(use_attribute_docstrings=True)
+
+class Described(BaseModel):
+    """Whose fields are described by the texts below them."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
 
 class Header(BaseModel):
@@ -40,10 +44,9 @@ class Header(BaseModel):
     """Of the float64 state that it is of."""
 
 
-class FrameStatus(BaseModel):
+class FrameStatus(Described):
     """What a service that steps says of each frame."""
 
-    model_config = DESCRIBED
     frame: int
     """0 is the start."""
     t: float
@@ -86,12 +89,11 @@ class DyeStatus(FrameStatus):
     """Largest |mobile + fixed - supplied| / supplied of the dyes; 0 where none was supplied."""
 
 
-class Penetration(BaseModel):
+class Penetration(Described):
     """Collision service, once a frame: how deep published positions lie inside bodies, and, where the scene has cloth
     contact, where cloth passes through cloth and how near it comes. Float32 positions: to a tenth of a micrometre.
     """
 
-    model_config = DESCRIBED
     frame: int
     """Whose positions were looked at."""
     t: float
@@ -120,10 +122,9 @@ class Penetration(BaseModel):
     """
 
 
-class BodyContact(BaseModel):
+class BodyContact(Described):
     """What a body feels of the cloth at the end of a frame, in the world's axes."""
 
-    model_config = DESCRIBED
     body: str
     """Its name."""
     force: tuple[float, float, float]
@@ -142,10 +143,9 @@ class BodyContact(BaseModel):
     """Of all these vertices together [Pa]."""
 
 
-class Contact(BaseModel):
+class Contact(Described):
     """Simulation, once a frame where the scene's record has `contact_forces`: what bodies feel."""
 
-    model_config = DESCRIBED
     frame: int
     """Whose end it is."""
     t: float
@@ -154,10 +154,9 @@ class Contact(BaseModel):
     """All of the scene, in its order."""
 
 
-class Event(BaseModel):
+class Event(Described):
     """Something that happened to a run: control, resume, an error."""
 
-    model_config = DESCRIBED
     frame: int
     """-1 where it belongs to none."""
     t: float
@@ -172,10 +171,9 @@ class Event(BaseModel):
     """What a control request asked for; what an error or the end has to say beside its words."""
 
 
-class Ack(BaseModel):
+class Ack(Described):
     """A service that must see every frame has handled this one."""
 
-    model_config = DESCRIBED
     service: str
     """By whom."""
     frame: int

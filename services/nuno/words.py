@@ -1,8 +1,11 @@
-"""Numbers as people read them."""
+"""Numbers as people read them, and as JSON can say them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import is_dataclass
+from typing import Any
 
 TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
 LONG = 1000.0
@@ -50,3 +53,16 @@ def plain(text: str) -> str:
     """A text with what a terminal would obey, or could not show, written out."""
     shown = (c if c.isprintable() or c == "\n" else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
     return "".join(shown)
+
+
+def for_json(value: Any) -> Any:
+    """What JSON can say of a value: arrays and dataclasses as lists and objects; infinity and NaN as text."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = vars(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: for_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [for_json(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import elastica
 import numpy as np
 import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import cantilever, drape, elastica, loops, sheet
+from nuno_bench.instruments import cantilever, drape, loops, sheet
 from nuno_bench.instruments.command import find_fabric
 from nuno_bench.instruments.rig import mount
 from nuno_bench.sweep.executor import Executor, Processes

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from browser import Page
 from live_run import Run, start_long
 from refusals import Refused
 from studio_desk import served as desk_served
@@ -17,7 +18,6 @@ from nuno.pages.server import Server
 from nuno.pages.workshop import Workshop
 from nuno.studio.desk import Desk
 from nuno.wire.sessions import spoke
-from nuno_bench.chromium import Page
 
 
 class Shared:

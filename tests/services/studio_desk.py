@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import Page
 
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page, find_browser
+from nuno_bench.chromium import find_browser
 
 NEEDS_BROWSER = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from browser import Page
 from studio_desk import NEEDS_BROWSER
 
-from nuno_bench.chromium import Page
 from nuno_bench.report import page
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

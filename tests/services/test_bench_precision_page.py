@@ -24,7 +24,7 @@ from nuno_bench.precision.command import _own
 from nuno_bench.precision.errors import Error, measure_errors
 from nuno_bench.precision.findings import choice_rows, judge
 from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.point import POINT, Point
 from nuno_bench.problem.dye import DyeProblem
 from nuno_bench.problem.observe import POSITIONS, Problem
 
@@ -52,7 +52,7 @@ def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, 
 def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     report(found).write_beside(tmp_path / "line")
     content = json.loads((tmp_path / "line.json").read_text())
-    assert [Point.from_json(point) for point in content["points"]] == found.points
+    assert [POINT.validate_python(point) for point in content["points"]] == found.points
     with (tmp_path / "line.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)

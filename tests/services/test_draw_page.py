@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import Page
 from draw_desk import FILE, SHEET, write_sheet
 from live_run import Run
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from nuno.scene import scene_file
 from nuno.seen.sight import Sight
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
-from nuno_bench.chromium import Page
 from nuno_schemas.fabric import Float
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

@@ -22,6 +22,7 @@ from typing import Any
 
 import psutil
 import pytest
+from browser import Page
 from live_run import PATIENCE, wait_until
 from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
@@ -31,7 +32,6 @@ from nuno.pages.server import MOST_CONNECTIONS, Server, door
 from nuno.scene import shipped
 from nuno.studio import arrivals
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page
 
 NET = (shipped.folder() / "pendulum.npz").read_bytes()
 NOW = b'{"do": "now"}'

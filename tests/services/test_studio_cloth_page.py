@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import Page
 from live_run import wait_until
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
@@ -15,7 +16,6 @@ from nuno.scene import scene_file
 from nuno.seen.shown import see_scene
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

@@ -6,12 +6,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
 from nuno.pages.server import Server
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

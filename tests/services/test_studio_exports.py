@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from browser import Page
 from live_run import PATIENCE, wait_until
 from PIL import Image
 from studio_desk import NEEDS_BROWSER, studio, write_sheet
@@ -18,7 +19,6 @@ import nuno
 from nuno.pages.guard import Refused
 from nuno.studio.desk import Desk
 from nuno.studio.exports import KINDS
-from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
 

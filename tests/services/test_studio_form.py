@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
 from nuno import registry
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
 from nuno.studio.swatches import swatches
-from nuno_bench.chromium import Page
 from nuno_schemas.dye_presets import PRESETS
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

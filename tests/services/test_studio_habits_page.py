@@ -7,11 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 from nuno.pages.server import Server
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from browser import Page
 from seeded_mistakes import NUMBER, Mistake, draw, write
 from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 
@@ -12,7 +13,6 @@ import nuno
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.studio import scenes
-from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
 BUILT = ("file", "body")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 import nuno
@@ -15,7 +16,6 @@ from nuno.pages.server import Server
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno_bench.chromium import Page
 from nuno_schemas.errors import BadInput
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

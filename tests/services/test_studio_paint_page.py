@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Page
 from PIL import Image
 from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 
@@ -19,7 +20,6 @@ from nuno.scene import scene_file, shipped
 from nuno.seen.shown import see_scene
 from nuno.studio import scenes
 from nuno.studio.dyed import at_start
-from nuno_bench.chromium import Page
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 

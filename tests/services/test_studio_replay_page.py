@@ -10,6 +10,7 @@ import dye_scene
 import numpy as np
 import pytest
 import yaml
+from browser import Page
 from numpy.typing import NDArray
 from recorded_sheet import Sheet, write
 from studio_desk import NEEDS_BROWSER, SHEET, look, studio, write_sheet
@@ -17,7 +18,6 @@ from studio_desk import NEEDS_BROWSER, SHEET, look, studio, write_sheet
 import nuno
 from nuno.pages.server import Server
 from nuno.recording.reader import open_recording
-from nuno_bench.chromium import Page
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

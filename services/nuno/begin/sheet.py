@@ -10,6 +10,7 @@ from typing import Any
 
 from nuno import registry
 from nuno.scene import yaml_lines
+from nuno.scene.files import read_text
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
@@ -41,13 +42,7 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
     if path.suffix.lower() not in KINDS:
         problem = "a sheet is YAML, or CSV of lines such as B, 0.12, 0.08"
         raise BadInput(problem, str(path), limit=f"one of {', '.join(KINDS)}", remedy="save it as one of these")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-        raise BadInput(
-            f"the sheet cannot be read: {reason}", str(path), remedy="is it text, and yours to read?"
-        ) from None
+    text = read_text(path, "the sheet", "is it text, and yours to read?")
     if path.suffix.lower() != ".csv":
         values, lines = yaml_lines.parse(text, str(path))
         return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}

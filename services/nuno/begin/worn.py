@@ -5,55 +5,20 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import jinja2
+
 from nuno import registry
+from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno_schemas.bodies import METRES, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked
 from nuno_schemas.units import to_si
 
-WORN = """\
-nuno: 1
-name: {name}
-description: What is sewn from patterns is drawn on a body, and comes to rest there.
-duration: 6 s
-until: rest
-rest_speed: 2 mm/s
-frame_rate: 60 Hz
-solver: {{plugin: respa, dt: auto}}
-damping: {{first: 400, over: 50 ms, last: 4}}
-objects:
-{garments}bodies:
-  - name: wearer
-    collider: {{plugin: mesh, {body}}}
-    friction: 0.4
-cloth_contact: {{plugin: offset, thickness: 1.5 mm, bodies: [wearer]}}
-operations:
-  - {{plugin: untangle}}
-view: {{azimuth: 20 deg, elevation: 5 deg}}
-"""
-"""The scene of patterns on a body: the guarantee of cloth contact begins once `untangle` is done."""
-WALKED = WORN
-for _standing, _walking in (
-    ("and comes to rest there", "comes to rest there, and goes along as the body moves"),
-    ("duration: 6 s\nuntil: rest\nrest_speed: 2 mm/s\n", "duration: 4 s\n"),
-    ("last: 4", "last: 1"),
-    ("thickness: 1.5 mm", "thickness: 2 mm"),
-    ("{{plugin: mesh, {body}}}", "{{plugin: skin, {body}, stand: 1 s, blend: 1 s}}\n"
-     "    motion: {{plugin: bvh, file: {motion}}}"),
-):  # fmt: skip
-    assert _standing in WALKED
-    WALKED = WALKED.replace(_standing, _walking)
-"""The same on a body that stands for a second and sets out: what moves is held back less than what is to rest, and has
-more room to be stopped in."""
-GARMENT = """\
-  - name: {name}
-    colour: {colour}
-    model: {{plugin: pattern, file: {pattern}, edge: {edge}{coarse}, fabric: {fabric}, over: {{body: wearer}}}}
-"""
 PERSON = "shape: person, resolution: 64"
 """The body that comes with nuno."""
 COARSE = 0.02
@@ -109,34 +74,29 @@ def describe_worn(
     file `motion`.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
-    each = [
-        GARMENT.format(name=one.name, colour=_quoted(COLOURS[i % len(COLOURS)]), pattern=_quoted(one.pattern),
-                       edge=_quoted(edge), coarse=coarse, fabric=_quoted(one.fabric))
-        for i, one in enumerate(garments)
-    ]  # fmt: skip
-    given = {
-        "name": _quoted(name_garments([name])[0]),
-        "body": f"file: {_quoted(body)}" + (f", scale: {scale}" if scale else "") if body else PERSON,
-        "motion": _quoted(motion),
-    }
-    return (WALKED if motion else WORN).format(garments="".join(each), **given)
+    of_body = f"file: {json.dumps(body)}" + (f", scale: {scale}" if scale else "") if body else PERSON
+    given = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
+    return _template().render(given, edge=edge, coarse=coarse, colours=COLOURS)
+
+
+@cache
+def _template() -> jinja2.Template:
+    """The scene of patterns on a body that stands, or that stands for a second and sets out."""
+    environment = jinja2.Environment(trim_blocks=True, keep_trailing_newline=True)
+    environment.filters["quoted"] = json.dumps
+    return environment.from_string(Path(__file__).with_suffix(".yaml.jinja").read_text(encoding="utf-8"))
 
 
 def is_own(text: str) -> bool:
     """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
-    of_garment, of_scene = ("name", "colour", "pattern", "edge", "coarse", "fabric"), ("name", "body", "motion")
-    garments = f"(?:{_pattern_of(GARMENT, dict.fromkeys(of_garment, '.*'))})+"
-    values = dict.fromkeys(of_scene, ".*") | {"garments": garments}
-    return any(re.fullmatch(_pattern_of(one, values), text) for one in (WORN, WALKED))
-
-
-def _pattern_of(template: str, values: dict[str, str]) -> str:
-    """The regular expression of a template's texts, of one for each of its fields."""
-    marks = {name: f"\0{i}\0" for i, name in enumerate(values)}
-    text = re.escape(template.format(**marks))
-    for name, mark in marks.items():
-        text = text.replace(re.escape(mark), values[name])
-    return text
+    try:
+        data, _ = yaml_lines.parse(text, "")
+        objects, (wearer,) = data["objects"], data["bodies"]
+        garments = [Garment(one["name"], one["model"]["file"], one["model"]["fabric"]) for one in objects]
+        body, motion, edge = wearer["collider"], wearer.get("motion", {}).get("file"), objects[0]["model"]["edge"]
+        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, body.get("scale", ""))
+    except (BadInput, LookupError, TypeError, ValueError, AttributeError):
+        return False
 
 
 def _is_shorter(length: str, than: float) -> bool:
@@ -145,7 +105,3 @@ def _is_shorter(length: str, than: float) -> bool:
         return to_si(length, "m") < than
     except ValueError:
         return False
-
-
-def _quoted(value: str | None) -> str:
-    return json.dumps(value)

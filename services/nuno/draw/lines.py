@@ -91,15 +91,16 @@ def line_at(strokes: Sequence[Stroke], piece: Piece, triangle: int, sight: Sight
     """The last of the lines, on one piece, that come near the middle of its triangle of this number."""
     corners = sight.x[sight.faces[faces_of(piece, sight)[triangle]]]
     middle, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
-    far = np.array([_distance(middle, positions(stroke, sight)) for stroke in strokes])
+    far = np.concatenate([distance_to(middle[None], positions(stroke, sight)) for stroke in strokes])
     return int(np.flatnonzero(far <= max(size, float(far.min())))[-1])
 
 
-def _distance(point: Float, line: Float) -> float:
-    """Of a point (3,) from a polyline (p, 3)."""
-    a, d = line[:-1], np.diff(line, axis=0)
-    s = np.clip(((point - a) * d).sum(axis=1) / np.maximum((d**2).sum(axis=1), 1e-300), 0.0, 1.0)
-    return float(np.linalg.norm(point - a - s[:, None] * d, axis=1).min())
+def distance_to(places: Float, line: Float) -> Float:
+    """(n,) distance of places (n, 3) to a polyline (k, 3) [m]."""
+    start, side = line[:-1], np.diff(line, axis=0)
+    way = places[:, None] - start
+    share = np.clip((way * side).sum(axis=2) / np.maximum((side * side).sum(axis=1), 1e-30), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(way - share[..., None] * side, axis=2).min(axis=1))
 
 
 def pieces_of(strokes: Sequence[Stroke], sight: Sight) -> dict[str, list[int]]:

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from nuno.collision.surfaces import outlines
-from nuno.fit.slices import cut
+from nuno.fit.slices import cut, turns
 from nuno_schemas.fabric import Bool, Float, Int, Panels
 from nuno_schemas.triangles import Membrane
 
@@ -90,7 +90,8 @@ def _through(loop: Float, x: Float, faces: Int) -> tuple[tuple[float, ...], Bool
     turn = np.stack([np.cross(up, side), up, side], axis=1)
     outline, placed = (loop - centre) @ turn, (x - centre) @ turn
     parts = [(part, *part.hull()) for part in cut(placed, faces, 0.0).curves()]
-    parts = [part for part in parts if abs(_turns(outline[:, [2, 0]] - part[3])) > 0.5]
+    at = outline[:, [2, 0]]
+    parts = [part for part in parts if abs(turns(at - part[3], np.roll(at, -1, axis=0) - part[3])) > 0.5]
     most = max((area for _, _, area, _ in parts), default=0.0)
     parts = [part for part in parts if part[2] > THIN * most]
     tapes = tuple(sorted((girth for _, girth, _, _ in parts), reverse=True))
@@ -115,10 +116,3 @@ def _same_side(faces: Int, above: Bool) -> Int:
     """(k, 2) ends of the sides of triangles that do not cross."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     return np.asarray(sides[above[sides[:, 0]] == above[sides[:, 1]]])
-
-
-def _turns(at: Float) -> float:
-    """How often a polygon (k, 2) goes round the origin."""
-    to = np.roll(at, -1, axis=0)
-    angle = np.arctan2(at[:, 0] * to[:, 1] - at[:, 1] * to[:, 0], (at * to).sum(axis=1))
-    return float(angle.sum() / (2.0 * np.pi))

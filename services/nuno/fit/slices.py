@@ -41,10 +41,7 @@ class Slice:
 
     def turns(self, centre: Float) -> float:
         """How often the curve goes round a point (z, x), counter-clockwise seen from above."""
-        at = self.ends - centre
-        a, b = at[:, 0], at[:, 1]
-        angle = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-        return float(angle.sum() / (2.0 * np.pi))
+        return turns(*(self.ends - centre).transpose(1, 0, 2))
 
     def hull(self) -> tuple[float, float, Float]:
         """Girth of a tape round the curve [m], which bridges hollows; the area within [m^2]; and its middle (z, x)."""
@@ -54,6 +51,12 @@ class Slice:
             return 0.0, 0.0, self.ends.reshape(-1, 2).mean(axis=0)
         # Of a plane figure, Qhull's `area` is the perimeter, and `volume` the area.
         return float(found.area), float(found.volume), found.points[found.vertices].mean(axis=0)
+
+
+def turns(start: Float, end: Float) -> float:
+    """How often segments from `start` (m, 2) to `end` (m, 2) go round the origin."""
+    angle = np.arctan2(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], (start * end).sum(axis=1))
+    return float(angle.sum() / (2.0 * np.pi))
 
 
 def cut(x: Float, faces: Int, height: float) -> Slice:

@@ -77,7 +77,7 @@ class Workshop:
         theirs.close()
 
     def _wait(self, page: str, request: object, task: tuple[Any, ...]) -> Any:
-        end, alone = time.monotonic() + self.seconds, False
+        end = time.monotonic() + self.seconds
         assert self._process is not None
         try:
             self._line.send(task)
@@ -90,24 +90,24 @@ class Workshop:
                     limit = f"{self.most / 2**30:.3g} GiB"
                     raise BadInput(f"{self.what} takes too much memory", limit=limit, remedy=self.remedy)
             good, found = self._line.recv()
-            alone = True
+        except BadInput:
+            if self._process is not None:
+                self._interrupt(self._process)
+            raise
         except (OSError, EOFError, psutil.Error):  # it was killed, for want of memory or by a person
+            self._kill()
             raise BadInput(f"{self.what} has ended on its way", remedy="the terminal may say why") from None
-        finally:
-            if not alone and self._process is not None:
-                self._interrupt()
         if not good:
             raise found
         return found
 
-    def _interrupt(self) -> None:
+    def _interrupt(self, process: subprocess.Popen[bytes]) -> None:
         """End what is being made: the process goes on where that can be done at once, since it knows much by then."""
-        assert self._process is not None
-        self._process.terminate()
+        process.terminate()
         try:
             if not self._line.poll(GRACE):
                 raise EOFError
-            self._line.recv()
+            self._line.recv_bytes()
         except (OSError, EOFError):
             self._kill()
 
@@ -119,42 +119,35 @@ class Workshop:
             self._process = None
 
 
-class _Interrupted(BaseException):
-    """What is made is no longer wanted."""
-
-
 def serve(line: Connection) -> None:
     """Make one thing after the other, until whoever asks for them is gone."""
-    busy, stopped = threading.Event(), threading.Event()
 
     def watch() -> None:
         psutil.Process(os.getppid()).wait()
         os._exit(0)
 
     def interrupt(_: int, frame: FrameType | None) -> None:
-        if not busy.is_set():
-            return
-        stopped.set()
         while frame is not None:
             if frame.f_code.co_filename.startswith("<frozen importlib"):
                 return  # half a module would stay with this process: it is killed unless the whole is there soon
             frame = frame.f_back
-        raise _Interrupted
+        raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading.Thread(target=watch, daemon=True).start()
     while True:
         folder, call, args = line.recv()
-        busy.set()
         try:
-            os.chdir(folder)
-            answer = True, call(*args)
-        except (Exception, _Interrupted) as error:
+            signal.signal(signal.SIGTERM, interrupt)
+            try:
+                os.chdir(folder)
+                answer = True, call(*args)
+            finally:
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        except (Exception, KeyboardInterrupt) as error:
             error.add_note(traceback.format_exc())
             answer = False, error
-        busy.clear()
-        line.send((False, None) if stopped.is_set() else answer)  # whatever a library has made of it
-        stopped.clear()
+        line.send(answer)
 
 
 if __name__ == "__main__":

@@ -72,12 +72,7 @@ class SceneFiles:
     def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
         """The fields of a YAML or JSON file, as a model takes them. Raises BadInput with the line of a wrong one."""
         path = self.resolve(name)
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-            remedy = "save it as YAML or JSON in UTF-8"
-            raise BadInput(f"the file cannot be read: {reason}", str(path), remedy=remedy) from None
+        text = read_text(path, "the file", "save it as YAML or JSON in UTF-8")
         if path.suffix.lower() == ".json":
             # JSON is YAML but for tabs, which stand there between values only: in texts they are written as \\t.
             text = text.replace("\t", " ")
@@ -86,6 +81,15 @@ class SceneFiles:
             return Written(kind.model_validate(data), str(path), lines)
         except ValidationError as error:
             raise explain(error, data, (), str(path), lines, kind) from None
+
+
+def read_text(path: Path, what: str, remedy: str) -> str:
+    """A text in UTF-8, without a byte order mark. Raises BadInput that says of `what` why it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+        raise BadInput(f"{what} cannot be read: {reason}", str(path), remedy=remedy) from None
 
 
 def stamp_of(path: Path) -> tuple[int, int]:

@@ -63,18 +63,19 @@ def assets(loaded: Loaded) -> dict[str, Path]:
     name a file beside the scene only adds that file.
     """
     for chosen in loaded.chosen:
-        for text in _strings(chosen.config.model_dump()):
+        for _, text in texts_in(chosen.config.model_dump()):
             with contextlib.suppress(BadInput, OSError, ValueError):
                 loaded.files.resolve(text)
     return dict(loaded.files.used)
 
 
-def _strings(value: object) -> Iterator[str]:
+def texts_in(value: object, field: str = "") -> Iterator[tuple[str, str]]:
+    """Texts in a configuration, each with the innermost field that it stands in."""
     if isinstance(value, str):
-        yield value
+        yield field, value
     elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _strings(item)
+        for name, item in value.items():
+            yield from texts_in(item, name)
     elif isinstance(value, list | tuple):
         for item in value:
-            yield from _strings(item)
+            yield from texts_in(item, field)

@@ -60,7 +60,8 @@ class Follower:
 
     def __init__(self, run: str, endpoint: str, board: Board, config: str | None = None) -> None:
         self.run, self.board = run, board
-        self._stop, self._lost = threading.Event(), False
+        self._stop, self.lost = threading.Event(), False
+        """Whether it is to follow no more, and whether the run did not answer."""
         self._newest: dict[str, Message] = {}
         self._ended = ""
         self._bodies: Surfaces | None = None
@@ -76,26 +77,6 @@ class Follower:
         """Show the run's cloth as it is, and go on showing it. Raises RunFailed where the run does not answer."""
         self.see()
         self._thread.start()
-
-    @property
-    def going(self) -> bool:
-        """Whether the run can still be asked for something."""
-        return not (self._ended or self._lost)
-
-    @property
-    def lost(self) -> bool:
-        """Whether the run did not answer."""
-        return self._lost
-
-    def control(self, **request: object) -> dict[str, Any]:
-        """A request, as of `nuno control`; what the run answers. Raises BadInput where it refuses."""
-        return order(self._bus, request)
-
-    def step(self) -> None:
-        """Take one frame of a paused run, and wait until it stands still again. Raises BadInput."""
-        self.control(action="step", frames=1)
-        while self.control(action="status")["state"] == "running":
-            time.sleep(0.02)
 
     def see(self) -> None:
         """Ask the run for its cloth and bodies, and show them."""
@@ -143,7 +124,7 @@ class Follower:
                 self._show_newest()
                 self._stop.wait(max(0.0, INTERVAL - (time.monotonic() - begin)))
         except (RunFailed, BadMessage, zenoh.ZError) as error:
-            self._lost = True
+            self.lost = True
             if not self._stop.is_set():
                 self.board.show(state="lost", message=str(error))
             return

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
-
 import numpy as np
 
 from nuno.cloth.build import drawn_over, frame_of, no_body
 from nuno.collision.bodies import build_bodies
+from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding
@@ -20,7 +18,7 @@ FILES = ("file", "texture")
 def check_named(loaded: Loaded) -> None:
     """Raises BadInput for a file that is not there, and for cloth on a body that is not."""
     for chosen in loaded.chosen:
-        for name in files_in(chosen.config.model_dump()):
+        for name in (text for field, text in texts_in(chosen.config.model_dump()) if field in FILES):
             try:
                 loaded.files.resolve(name)
             except BadInput as error:
@@ -37,15 +35,3 @@ def check_named(loaded: Loaded) -> None:
                 frame_of(Binding(np.zeros(0, np.int32), attach.body, attach.frame), frames)
             except BadInput as error:
                 raise loaded.at(f"objects[{i}].model.attach", error) from None
-
-
-def files_in(value: Any, key: str = "") -> Iterator[str]:
-    """Names of files in a configuration."""
-    if isinstance(value, Mapping):
-        for name, one in value.items():
-            yield from files_in(one, name)
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from files_in(one, key)
-    elif isinstance(value, str) and key in FILES:
-        yield value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from copy import deepcopy
@@ -20,6 +19,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
 from nuno.studio import edit
 from nuno.studio.named import check_named
+from nuno.words import for_json
 from nuno_schemas.errors import BadInput, nearest
 
 MOST = 20
@@ -108,7 +108,7 @@ def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]
             mistakes.append(server.describe(error))
             if not _leave_out(left, error.field, lines):
                 break
-    return {"data": _plain(data), "lines": {dotted(place): n for place, n in lines.items()}, "mistakes": mistakes}
+    return {"data": for_json(data), "lines": {dotted(place): n for place, n in lines.items()}, "mistakes": mistakes}
 
 
 def _leave_out(data: dict[str, Any], field: str | None, lines: Mapping[yaml_lines.Path, int]) -> bool:
@@ -118,15 +118,6 @@ def _leave_out(data: dict[str, Any], field: str | None, lines: Mapping[yaml_line
         return False
     inside = item_at(data, place[:-1])
     return isinstance(inside, dict) and inside.pop(place[-1], None) is not None
-
-
-def _plain(value: Any) -> Any:
-    """As JSON can say it."""
-    if isinstance(value, dict):
-        return {key: _plain(child) for key, child in value.items()}
-    if isinstance(value, list):
-        return [_plain(child) for child in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def load(text: str, path: Path, roots: tuple[Path, ...] = ()) -> Loaded:

@@ -78,6 +78,11 @@ class BodiesView:
             return
         numbers = np.array([frame for frame, _ in self._waiting])
         times = np.array([poses.t for _, poses in self._waiting])
+
+        def index(some: NDArray[Any]) -> list[Any]:
+            frame = rr.TimeColumn("frame", sequence=numbers[some])
+            return [frame, rr.TimeColumn(layout.TIMELINE, duration=times[some])]
+
         pose = np.array([np.hstack([p.rotation, p.translation]) for _, p in self._waiting])
         shown = self._shown
         first = (
@@ -87,20 +92,12 @@ class BodiesView:
         for i, path in enumerate(self.paths):
             rows = moved[:, i]
             if rows.any():
-                index = [
-                    rr.TimeColumn("frame", sequence=numbers[rows]),
-                    rr.TimeColumn(layout.TIMELINE, duration=times[rows]),
-                ]
                 turn, shift = pose[rows, i, :4][:, [1, 2, 3, 0]], pose[rows, i, 4:]
                 columns = rr.Transform3D.columns(translation=shift, quaternion=turn)
-                self.recording.send_columns(path, index, columns, strict=True)
+                self.recording.send_columns(path, index(rows), columns, strict=True)
         changed = np.flatnonzero(moved.any(axis=1))
         for skin in self.skins if len(changed) else ():
-            index = [
-                rr.TimeColumn("frame", sequence=numbers[changed]),
-                rr.TimeColumn(layout.TIMELINE, duration=times[changed]),
-            ]
-            skin.log(index, [self._waiting[i][1] for i in changed])
+            skin.log(index(changed), [self._waiting[i][1] for i in changed])
         self._shown = self._waiting[-1][1]
         self._waiting = []
 

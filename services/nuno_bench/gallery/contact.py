@@ -36,11 +36,6 @@ are a sixtieth of a second, too; it became about twice as fast in 2026. Of Newto
 """
 
 
-def look(recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
-    """See show_scene."""
-    return draw(recording, folder), measure(recording.report())
-
-
 def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
     """Its moments, by way of a file in a folder."""
     last = read_frame(recording)
@@ -81,7 +76,7 @@ KIND = Kind(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
     scenes=partial(find_scenes, "contact"),
-    run_scene=partial(show_scene, look=look),
+    run_scene=partial(show_scene, draw=draw, measure=lambda recording: measure(recording.report())),
     differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "
     "vertex.",

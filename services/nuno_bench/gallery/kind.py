@@ -81,10 +81,6 @@ class Kind:
     table: Callable[[Sequence[Shown]], Table] = list_measured
 
 
-Look = Callable[[Recording, Path], tuple[list[tuple[str, Picture]], dict[str, float]]]
-"""What is seen in a recording, with a folder to work in: pictures by label, and what was measured."""
-
-
 @contextmanager
 def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
     """Run a scene's file: its recording, None where there is none, a folder to work in, and why it failed."""
@@ -101,17 +97,19 @@ def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
             yield recording, Path(folder), failed
 
 
-def show_scene(path: Path, look: Look) -> Shown:
-    """Run a scene's file to its end, or to where it fails, and look at what its recording holds, with a folder to work
-    in: pictures by label, and what was measured. Raises BadInput.
+def show_scene(
+    path: Path,
+    draw: Callable[[Recording, Path], list[tuple[str, Picture]]],
+    measure: Callable[[Recording], dict[str, float]],
+) -> Shown:
+    """Run a scene's file to its end, or to where it fails: pictures by label that are drawn of what its recording
+    holds, with a folder to work in, and what is measured. Raises BadInput.
     """
     scene = scene_file.read(path).scene
-    pictures: list[tuple[str, Picture]] = []
-    measured: dict[str, float] = {}
     with recorded(path) as (recording, folder, failed):
-        if recording is not None and recording.marks():
-            pictures, measured = look(recording, folder)
-    return Shown(scene.name, scene.description, pictures, measured, failed)
+        if recording is None or not recording.marks():
+            return Shown(scene.name, scene.description, failed=failed)
+        return Shown(scene.name, scene.description, draw(recording, folder), measure(recording), failed)
 
 
 def find_scenes(folder: str) -> dict[str, Path]:

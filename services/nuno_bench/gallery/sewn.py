@@ -40,11 +40,6 @@ TOLD = (
 )
 
 
-def look(recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
-    """See show_scene."""
-    return draw(recording, folder), measure(recording)
-
-
 def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
     """Its end from all sides, by way of a file in a folder."""
     found = []
@@ -101,7 +96,7 @@ KIND = Kind(
     title="Sewn from patterns",
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
     scenes=partial(find_scenes, "sewn"),
-    run_scene=partial(show_scene, look=look),
+    run_scene=partial(show_scene, draw=draw, measure=measure),
     differences=(),
     alike=True,
     measures=TOLD,

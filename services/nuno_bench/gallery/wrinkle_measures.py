@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno.draw.lines import distance_to
 from nuno_schemas.fabric import Bool, Float, Int
 
 NEAR = 0.06
@@ -83,11 +84,3 @@ def _cut(faces: Int, left: Bool, flat: Float, beside: Float) -> tuple[Float, Flo
         share = (beside[first] / (beside[first] - beside[far]))[:, None]
         ends.append(flat[first] + share * (flat[far] - flat[first]))
     return ends[0], ends[1]
-
-
-def distance_to(places: Float, line: Float) -> Float:
-    """(n,) distance of places (n, 3) to a polyline (k, 3) [m]."""
-    start, side = line[:-1], np.diff(line, axis=0)
-    way = places[:, None] - start
-    share = np.clip((way * side).sum(axis=2) / np.maximum((side * side).sum(axis=1), 1e-30), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(way - share[..., None] * side, axis=2).min(axis=1))

@@ -14,6 +14,7 @@ import nuno
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
+from nuno.scene.files import read_text
 from nuno_bench import machine, options
 from nuno_bench.gallery.kind import embed, read_picture
 from nuno_bench.instruments import sheet
@@ -72,11 +73,7 @@ def find_fabric(given: str) -> tuple[str, object, Mapping[str, float]]:
     """A name, the fabric as a scene has it, and what a file says was measured of its drape. Raises BadInput."""
     path = Path(given)
     if path.suffix.lower() in (".yaml", ".yml"):
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise BadInput(f"the fabric cannot be read: {error.strerror}", given) from None
-        held, lines = yaml_lines.parse(text, given)
+        held, lines = yaml_lines.parse(read_text(path, "the fabric", "name a YAML file in UTF-8"), given)
         if not isinstance(held, Mapping) or "fabric" not in held:
             remedy = "nuno fabric import SHEET --out FILE writes one"
             raise BadInput("the file holds no `fabric`", given, field="fabric", remedy=remedy)

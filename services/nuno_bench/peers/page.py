@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 
 from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
-from nuno_bench.peers.process import Point, fastest, is_ours
+from nuno_bench.peers.process import Point, S, fastest, is_ours
 from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
@@ -37,17 +37,23 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class Found:
-    """All points, what is left out and why, and the wall time of the converged run [s]."""
+class Measured(Generic[S]):
+    """What every comparison finds: all points, and what is left out and why."""
 
     kinds: Sequence[Kind]
-    points: Sequence[Point[Score]]
+    points: Sequence[Point[S]]
     left_out: Sequence[str]
-    exact_seconds: float
 
-    def of(self, kind: Kind) -> list[Point[Score]]:
+    def of(self, kind: Kind) -> list[Point[S]]:
         """The points of a kind, from coarse to fine."""
         return [point for point in self.points if point.kind == kind.name]
+
+
+@dataclass(frozen=True)
+class Found(Measured[Score]):
+    """Of the sheet; and the wall time of the converged run [s]."""
+
+    exact_seconds: float
 
 
 def accurate(point: Point[Score]) -> bool:
@@ -137,23 +143,31 @@ def versions(packages: Iterable[str]) -> str:
     return ", ".join(f"{name} {version(name)}" for name in names) or "none"
 
 
+def compose(
+    found: Measured[Any], title: str, lead: str, sections: Sections, brief: Sequence[Part], about: Mapping[str, str],
+    **data: Any,
+) -> Report:  # fmt: skip
+    """A comparison's own sections, of which the first begins with its verdicts, own parts of the documentation's
+    section and own data, with what all comparisons have.
+    """
+    said_of, posed = notes(found.points), given(found.kinds)
+    after = ("Notes", [said_of]), ("What each is given", [posed]), ("Left out", found.left_out)
+    said = " ".join([str(sections[0][1][0]), *(f"{text}." for text in found.left_out)])
+    own = {"points": list(map(plain, found.points)), "left_out": found.left_out}
+    own |= {"posed": {kind.name: kind.posed for kind in found.kinds}} | data
+    return Report(title, lead, [*sections, *after], about, own, [said, *brief, said_of, posed])
+
+
+def plain(point: Point[Any]) -> dict[str, Any]:
+    """A point for JSON."""
+    return vars(point) | {"median": point.median if point.seconds else None}
+
+
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    posed = given(found.kinds)
-    figure, said = Figure(draw([error_over_time(found)], height=5.0), CAPTION), " ".join(verdicts(found))
-    points = [vars(p) | {"accurate": accurate(p), "median": p.median if p.seconds else None} for p in found.points]
+    figure, table = Figure(draw([error_over_time(found)], height=5.0), CAPTION), settings(found)
     judged = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE}
-    data = {
-        "accuracy": judged | {"reference_seconds": found.exact_seconds}, "points": points,
-        "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},
-    }  # fmt: skip
-    table, said_of = settings(found), notes(found.points)
-    sections: Sections = [
-        ("", [said, figure]),
-        ("All settings", [table]),
-        ("Notes", [said_of]),
-        ("What each is given", [posed]),
-        ("Left out", found.left_out),
-    ]
-    brief: list[Part] = [" ".join([said, *(f"{text}." for text in found.left_out)]), JUDGED, table, said_of, posed]
-    return Report("The stiff sheet in other engines", LEAD, sections, about, data, brief)
+    points = [plain(point) | {"accurate": accurate(point)} for point in found.points]
+    sections: Sections = [("", [" ".join(verdicts(found)), figure]), ("All settings", [table])]
+    return compose(found, "The stiff sheet in other engines", LEAD, sections, [JUDGED, table], about, points=points,
+                   accuracy=judged | {"reference_seconds": found.exact_seconds})  # fmt: skip

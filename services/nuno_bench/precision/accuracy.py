@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -136,10 +137,7 @@ def measure_scene(
     dyed = scene_file.read(path).solver is None
     chosen = [f"dye.solver={solver}" if dyed else f"solver={solver}", f"duration={duration}"]
     problem = pose(scene_file.read(path, chosen))
-
-    def told(text: str) -> None:
-        print(f"{problem.loaded.scene.name}: {text}", file=sys.stderr)
-
+    told = partial(print, f"{problem.loaded.scene.name}:", file=sys.stderr)
     compared, horizon = refer(problem, budget, told)
     frames = promised_frames(horizon)
     return [_level(problem, compared, frames, path, [*chosen, f"accuracy={level}"]) for level in levels]

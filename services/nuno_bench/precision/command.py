@@ -7,6 +7,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Collection
+from functools import partial
 
 from nuno import registry
 from nuno.choose.cloth import decide
@@ -99,10 +100,7 @@ def _own(text: str | None, known: Collection[str]) -> list[str]:
 
 def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
-
-    def told(text: str) -> None:
-        print(f"{loaded.scene.name}: {text}", file=sys.stderr)
-
+    told = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
     others, path = machine.Others(), args.out / f"precision-{loaded.scene.name}.jsonl"
     text = json.dumps(loaded.data, sort_keys=True, default=str)
     digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -12,7 +12,7 @@ from typing import Any
 
 from nuno_bench import machine, options
 from nuno_bench.precision.findings import ABOVE
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.point import POINT, Point
 from nuno_bench.report.page import Report, Table
 from nuno_bench.report.result import apart, factor, number
 from nuno_schemas.errors import BadInput
@@ -86,7 +86,7 @@ def read(path: Path) -> Result:
     """A result that `nuno bench precision` wrote. Raises BadInput for any other file."""
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
-        points = [Point.from_json(point) for point in data["points"]]
+        points = [POINT.validate_python(point) for point in data["points"]]
         floors = {name: float(floor["l2"]) for name, floor in data["reference"]["floors"].items()}
         return Result(str(data["scene"]), {point.key: point for point in points}, floors, dict(data["about"]))
     except OSError as error:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from nuno_bench.precision.errors import Error
 
@@ -55,9 +56,6 @@ class Point:
         """Its l2 error in a quantity, None where there is none."""
         return self.errors[quantity].l2 if quantity in self.errors else None
 
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Point:
-        """Of what dataclasses.asdict made, in which a number that is not finite may be text."""
-        errors = {name: Error(**{k: float(v) for k, v in one.items()}) for name, one in data["errors"].items()}
-        history = {name: tuple(map(float, values)) for name, values in data.get("history", {}).items()}
-        return Point(**{**data, "seconds": tuple(data["seconds"]), "errors": errors, "history": history})
+
+POINT = TypeAdapter(Point)
+"""Reads what dataclasses.asdict made, in which a number that is not finite may be text."""

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from nuno.words import duration, roughly
 from nuno_bench.precision.errors import RAN_AWAY, errors_over_frames, measure_errors, ran_away
-from nuno_bench.precision.point import DONE, Point
+from nuno_bench.precision.point import DONE, POINT, Point
 from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.observe import Run
@@ -120,7 +120,7 @@ def run_sweep(
     `budget` [s].
     """
     started, costs = time.perf_counter(), sweep.costs
-    known = {point.key: point for point in map(Point.from_json, kept.lines)}
+    known = {point.key: point for point in map(POINT.validate_python, kept.lines)}
     waiting = {
         solver.name: [(solver, one) for one in sorted(solver.settings, key=lambda one: not one.first)]
         for solver in solvers

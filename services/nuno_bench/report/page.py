@@ -9,10 +9,9 @@ from __future__ import annotations
 import base64
 import csv
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,6 +19,7 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup, escape
 
+from nuno.words import for_json
 from nuno_schemas.errors import BadInput
 
 BAD = ("failed", "missed", "diverged", "contradicts", "slower")
@@ -160,7 +160,7 @@ class Report:
             html.write_text(self.page(), encoding="utf-8")
         if data is not None:
             data.parent.mkdir(parents=True, exist_ok=True)
-            data.write_text(json.dumps(_plain({"about": self.about, **self.data}), indent=1) + "\n", encoding="utf-8")
+            data.write_text(json.dumps(for_json({"about": self.about, **self.data}), indent=1) + "\n", encoding="utf-8")
         if docs is not None:
             replace_section(docs, name, [*nonempty(self.brief), Facts(self.about)])
         for path in (html, data, docs):
@@ -182,19 +182,6 @@ class Report:
 def nonempty(parts: Sequence[Part]) -> list[Part]:
     """Those that say something: neither empty text nor tables without rows."""
     return [part for part in parts if (part.rows if isinstance(part, Table) else part)]
-
-
-def _plain(value: Any) -> Any:
-    """Arrays and dataclasses as lists and objects; JSON has no infinity and no NaN, which are written as text."""
-    if is_dataclass(value) and not isinstance(value, type):
-        value = vars(value)
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def marks(name: str) -> tuple[str, str]:

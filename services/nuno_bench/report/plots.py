@@ -11,6 +11,7 @@ import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,28 +22,7 @@ from nuno_bench import extras
 COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 BAD, INK = "#a3262a", "#1b1d21"
-STYLE = {
-    "svg.fonttype": "path",
-    "font.family": "serif",
-    "font.serif": ["Charter", "Bitstream Charter", "Georgia", "DejaVu Serif"],
-    "font.size": 9.0,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": "#5b616b",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.axisbelow": True,
-    "grid.color": "#e6e8ec",
-    "grid.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.color": "#3a3f47",
-    "ytick.color": "#3a3f47",
-    "lines.linewidth": 1.0,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-}
+STYLE = Path(__file__).parent / "figures.mplstyle"
 
 
 @dataclass(frozen=True)
@@ -98,7 +78,7 @@ def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared:
     plt = pyplot()
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
-    with plt.rc_context(STYLE):
+    with plt.style.context(STYLE):
         size, share = (8.0, 0.7 + height * rows), {"sharex": shared, "sharey": shared}
         figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **share)
         for axis, panel in zip(axes.flat, panels, strict=False):

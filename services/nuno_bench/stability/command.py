@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from nuno import registry
@@ -60,10 +61,7 @@ def _rows(args: argparse.Namespace, path: Path) -> Path:
 
 def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Executor) -> Mapped:
     """One scene."""
-
-    def told(text: str) -> None:
-        print(f"{path.stem}: {text}", file=sys.stderr)
-
+    told = partial(print, f"{path.stem}:", file=sys.stderr)
     others, base = machine.Others(), args.out / f"stability-{path.stem}"
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": list(solvers), "versions": versions()}

@@ -8,9 +8,8 @@ from statistics import median
 
 from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SIDES, STRETCH, THICKNESS, Seen
 from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
-from nuno_bench.peers.page import against, given, notes
+from nuno_bench.peers.page import Measured, against, compose
 from nuno_bench.peers.process import Point, fastest, times_ours
-from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Part, Report, Sections, Table
 from nuno_bench.report.result import number, spread_of
 
@@ -40,12 +39,9 @@ ASKING = (
 
 
 @dataclass(frozen=True)
-class Found:
-    """All points, what is left out and why, and what ipctk and ours take to answer questions."""
+class Found(Measured[Seen]):
+    """Of the pile; and what ipctk and ours take to answer questions."""
 
-    kinds: Sequence[Kind]
-    points: Sequence[Point[Seen]]
-    left_out: Sequence[str]
     answers: Sequence[Answer]
 
 
@@ -83,7 +79,7 @@ def verdicts(found: Found) -> list[str]:
     """Our fastest with the fewest frames crossed, and of each other kind the same beside it."""
     texts = []
     for kind in found.kinds:
-        points = [point for point in found.points if point.kind == kind.name and point.score is not None]
+        points = [point for point in found.of(kind) if point.score is not None]
         if not points:
             continue
         fewest = min(len(point.score.crossed) for point in points if point.score is not None)
@@ -109,22 +105,12 @@ def queries(found: Found) -> Table:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    posed, table, asked, said_of = given(found.kinds), settings(found), queries(found), notes(found.points)
-    said = " ".join(verdicts(found))
-    data = {
-        "points": [vars(p) | {"median": p.median if p.seconds else None} for p in found.points],
-        "answers": found.answers, "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},
-    }  # fmt: skip
+    table, asked = settings(found), queries(found)
     sections: Sections = [
-        ("", [said]),
+        ("", [" ".join(verdicts(found))]),
         ("All settings", [table]),
         ("Questions that ipc-toolkit answers, too", [asked]),
-        ("Notes", [said_of]),
-        ("What each is given", [posed]),
-        ("Left out", found.left_out),
     ]
-    brief: list[Part] = [
-        " ".join([said, *(f"{text}." for text in found.left_out)]),
-        LEAD, table, JUDGED, asked, ASKING if asked.rows else "", said_of, posed,
-    ]  # fmt: skip
-    return Report("Cloth that meets cloth in other engines", LEAD, sections, about, data, brief)
+    brief: list[Part] = [LEAD, table, JUDGED, asked, ASKING if asked.rows else ""]
+    title = "Cloth that meets cloth in other engines"
+    return compose(found, title, LEAD, sections, brief, about, answers=found.answers)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from nuno_bench.peers.contact.problem import RATE
-from nuno_bench.peers.page import against, given, notes
+from nuno_bench.peers.page import Measured, against, compose, plain
 from nuno_bench.peers.process import Point, fastest, is_ours, times_ours
 from nuno_bench.peers.skirt.pictures import draw as draw_pictures
 from nuno_bench.peers.skirt.problem import DEEP, SCENE, Seen, Skirt
-from nuno_bench.peers.table import Kind
-from nuno_bench.report.page import Figure, Part, Report, Sections, Table
+from nuno_bench.report.page import Figure, Report, Sections, Table
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.report.result import number, spread_of
 
@@ -37,12 +36,9 @@ SHOWN = "The end of each engine, at its setting that is least off, and of the co
 
 
 @dataclass(frozen=True)
-class Found:
-    """All points, the converged run and its check first, what is left out and why, and what was posed."""
+class Found(Measured[Seen]):
+    """Of the skirt, the points of the converged run and its check first; and what was posed."""
 
-    kinds: Sequence[Kind]
-    points: Sequence[Point[Seen]]
-    left_out: Sequence[str]
     skirt: Skirt
 
     @property
@@ -134,33 +130,19 @@ def lead(found: Found) -> str:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    table, said_of, posed, said = settings(found), notes(found.points), given(found.kinds), " ".join(verdicts(found))
+    table, told = settings(found), lead(found)
     ends = {f"{point.kind}, {point.setting}": point.score.frames[-1] for point in found.nearest() if point.score}
-    data = {
-        "points": [_plain(point) for point in found.points], "size_m": found.skirt.size, "begin_s": found.skirt.begin,
-        "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},
-    }  # fmt: skip
     sections: Sections = [
-        ("", [said]),
+        ("", [" ".join(verdicts(found))]),
         ("Where they end", [SHOWN, draw_pictures(found.skirt, ends)]),
         ("All settings", [table, Figure(draw([error_over_time(found)], height=4.0), CAPTION)]),
-        ("Notes", [said_of]),
-        ("What each is given", [posed]),
-        ("Left out", found.left_out),
     ]
-    told = lead(found)
-    brief: list[Part] = [
-        " ".join([said, *(f"{text}." for text in found.left_out)]),
-        told,
-        table,
-        JUDGED,
-        said_of,
-        posed,
-    ]
-    return Report("A skirt on a dancer in other engines", told, sections, about, data, brief)
+    title, points = "A skirt on a dancer in other engines", [_without_frames(point) for point in found.points]
+    return compose(found, title, told, sections, [told, table, JUDGED], about, points=points,
+                   size_m=found.skirt.size, begin_s=found.skirt.begin)  # fmt: skip
 
 
-def _plain(point: Point[Seen]) -> dict[str, object]:
-    """A point for JSON, without its frames."""
+def _without_frames(point: Point[Seen]) -> dict[str, object]:
+    """A point for JSON."""
     score = point.score and {name: value for name, value in vars(point.score).items() if name != "frames"}
-    return vars(point) | {"median": point.median if point.seconds else None, "score": score}
+    return plain(point) | {"score": score}
