@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nuno_kernels.meshes.normals import face_normals
 from nuno_kernels.meshes.obj import read_obj
 from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
@@ -163,11 +164,9 @@ def _walk(
 ) -> Int:
     """The triangles of one line in their order, each once. Raises BadInput where no way leads on."""
     face, at = places
-    corners = x[faces[face]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    normal = np.where(size[:, None] > 0.0, normal / np.where(size > 0.0, size, 1.0)[:, None], [0.0, 0.0, 1.0])
-    points = np.einsum("pc,pck->pk", at, corners)
+    normal = face_normals(x, faces[face])
+    normal[~normal.any(axis=1), 2] = 1.0
+    points = np.einsum("pc,pck->pk", at, x[faces[face]])
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
     path = np.empty(2 * len(faces) + len(face), np.int32)

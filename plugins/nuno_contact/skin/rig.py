@@ -15,7 +15,7 @@ from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import keep_largest
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.file import LARGEST_FILE, find_vertices
-from nuno_kernels.meshes.glb import find_places, join_parts, open_glb, read_parts
+from nuno_kernels.meshes.glb import find_places, join_parts, open_glb, read_parts, way_up
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Mover
@@ -86,7 +86,7 @@ def _read(file: bytes) -> Rig | None:
 
 def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) -> int:
     """The joint that a mesh without a skin hangs on."""
-    for at in _way_up(node, above):
+    for at in way_up(node, above):
         if at in joints:
             return at
     raise ValueError(f"no joint carries the mesh of {nodes[node].get('name', f'node {node}')!r}")
@@ -94,23 +94,15 @@ def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) ->
 
 def _parent(joint: int, joints: list[int], above: dict[int, int]) -> int:
     """The number of the joint that one hangs on, through nodes between them, -1 where it hangs on none."""
-    return next((joints.index(at) for at in _way_up(joint, above)[1:] if at in joints), -1)
+    return next((joints.index(at) for at in way_up(joint, above)[1:] if at in joints), -1)
 
 
 def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:
     """Each once, in the file's order but for those that it hangs on, which come before it."""
     found: list[int] = []
     for joint in joints:
-        found += [at for at in reversed(_way_up(joint, above)) if at in joints and at not in found]
+        found += [at for at in reversed(way_up(joint, above)) if at in joints and at not in found]
     return found
-
-
-def _way_up(node: int, above: dict[int, int]) -> list[int]:
-    """A node, that which it hangs on, and so on."""
-    way = [node]
-    while way[-1] in above:
-        way.append(above[way[-1]])
-    return way
 
 
 def fit_rig(rig: Rig, roles: dict[str, int]) -> tuple[Figure, dict[str, int], Int]:
