@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.assemble import sound
+from nuno_cloth.sewing.fields import PatternFile
 from nuno_cloth.sewing.pattern import Pattern
 from nuno_schemas.fabric import Float, Int
 
@@ -88,6 +89,10 @@ def tube(**changed: Any) -> dict[str, Any]:
     """Front and back, sewn along both sides; open above and below."""
     seams = stitch("front[1]", "back[2]"), stitch("front[3]", "back[0]")
     return pattern({"front": front(), "back": back()} | changed, *seams)
+
+
+def read_pattern(files: SceneFiles, name: str) -> Pattern:
+    return sound(files.read(name, PatternFile))
 
 
 def read(folder: Path, data: Mapping[str, Any], name: str = "pattern.json") -> Pattern:

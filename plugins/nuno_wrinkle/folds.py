@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import BENDING, Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_wrinkle.edges import Edges, any_of, edges_of, fold_angles, keys_of, quads_of
 from nuno_wrinkle.kept import most_stiffness
-from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_of
+from nuno_wrinkle.near import Near, Rule, damping_of, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
 
 
@@ -70,14 +70,15 @@ def bend_springs(made: Remade, springs: Springs, across: Int) -> Springs:
     pairs = np.ascontiguousarray(after[~doubled, 2:])
     length = _length(raised.x, *pairs.T) / made.share[edges.rows(keys_of(after[~doubled, :2]))[0]]
     k = stiffness_of(length, model["k_bend"], model["r_bend"], made.rule)
-    return Springs(
-        np.concatenate([springs.first.compress(kept, axis=0), pairs]),
-        *ones(int(kept.sum()) + len(pairs)),
-        np.concatenate([springs.k[kept], k]),
-        np.concatenate([rest[kept], length]),
-        np.concatenate([springs.c[kept], damping_of(k, pairs, made.mass, model["damping_ratio"])]),
-        np.concatenate([springs.kind[kept], np.full(len(pairs), BENDING, np.int8)]),
-    )
+    return exchange(made, springs, kept, rest, Springs.from_pairs(pairs, k, length, 0.0 * k, BENDING))
+
+
+def exchange(made: Remade, old: Springs, kept: Bool, rest: Float, new: Springs) -> Springs:
+    """Those of the old springs (s,) that are kept, of rest lengths (s,) [m], and then new ones, given their damping."""
+    c = damping_of(new.k, new.first, made.mass, made.model["damping_ratio"])
+    pairs, kind = old.pairs().compress(kept, axis=0), np.repeat(old.kind, old.count)[kept]
+    stay = Springs.from_pairs(pairs, old.per_spring(old.k)[kept], rest[kept], old.per_spring(old.c)[kept])
+    return Springs.join([replace(stay, kind=kind), replace(new, c=c)])
 
 
 def _length(x: Float, one: Int, other: Int) -> Float:
@@ -113,9 +114,12 @@ def build_hinges(made: Remade, springs: Springs, region: Region, kept: float | N
         angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
     stays = np.ones(len(quads), np.bool_)
     stays[gone] = False
+    quads = np.concatenate([quads.compress(stays, axis=0), anew])
+    one = np.ones(len(quads), np.int32)
     return Hinges(
-        np.ascontiguousarray(np.concatenate([quads.compress(stays, axis=0), anew])),
-        *ones(int(stays.sum()) + len(anew)),
+        np.ascontiguousarray(quads),
+        one,
+        one,
         np.concatenate([k[stays], stiff]),
         np.concatenate([angle[stays], folds]),
     )

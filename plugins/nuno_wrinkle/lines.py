@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
+from nuno_kernels.meshes.normals import face_normals
 from nuno_kernels.meshes.obj import read_obj
 from nuno_kernels.meshes.scan import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line
 from nuno_schemas.plugin import Files
-from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, Passed, Way, link_faces, walk_line
+from nuno_schemas.reading import read_as
+from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, NO_WAY, TOUCH, WAY, Passed, Way, link_faces, walk_line
 
 INSIDE = 1e-3
 """Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
@@ -23,6 +24,21 @@ APART = 0.1
 """Least barycentric coordinate of a new vertex: nearer to an edge its triangles would be slivers."""
 TEXTURE_TOLERANCE = 1e-6
 LARGEST_FILE = 64 * 2**20
+ENDED = {
+    NO_BORDER: (
+        "the line leaves the cloth through its border",
+        "end it before the border, or draw more points along the cloth",
+    ),
+    NO_CROWDED: (
+        "the line goes over an edge of more than two triangles, or of two that face opposite ways",
+        "split the mesh there, or draw round it",
+    ),
+    NO_WAY: (
+        "no way leads over the cloth",
+        "draw more points: it follows the cut of the cloth with the plane through two of them and their normals",
+    ),
+}
+"""Problem and remedy of a line that `walk_line` does not follow to its end."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +74,7 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
 
 def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
     """Points of each line of an OBJ file. Raises BadInput."""
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise BadInput("too large for lines", str(path), value=size, limit=f"{LARGEST_FILE} bytes")
-    try:
-        mesh = read_obj(path.read_bytes())
-    except BadInput as error:
-        raise replace(error, file=str(path)) from None
-    except ValueError as error:
-        raise BadInput(f"cannot be read as OBJ: {error}", str(path)) from None
+    mesh = read_as(path, "OBJ", read_obj, LARGEST_FILE)
     most = max(map(len, mesh.lines), default=0)
     if most > MOST_POINTS:
         raise BadInput("a line has too many points", str(path), value=most, limit=f"{MOST_POINTS} points")
@@ -156,29 +164,16 @@ def _walk(
 ) -> Int:
     """The triangles of one line in their order, each once. Raises BadInput where no way leads on."""
     face, at = places
-    corners = x[faces[face]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    normal = np.where(size[:, None] > 0.0, normal / np.where(size > 0.0, size, 1.0)[:, None], [0.0, 0.0, 1.0])
-    points = np.einsum("pc,pck->pk", at, corners)
+    normal = face_normals(x, faces[face])
+    normal[~normal.any(axis=1), 2] = 1.0
+    points = np.einsum("pc,pck->pk", at, x[faces[face]])
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
     path = np.empty(2 * len(faces) + len(face), np.int32)
     way = Way(face, at, points, normal, float(line.height))
     ended, point, passed = walk_line(x, faces, across, way, Passed(total, up, path))
     if ended != WAY:
-        _refuse(ended, i, point, len(line.points or line.texture or line.on_faces or ()))
+        (problem, remedy), after = ENDED[ended], (point + 1) % len(line.points or line.texture or line.on_faces or ())
+        raise BadInput(problem, field=f"lines[{i}]", value=f"between points {point} and {after}", remedy=remedy)
     chain = path[:passed]
     return np.ascontiguousarray(chain[np.sort(np.unique(chain, return_index=True)[1])])
-
-
-def _refuse(ended: int, i: int, point: int, points: int) -> NoReturn:
-    field, value = f"lines[{i}]", f"between points {point} and {(point + 1) % points}"
-    if ended == NO_BORDER:
-        remedy = "end it before the border, or draw more points along the cloth"
-        raise BadInput("the line leaves the cloth through its border", field=field, value=value, remedy=remedy)
-    if ended == NO_CROWDED:
-        problem = "the line goes over an edge of more than two triangles, or of two that face opposite ways"
-        raise BadInput(problem, field=field, value=value, remedy="split the mesh there, or draw round it")
-    remedy = "draw more points: it follows the cut of the cloth with the plane through two of them and their normals"
-    raise BadInput("no way leads over the cloth", field=field, value=value, remedy=remedy)

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import BENDING, STRUCTURAL, Fabric, Float, Int
 from nuno_wrinkle.edges import Edges, area_of, edges_of, keys_of, pairs_of
 from nuno_wrinkle.raised import Region
 
-STRUCTURAL, BENDING = 0, 2
 Rule = Literal["paper", "physical"]
 ON_SPRINGS = "draw on a mesh or a shirt of tension: springs, or on a sheet or skirt of cells: triangles"
 
@@ -26,15 +25,13 @@ def describe(fabric: Fabric) -> dict[str, float]:
     triangles of sides r_avg have their far corners sqrt(3) r_avg apart.
     """
     springs = fabric.springs
-    kinds = None if springs is None else np.repeat(springs.kind, springs.count)
-    if springs is None or kinds is None or not (kinds == STRUCTURAL).any():
+    if springs is None or not springs.of_kind(STRUCTURAL).any():
         problem = "the cloth has no structural springs, and so neither k_std nor r_avg"
         raise BadInput(problem, field="k_std", remedy=ON_SPRINGS)
     pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
     one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
-    own = kinds == STRUCTURAL
-    bent = kinds == BENDING
+    own, bent = springs.of_kind(STRUCTURAL), springs.of_kind(BENDING)
     damped = own & (critical > 0.0)  # on elongated triangles a measured fabric has springs of no stiffness
     r_avg = float(rest[own].mean())
     return {
@@ -75,7 +72,7 @@ def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
     pairs = springs.pairs()
     inside = np.zeros(fabric.number, np.bool_)
     inside[fabric.faces[region.face]] = True
-    own = inside[pairs[:, 0]] & inside[pairs[:, 1]] & (np.repeat(springs.kind, springs.count) == STRUCTURAL)
+    own = inside[pairs[:, 0]] & inside[pairs[:, 1]] & springs.of_kind(STRUCTURAL)
     chosen = np.flatnonzero(own)
     key = keys_of(pairs[chosen])
     order = np.argsort(key, kind="stable")
@@ -102,8 +99,3 @@ def stiffness_of(rest: Float, k_std: float, r_avg: float, rule: Rule) -> Float:
 def damping_of(k: Float, pairs: Int, mass: Float, ratio: float) -> Float:
     m = mass[pairs]
     return np.asarray(2.0 * ratio * np.sqrt(k * m[:, 0] * m[:, 1] / m.sum(axis=1)))
-
-
-def ones(number: int) -> tuple[Int, Int]:
-    one = np.ones(number, np.int32)
-    return one, one

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import STRUCTURAL, Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_wrinkle.edges import any_of, edges_of, heron, pairs_of
-from nuno_wrinkle.folds import Remade, bend_springs, build_hinges
-from nuno_wrinkle.near import STRUCTURAL, Near, Rule, damping_of, ones, stiffness_of
+from nuno_wrinkle.folds import Remade, bend_springs, build_hinges, exchange
+from nuno_wrinkle.near import Near, Rule, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
 
 
@@ -95,12 +95,4 @@ def _structural(made: Remade, stays: Bool) -> Springs:
     kept[near.spring[gone]] = False
     pairs = pairs_of(edges.key[~stays])
     k = stiffness_of(rest[~stays], made.model["k_std"], made.model["r_avg"], made.rule)
-    c = damping_of(k, pairs, made.mass, made.model["damping_ratio"])
-    return Springs(
-        np.concatenate([old.pairs().compress(kept, axis=0), pairs]),
-        *ones(int(kept.sum()) + len(pairs)),
-        np.concatenate([old.per_spring(old.k)[kept], k]),
-        np.concatenate([length[kept], rest[~stays]]),
-        np.concatenate([old.per_spring(old.c)[kept], c]),
-        np.concatenate([np.repeat(old.kind, old.count)[kept], np.full(len(pairs), STRUCTURAL, np.int8)]),
-    )
+    return exchange(made, old, kept, length, Springs.from_pairs(pairs, k, rest[~stays], 0.0 * k, STRUCTURAL))

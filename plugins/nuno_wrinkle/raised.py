@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_kernels.meshes.normals import face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.lines import Smoothing
@@ -82,10 +83,8 @@ def raise_lines(
     Raises BadInput where no smoothing can be found that turns no triangle over.
     """
     old, n, m = fabric.faces, fabric.number, len(crossed.face)
-    corners = x[old[crossed.face]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    flat = np.concatenate([x, np.einsum("mc,mck->mk", crossed.at, corners)])
+    normal = face_normals(x, old[crossed.face])
+    flat = np.concatenate([x, np.einsum("mc,mck->mk", crossed.at, x[old[crossed.face]])])
     faces, beyond, shares = (
         np.concatenate([a, np.zeros((2 * m, *a.shape[1:]), a.dtype)]) for a in (old, across, share)
     )

@@ -69,13 +69,9 @@ def as_hex(text: str) -> str:
 
 def parse_hex(text: str) -> NDArray[np.float64]:
     """(3,) linear light of an sRGB colour written "#rrggbb". Raises ValueError for other text."""
-    if len(text) != 7 or text[0] != "#":
+    if not re.fullmatch(HEX, text):
         raise ValueError(f"{text!r} is not a colour such as '#f2efe9'")
-    try:
-        channels = bytes.fromhex(text[1:])
-    except ValueError:
-        raise ValueError(f"{text!r} is not a colour such as '#f2efe9'") from None
-    return to_linear(np.frombuffer(channels, np.uint8) / 255.0)
+    return to_linear(np.frombuffer(bytes.fromhex(text[1:]), np.uint8) / 255.0)
 
 
 def colours(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:

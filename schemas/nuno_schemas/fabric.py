@@ -23,6 +23,9 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 Bool = NDArray[np.bool_]
 
+STRUCTURAL, SHEAR, BENDING, ELASTIC = 0, 1, 2, 3
+"""Kinds of springs."""
+
 
 def _expand(first: Int, count: Int, stride: Int) -> Int:
     """Indices of all elements: (m, w) first indices, (m,) counts and strides -> (total, w)."""
@@ -43,7 +46,7 @@ class Springs:
     k      (m,) or (s,)  stiffness [N/m], per run or per spring, s = count.sum()
     rest   (m,) or (s,)  rest length [m]
     c      (m,) or (s,)  damping along the spring [N s/m]
-    kind   (m,)   int8   0 structural, 1 shear, 2 bending, 3 an elastic (for reports only)
+    kind   (m,)   int8   STRUCTURAL, SHEAR, BENDING, or ELASTIC: of a band (for reports only)
     lock, k_lock (m,) or (s,), both or neither: a spring's tension is k e up to the elongation e = lock * rest and
            grows by k_lock [N/m] from there: k_lock >= k, as of a covered yarn once its cover is straight
     """

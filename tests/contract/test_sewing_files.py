@@ -12,11 +12,10 @@ import pytest
 import yaml
 from pydantic import TypeAdapter
 from scipy.spatial.transform import Rotation
-from sewing_patterns import REAL, front, panel, pattern, read, stitch, tube
+from sewing_patterns import REAL, front, panel, pattern, read, read_pattern, stitch, tube
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.sewing import fields
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Config

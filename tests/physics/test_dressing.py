@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import REAL, Body, back, column, panel, pattern, stitch, tube
+from sewing_patterns import REAL, Body, back, column, panel, pattern, read_pattern, stitch, tube
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.elements import build_triangles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.sew import sew
 from nuno_contact.offset.tree import make_tree
 from nuno_contact.untangle.plugin import Untangle, UntangleConfig

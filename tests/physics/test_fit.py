@@ -11,7 +11,7 @@ import pytest
 import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
-from sewing_patterns import column, moved, panel, pattern, stitch, together, tube
+from sewing_patterns import column, moved, panel, pattern, read_pattern, stitch, together, tube
 
 from nuno.cli.fit import describe
 from nuno.collision.surfaces import outlines
@@ -21,7 +21,6 @@ from nuno.fit.seams import measure_seams
 from nuno.fit.slices import cut
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.sew import sew
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.triangles import Membrane

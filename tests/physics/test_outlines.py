@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import FEW, REAL
+from sewing_patterns import FEW, REAL, read_pattern
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.delaunay import is_inside
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.constrained import triangulate_inside
 from nuno_cloth.sewing.crossings import find_crossing
 from nuno_cloth.sewing.curves import Bezier, Curve

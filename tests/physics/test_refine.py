@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import panel, pattern, stitch
+from sewing_patterns import panel, pattern, read_pattern, stitch
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_schemas.fabric import Float

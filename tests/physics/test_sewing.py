@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import FEW, REAL, back, front, panel, pattern, read, stitch, tube
+from sewing_patterns import FEW, REAL, back, front, panel, pattern, read, read_pattern, stitch, tube
 from sewn_surface import angles, areas, lengths, loops, require_surface
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.triangles import find_edges
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.joined import find_openings
 from nuno_cloth.sewing.pattern import Pattern
 from nuno_cloth.sewing.sew import Sewn, sew

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import FEW, REAL
+from sewing_patterns import FEW, REAL, read_pattern
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.sew import sew
 from nuno_cloth.sewing.texture import lay_out
 

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 from scenes import write_scene
+from sewing_patterns import read_pattern
 
 import nuno
 from nuno.cloth.build import build_fabric
@@ -23,7 +24,6 @@ from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
 from nuno.wrong import Wrong
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_cloth.sewing.sew import sew
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.fabric import Fabric, Float

@@ -13,6 +13,7 @@ import pytest
 import sewing_patterns as patterns
 from PIL import Image
 from scenes import write_scene
+from sewing_patterns import read_pattern
 
 import nuno
 from nuno.cli import main
@@ -30,7 +31,6 @@ from nuno.scene.scene_file import read
 from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig
-from nuno_cloth.sewing.assemble import read_pattern
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

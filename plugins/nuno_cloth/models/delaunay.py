@@ -18,13 +18,9 @@ def fill_outline(outline: Float, spacing: float) -> tuple[Float, Int]:
 
     The outline is simple, counter-clockwise, and has its points about `spacing` apart.
     """
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    rows = np.arange(low[1], high[1], spacing * np.sqrt(0.75))
-    across = np.arange(low[0], high[0] + spacing, spacing)
-    grid = np.concatenate(
-        [np.stack([across - 0.5 * spacing * (r % 2), np.full(len(across), y)], 1) for r, y in enumerate(rows)]
-    )
-    inner = grid[is_inside(grid, outline) & (_distance(grid, outline) > INSET * spacing)]
+    grid = lay_grid(outline, spacing)
+    far = distances(grid, np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)).min(axis=1)
+    inner = grid[is_inside(grid, outline) & (far > INSET * spacing)]
     points = np.concatenate([outline, inner])
     faces = triangulate(points)
     faces = faces[is_inside(points[faces].mean(axis=1), outline)]
@@ -34,6 +30,15 @@ def fill_outline(outline: Float, spacing: float) -> tuple[Float, Int]:
         mean = np.stack([np.bincount(start, points[end, k], len(points)) for k in (0, 1)], axis=1) / count
         points[len(outline) :] = mean[len(outline) :]
     return points, faces
+
+
+def lay_grid(outline: Float, spacing: float) -> Float:
+    """(n, 2) points of a grid of equilateral triangles over the box round an outline (m, 2)."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    rows = np.arange(low[1], high[1], spacing * np.sqrt(0.75))
+    across = np.arange(low[0], high[0] + spacing, spacing)
+    lines = [np.stack([across - 0.5 * spacing * (r % 2), np.full(len(across), y)], 1) for r, y in enumerate(rows)]
+    return np.concatenate(lines)
 
 
 def is_inside(points: Float, outline: Float) -> Bool:
@@ -48,12 +53,13 @@ def is_inside(points: Float, outline: Float) -> Bool:
     return np.asarray(np.bincount(point[crossed], minlength=len(points)) % 2 == 1)
 
 
-def _distance(points: Float, outline: Float) -> Float:
-    """(n,) distance of points (n, 2) to the nearest side of a polygon (m, 2)."""
-    a, side = outline, np.roll(outline, -1, axis=0) - outline
-    way = points[:, None] - a
-    share = np.clip((way * side).sum(axis=2) / (side * side).sum(axis=1), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(way - share[..., None] * side, axis=2).min(axis=1))
+def distances(points: Float, sides: Float) -> Float:
+    """(n, m) of points (n, 2) from sides (m, 2, 2)."""
+    (px, py), (ax, ay) = points.T[..., None], sides[:, 0].T
+    wx, wy = (sides[:, 1] - sides[:, 0]).T
+    dx, dy = px - ax, py - ay
+    share = np.clip((dx * wx + dy * wy) / (wx * wx + wy * wy), 0.0, 1.0)
+    return np.asarray(np.hypot(dx - share * wx, dy - share * wy))
 
 
 def triangulate(points: Float) -> Int:

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nuno_cloth.models.outside import not_outside, require_outside
 from nuno_cloth.models.shirt_pattern import Cut, Sewn
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import Arm, Wearer
 from nuno_cloth.sewing.draw import draw_together
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.harmonic import solve_harmonic
 from nuno_kernels.meshes.limb import spread_hull
 from nuno_kernels.meshes.loops import Loop
@@ -29,6 +28,7 @@ RINGS, AROUND = 24, 96
 """Rings that are laid about a trunk and about an arm, and points of each."""
 UPPER = 0.2
 """Share of the cloth round an arm that is laid over it from the overarm on, where the underarm is not closed yet."""
+WIDER = "more ease, or longer"
 MARGIN = 0.02
 """Where a shirt is longer than the body, its rings are those about the body so far above its lower end [m]."""
 
@@ -62,20 +62,8 @@ def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, edges: Edges, clearanc
     tree = build_tree(wearer.x, wearer.faces)
     rest = np.linalg.norm(sewn.flat[pairs[:, 1]] - sewn.flat[pairs[:, 0]], axis=1)
     x = draw_together(x, edges, rest, tree, clearance, worn=True)
-    left = closest_points(tree, x).distance
-    worst = int(np.argmin(left))
-    if left[worst] < 0.5 * clearance:
-        refuse(-float(left[worst]), x[worst], clearance)
+    require_outside(x, np.full(len(x), 0.5 * clearance), tree, "shirt", WIDER)
     return np.ascontiguousarray(x)
-
-
-def refuse(depth: float, place: Float, clearance: float) -> None:
-    """Raises BadInput for a shirt that reaches so deep into the body (below 0: is so near to it) [m]."""
-    told = f"{1e3 * depth:.3g} mm inside" if depth > 0.0 else f"{-1e3 * depth:.3g} mm from it"
-    raise BadInput(
-        "the shirt would start inside of the body, or too near to it", field="over",
-        value=f"{told}, {place_of(place)}", limit=f"{1e3 * clearance:.3g} mm outside", remedy="more ease, or longer",
-    )  # fmt: skip
 
 
 def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tuple[Float, Bool]:
@@ -165,7 +153,7 @@ def _ring(loop: Loop, seam: Float, side: Float, girth: float, clearance: float) 
     places, normals, length = spread_hull(loop.points, loop.centroid(), seam, side, AROUND)
     off = (girth - length) / (2.0 * np.pi)
     if girth >= 0.0 and off < clearance:
-        refuse(-off, places[0], clearance)
+        raise not_outside(off, places[0], clearance, "shirt", WIDER)
     return places + max(off, clearance) * normals
 
 

@@ -13,10 +13,9 @@ from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.membrane import build_membrane
 from nuno_cloth.models.triangles import Edges, face_areas, hinge_stiffness, spring_stiffness, yarn_axes
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import BENDING, STRUCTURAL, Bool, Float, Hinges, Int, Springs
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 
-STRUCTURAL, BENDING = 0, 2
 Tension = Literal["auto", "membrane", "springs"]
 TENSION = (
     "what bears tension and shear: membrane, triangles of constant strain along warp and weft, which have a measured "

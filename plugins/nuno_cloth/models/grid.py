@@ -17,9 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_cloth.fabrics.constants import Constants
-from nuno_schemas.fabric import Float, Hinges, Int, Springs
-
-STRUCTURAL, SHEAR, BENDING = 0, 1, 2
+from nuno_schemas.fabric import BENDING, SHEAR, STRUCTURAL, Float, Hinges, Int, Springs
 
 
 @dataclass(frozen=True)

@@ -137,11 +137,7 @@ def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] 
 
     Raises BadInput.
     """
-    try:
-        mesh = load_mesh(path, KINDS)
-    except BadInput as error:
-        error.file = str(path)
-        raise
+    mesh = load_mesh(path, KINDS)
     points, faces = mesh.points, mesh.faces
     if merge or path.suffix.lower() == ".stl":
         kept, joined = join_vertices(points, faces)
@@ -167,53 +163,31 @@ def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None,
 def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
     """Raises BadInput that names the first bad vertex, face or edge; nothing is mended in silence."""
 
-    def refuse(problem: str, field: str, value: object, remedy: str | None = None) -> None:
-        raise BadInput(problem, file=str(path), field=field, value=value, remedy=remedy)
+    def refuse(
+        bad: NDArray[np.integer], field: str, shown: Float | Int, problem: str, remedy: str | None = None
+    ) -> None:
+        """Where there are bad ones, by number: with the first, and what is `shown` of it."""
+        if bad.size:
+            first = int(bad[0])
+            raise BadInput(problem, str(path), field=field.format(first), value=shown[first].tolist(), remedy=remedy)
 
-    bad = np.argwhere(~np.isfinite(x))
-    if bad.size:
-        refuse("not a finite position", f"vertex {bad[0, 0]}", x[bad[0, 0]].tolist())
+    refuse(np.flatnonzero(~np.isfinite(x).all(axis=1)), "vertex {}", x, "not a finite position")
     _, first, count = np.unique(x, axis=0, return_index=True, return_counts=True)
-    if (count > 1).any():
-        index = int(first[count > 1].min())
-        refuse(
-            f"{int((count > 1).sum())} places hold several vertices",
-            f"vertex {index}",
-            x[index].tolist(),
-            "merge: true"
-            if len(join_vertices(x, faces)[0]) == len(first)
-            else "move what touches apart: cloth in contact has a distance",
-        )
+    shared = np.sort(first[count > 1])
+    if shared.size:
+        merges = len(join_vertices(x, faces)[0]) == len(first)
+        remedy = "merge: true" if merges else "move what touches apart: cloth in contact has a distance"
+        refuse(shared, "vertex {}", x, f"{shared.size} places hold several vertices", remedy)
     unused = np.setdiff1d(np.arange(len(x)), faces)
-    if unused.size:
-        refuse(
-            f"{unused.size} vertices belong to no triangle and would weigh nothing",
-            f"vertex {unused[0]}",
-            None,
-            "remove them",
-        )
-    area = face_areas(x[faces])
+    problem = f"{unused.size} vertices belong to no triangle and would weigh nothing"
+    refuse(unused, "vertex {}", x, problem, "remove them")
     longest = np.square(x[faces] - x[np.roll(faces, 1, axis=1)]).sum(-1).max(1)
-    flat = np.flatnonzero(area <= 1e-9 * longest)
-    if flat.size:
-        refuse(
-            f"{flat.size} triangles without area",
-            f"face {flat[0]}",
-            faces[flat[0]].tolist(),
-            "remove them in a mesh editor",
-        )
+    flat = np.flatnonzero(face_areas(x[faces]) <= 1e-9 * longest)
+    refuse(flat, "face {}", faces, f"{flat.size} triangles without area", "remove them in a mesh editor")
     crowded = np.flatnonzero(edges.count > 2)
-    if crowded.size:
-        refuse("an edge with more than two triangles", "edge", edges.pairs[crowded[0]].tolist(), "split the mesh there")
-    twisted = np.flatnonzero(edges.count == 2)
-    twisted = twisted[~np.isin(twisted, edges.inner)]
-    if twisted.size:
-        refuse(
-            "neighbouring triangles face opposite ways",
-            "edge",
-            edges.pairs[twisted[0]].tolist(),
-            "make the normals consistent",
-        )
+    refuse(crowded, "edge", edges.pairs, "an edge with more than two triangles", "split the mesh there")
+    twisted = np.setdiff1d(np.flatnonzero(edges.count == 2), edges.inner)
+    refuse(twisted, "edge", edges.pairs, "neighbouring triangles face opposite ways", "make the normals consistent")
 
 
 def pin_mesh(pins: tuple[int | Box, ...], x: Float) -> Bool:

@@ -15,11 +15,12 @@ def require_outside(x: Float, clear: Float, body: Tree, what: str, remedy: str) 
     """Raises BadInput for points (n, 3) [m] of `what` that are not outside of a body by `clear` (n,) [m]."""
     away = closest_points(body, x).distance
     worst = int(np.argmin(away / clear))
-    if away[worst] >= clear[worst]:
-        return
-    told = f"{abs(1e3 * away[worst]):.3g} mm {'inside' if away[worst] < 0.0 else 'from it'}, {place_of(x[worst])}"
-    problem, limit = (
-        f"the {what} would start inside of the body, or too near to it",
-        f"{1e3 * clear[worst]:.3g} mm outside",
-    )
-    raise BadInput(problem, field="over", value=told, limit=limit, remedy=remedy)
+    if away[worst] < clear[worst]:
+        raise not_outside(float(away[worst]), x[worst], float(clear[worst]), what, remedy)
+
+
+def not_outside(away: float, place: Float, clear: float, what: str, remedy: str) -> BadInput:
+    """Of a point (3,) of `what` that lies `away` from a body [m], below 0 inside, and should by `clear` [m]."""
+    value = f"{abs(1e3 * away):.3g} mm {'inside' if away < 0.0 else 'from it'}, {place_of(place)}"
+    problem, limit = f"the {what} would start inside of the body, or too near to it", f"{1e3 * clear:.3g} mm outside"
+    return BadInput(problem, field="over", value=value, limit=limit, remedy=remedy)

@@ -14,7 +14,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
-from nuno_cloth.models.placement import find_texture
+from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import Length
@@ -92,7 +92,7 @@ class PatternConfig(Config):
     )
 
 
-class Pattern:
+class Pattern(Wearable):
     """Triangles keep the shapes they are cut to, warp and weft run as in their panel, and bending goes on across seams.
 
     A seam's vertices are one from the start; panels are drawn together round the body by nuno_cloth.sewing.draw.
@@ -100,10 +100,6 @@ class Pattern:
 
     name: ClassVar[str] = "pattern"
     Config: ClassVar[type[BaseModel]] = PatternConfig
-
-    def over(self, config: PatternConfig) -> str | None:
-        """Name of the body that wears it, if any."""
-        return None if config.over is None else config.over.body
 
     def count(self, config: PatternConfig, files: Files) -> int:
         return _sewn(config, files).number

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -59,6 +58,14 @@ class Over(Config):
 
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
     clearance: Length = Field(default=5e-3, description="how far from the surface it starts at least [m]")
+
+
+class Wearable:
+    """A model of cloth that a body may wear: its configuration names it by `over`, or has None there."""
+
+    def over(self, config: Any) -> str | None:
+        """Name of the body that wears it, if any."""
+        return None if config.over is None else str(config.over.body)
 
 
 CUT_TO_BARE = "shirt", "skirt"
@@ -137,7 +144,4 @@ def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:
 
 def find_texture(texture: str | None, files: Files) -> str | None:
     """The image's path. Raises BadInput if it is missing or outside the allowed folders."""
-    if texture is None:
-        return None
-    path: Path = files.resolve(texture)
-    return str(path)
+    return None if texture is None else str(files.resolve(texture))

@@ -13,7 +13,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
-from nuno_cloth.models.placement import TEXTURE, Over, find_texture, require_bare
+from nuno_cloth.models.placement import TEXTURE, Over, Wearable, find_texture, require_bare
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
@@ -55,15 +55,11 @@ class ShirtConfig(Config):
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
-class Shirt:
+class Shirt(Wearable):
     """Front and back on one texture, u to the right as seen from in front, as if printed through: no seam cuts it."""
 
     name: ClassVar[str] = "shirt"
     Config: ClassVar[type[BaseModel]] = ShirtConfig
-
-    def over(self, config: ShirtConfig) -> str:
-        """Name of the body that wears it."""
-        return config.over.body
 
     def count(self, config: ShirtConfig, files: Files) -> int:
         return len(sewn_for(STANDARD, config)[1].flat)

@@ -25,6 +25,7 @@ from functools import lru_cache
 import numpy as np
 
 from nuno_cloth.models.delaunay import fill_outline
+from nuno_kernels.meshes.centreline import lengths
 from nuno_kernels.meshes.harmonic import solve_harmonic
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -120,7 +121,7 @@ def outline_of(cut: Cut, depth: float) -> list[Float]:
 
 def _spread(line: Float, steps: int) -> Float:
     """(steps, 2) points in equal steps along a line, without its last."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    along = lengths(line)
     at = along[-1] * np.arange(steps) / steps
     return np.stack([np.interp(at, along, line[:, k]) for k in (0, 1)], axis=1)
 

@@ -25,7 +25,7 @@ from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.outside import require_outside
-from nuno_cloth.models.placement import Attach, find_texture, require_bare
+from nuno_cloth.models.placement import Attach, Wearable, find_texture, require_bare
 from nuno_cloth.models.sheet import build_grid, bytes_of_grid
 from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
 from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
@@ -49,17 +49,13 @@ FINEST = 256
 """Places round each row that a ring's start is found at, at least."""
 
 
-class Skirt:
+class Skirt(Wearable):
     """A ring of cloth; unstretched at the start, but for some per cent of shear that folds, and an
     elliptic waist, need.
     """
 
     name: ClassVar[str] = "skirt"
     Config: ClassVar[type[BaseModel]] = SkirtConfig
-
-    def over(self, config: SkirtConfig) -> str | None:
-        """Name of the body that wears it, if any."""
-        return None if config.over is None else config.over.body
 
     def count(self, config: SkirtConfig, files: Files) -> int:
         return config.columns * config.rows if config.cut == "cone" else int(_round(config).sum())

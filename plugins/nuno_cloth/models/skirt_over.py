@@ -18,9 +18,10 @@ from pydantic import Field
 
 from nuno_cloth.models.delaunay import is_inside
 from nuno_cloth.models.placement import Over
-from nuno_cloth.models.skirt_rows import SAMPLES, UNFOLDED, Curve, lengths_along
+from nuno_cloth.models.skirt_rows import SAMPLES, UNFOLDED, Curve
 from nuno_cloth.models.wearer import STEP, find_wearer, trunk_at
 from nuno_cloth.quantities import Metres, OfGarment
+from nuno_kernels.meshes.centreline import lengths as lengths_along
 from nuno_kernels.meshes.limb import convex_hull, spread_hull
 from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.errors import BadInput

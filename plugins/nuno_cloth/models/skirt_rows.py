@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from nuno_kernels.meshes.centreline import lengths as lengths_along
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -69,11 +70,6 @@ def ellipses(radius: Float, ratio: float, circle: Float, pleats: int) -> Curve:
         return np.asarray(radius[row] * outline * (1 + depth * np.cos(phase))[:, None])
 
     return curve
-
-
-def lengths_along(points: Float) -> Float:
-    """(p,) length of a chain of points (p, d) up to each of them."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def _wave_depths(outline: Float, phase: Float) -> tuple[Float, Float]:

@@ -16,7 +16,7 @@ from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.outside import require_outside
-from nuno_cloth.models.placement import TEXTURE, Over, Point, Rotation, find_texture
+from nuno_cloth.models.placement import TEXTURE, Over, Point, Rotation, Wearable, find_texture
 from nuno_cloth.models.poncho import put_on
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.quantities import Angle, Length
@@ -96,7 +96,7 @@ class SwatchConfig(Config):
         return self
 
 
-class Swatch:
+class Swatch(Wearable):
     """Of a measured fabric; see nuno_cloth.models.elements for what bears tension and bending."""
 
     name: ClassVar[str] = "swatch"
@@ -125,10 +125,6 @@ class Swatch:
     def build(self, config: SwatchConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for more than MOST vertices, and a missing texture."""
         return self._at(config, files, np.asarray(config.centre), *lay(config, seed))
-
-    def over(self, config: SwatchConfig) -> str | None:
-        """Name of the body that wears it, if any."""
-        return None if config.over is None else config.over.body
 
     def build_over(
         self, config: SwatchConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()

@@ -15,7 +15,6 @@ from nuno_cloth.sewing.pattern import Edge, Panel, Pattern, Seam, Side, name_of
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.pattern import Remark
-from nuno_schemas.plugin import Files
 from nuno_schemas.vectors import compose, norm
 from nuno_schemas.written import Path, Written, dotted
 
@@ -29,11 +28,6 @@ Note = Callable[..., None]
 
 class Wrong(Exception):
     """A panel that is no panel; it has been noted."""
-
-
-def read_pattern(files: Files, name: str) -> Pattern:
-    """The pattern of a file. Raises BadInput for the first thing in it that cannot be sewn."""
-    return sound(files.read(name, PatternFile))
 
 
 def sound(written: Written[PatternFile]) -> Pattern:

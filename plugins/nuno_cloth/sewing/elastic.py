@@ -21,12 +21,10 @@ from nuno_cloth.models.triangles import Edges
 from nuno_cloth.sewing.sew import Sewn
 from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Float, Int, Springs
+from nuno_schemas.fabric import ELASTIC, Float, Int, Springs
 
 STIFFNESS, DENSITY = 15.0, 0.015
 """EA [N] and mass per length as it lies [kg/m] of a knitted band some 2 cm wide: assumed."""
-ELASTIC = 3
-"""What kind of springs these are."""
 FLATTEST = 1e-3
 """Points that lie nearer to a line than this [m] go round nothing."""
 

@@ -16,7 +16,6 @@ LARGEST = 1e6
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Point = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
-RIGHT_WRONG = "right_wrong"
 
 
 class Quadratic(Config):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nuno_cloth.models.delaunay import is_inside
+from nuno_cloth.models.delaunay import distances, is_inside, lay_grid
 from nuno_cloth.sewing.constrained import triangulate_inside
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import dot, norm
@@ -65,7 +65,7 @@ class Wanted:
         found = np.full(len(points), self.spacing)
         if len(self.length):
             for at in range(0, len(points), AT_ONCE):
-                far = _distances(points[at : at + AT_ONCE], self.short)
+                far = distances(points[at : at + AT_ONCE], self.short)
                 found[at : at + AT_ONCE] = np.minimum((self.length + GRADE * far).min(axis=1), self.spacing)
         return found
 
@@ -74,27 +74,13 @@ class Wanted:
         found = np.zeros(len(points), np.bool_)
         for at in range(0, len(points), AT_ONCE):
             some = points[at : at + AT_ONCE]
-            near = _distances(some, self.sides).min(axis=1)
+            near = distances(some, self.sides).min(axis=1)
             found[at : at + AT_ONCE] = is_inside(some, self.outline) & (near > far[at : at + AT_ONCE])
         return found
 
 
-def _distances(points: Float, sides: Float) -> Float:
-    """(n, m) of points (n, 2) from sides (m, 2, 2)."""
-    (px, py), (ax, ay) = points.T[..., None], sides[:, 0].T
-    wx, wy = (sides[:, 1] - sides[:, 0]).T
-    dx, dy = px - ax, py - ay
-    share = np.clip((dx * wx + dy * wy) / (wx * wx + wy * wy), 0.0, 1.0)
-    return np.asarray(np.hypot(dx - share * wx, dy - share * wy))
-
-
 def _grid(wanted: Wanted) -> Float:
-    spacing = wanted.spacing
-    low, high = wanted.outline.min(axis=0), wanted.outline.max(axis=0)
-    rows = np.arange(low[1], high[1], spacing * np.sqrt(0.75))
-    across = np.arange(low[0], high[0] + spacing, spacing)
-    lines = [np.stack([across - 0.5 * spacing * (r % 2), np.full(len(across), y)], 1) for r, y in enumerate(rows)]
-    grid = np.concatenate(lines)
+    spacing, grid = wanted.spacing, lay_grid(wanted.outline, wanted.spacing)
     grid = grid[wanted.inside(grid, np.full(len(grid), INSET * spacing))]
     return grid[wanted.size(grid) >= 0.9 * spacing]
 

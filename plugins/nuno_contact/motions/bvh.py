@@ -6,7 +6,7 @@ import io
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal, NamedTuple, cast
 
@@ -20,6 +20,7 @@ from nuno_schemas.bodies import fits_person, rotation_matrices, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.reading import read_as
 from nuno_schemas.vectors import norm, turn
 
 LARGEST_FILE = 256 * 2**20
@@ -69,7 +70,7 @@ class BvhConfig(Config):
 
 @dataclass(frozen=True)
 class Captured:
-    """What a BVH file says, lengths in its own unit.
+    """What a BVH file says, lengths in its own unit; or a part of it, in metres.
 
     joints, parents  of j joints, parents before children; an end site is a joint named after its parent, JOINT_end
     offsets          (j, 3) from the parent: the file's, or the median of a joint's own positions
@@ -85,9 +86,27 @@ class Captured:
     places: Float
     dt: float
 
-    def pose(self, k: int) -> Float:
-        """(j, 3) where the joints are in a frame."""
-        return _pose(self.parents, self.offsets, self.turns[k], self.places[k])[1]
+    @property
+    def duration(self) -> float:
+        return float(len(self.places) - 1) * self.dt
+
+    def pose(self, turns: Float, places: Float) -> tuple[Float, Float]:
+        """World rotation (j, 4) and translation (j, 3) by the joints' own turns (j, 4) and places (1 or j, 3)."""
+        return pose_skeleton(self.parents, self.offsets if len(places) == 1 else places, turns, places[0])
+
+    def at(self, frames: Int) -> Float:
+        """(k, j, 3) where the joints are in frames (k,)."""
+        return np.array([self.pose(self.turns[k], self.places[k])[1] for k in frames])
+
+    def sample(self, t: float) -> tuple[Float, Float]:
+        """Turns and places of the joints at time t [s], between the two nearest frames."""
+        frames = len(self.places)
+        at = min(max(t / self.dt, 0.0), frames - 1.0)
+        k = min(int(at), max(frames - 2, 0))
+        s = at - k
+        if s == 0.0 or frames == 1:
+            return self.turns[k], self.places[k]
+        return slerp(self.turns[k], self.turns[k + 1], s), (1.0 - s) * self.places[k] + s * self.places[k + 1]
 
 
 class _Joint(NamedTuple):
@@ -99,27 +118,26 @@ class _Joint(NamedTuple):
 
 def read_bvh(path: Path) -> Captured:
     """Raises BadInput for a file that is empty, truncated, not BVH or not finite."""
+    return read_as(path, "BVH", _read, LARGEST_FILE)
+
+
+def _read(data: bytes) -> Captured:
+    """Raises ValueError."""
     from pybvh.rotations import euler_to_quat
 
-    size = path.stat().st_size
-    if not 0 < size <= LARGEST_FILE:
-        raise BadInput("empty or too large for BVH", file=str(path), value=size, limit=f"1 to {LARGEST_FILE} bytes")
-    data = path.read_bytes()
+    if not data:
+        raise ValueError("it is empty")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:  # names of joints by older programs; every byte is a letter of Latin-1
         text = data.decode("latin-1")
     head, *rows = re.split(r"(?m)^\s*MOTION\b", text, maxsplit=1)
-    try:
-        joints = _read_joints(head)
-        frames, dt = _read_frames("".join(rows), sum(len(joint.channels) for joint in joints))
-    except ValueError as error:
-        remedy = "is it cut off, or not BVH? Write it anew where it comes from"
-        raise BadInput(f"cannot be read as BVH: {error}", file=str(path), remedy=remedy) from None
+    joints = _read_joints(head)
+    frames, dt = _read_frames("".join(rows), sum(len(joint.channels) for joint in joints))
     offsets = np.array([joint.offset for joint in joints])
     for what, values in (("offsets", offsets), ("positions or angles", frames)):
         if not np.isfinite(values).all():
-            raise BadInput(f"{what} that are not finite numbers", file=str(path))
+            raise ValueError(f"{what} that are not finite numbers")
     turns, places = np.empty((len(frames), len(joints), 4)), np.tile(offsets, (len(frames), 1, 1))
     columns = iter(frames.T)
     for j, joint in enumerate(joints):
@@ -192,33 +210,13 @@ def _read_frames(rows: str, columns: int) -> tuple[Float, float]:
 
 @dataclass(frozen=True)
 class _Clip:
-    """Sampled local rotations (m, j, 4) and positions [m], dt [s] apart: of the root (m, 1, 3), or of all joints from
-    their parents (m, j, 3).
-    """
+    """A motion in metres, and how it goes on: see BvhConfig. `drift` (1, 3) is how far each loop carries it [m]."""
 
-    parents: Int
-    offsets: Float
-    local: Float
-    places: Float
-    dt: float
+    motion: Captured
     loop: bool
     blend: float
     ramp: float
     drift: Float
-
-    @property
-    def duration(self) -> float:
-        return float(self.places.shape[0] - 1) * self.dt
-
-    def sample(self, t: float) -> tuple[Float, Float]:
-        """Local rotations and positions at clip time t, between the two nearest frames."""
-        frames = self.places.shape[0]
-        at = min(max(t / self.dt, 0.0), frames - 1.0)
-        k = min(int(at), max(frames - 2, 0))
-        s = at - k
-        if s == 0.0 or frames == 1:
-            return self.local[k], self.places[k]
-        return slerp(self.local[k], self.local[k + 1], s), (1.0 - s) * self.places[k] + s * self.places[k + 1]
 
     def pose(self, t: float) -> tuple[Float, Float]:
         """World rotation (j, 4) and translation (j, 3) at simulation time t [s].
@@ -230,25 +228,20 @@ class _Clip:
         t = max(t, 0.0)
         if self.ramp > 0.0:
             t = 0.5 * t * t / self.ramp if t < self.ramp else t - 0.5 * self.ramp
-        period = self.duration - self.blend
+        period = self.motion.duration - self.blend
         if not self.loop or t <= period or period <= 0.0:
-            local, places = self.sample(t)
+            local, places = self.motion.sample(t)
         else:
             turn, since = divmod(t, period)
-            local, places = self.sample(since)
+            local, places = self.motion.sample(since)
             places = places + turn * self.drift
             if since < self.blend:
                 s = since / self.blend
                 s = s * s * (3.0 - 2.0 * s)
-                old_local, old_places = self.sample(period + since)
+                old_local, old_places = self.motion.sample(period + since)
                 local, old_places = slerp(old_local, local, s), old_places + (turn - 1.0) * self.drift
                 places = (1.0 - s) * old_places + s * places
-        return _pose(self.parents, self.offsets, local, places)
-
-
-def _pose(parents: Int, offsets: Float, local: Float, places: Float) -> tuple[Float, Float]:
-    """As pose_skeleton, with positions (1, 3) of the root or (j, 3) of all joints."""
-    return pose_skeleton(parents, offsets if len(places) == 1 else places, local, places[0])
+        return self.motion.pose(local, places)
 
 
 def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
@@ -263,16 +256,14 @@ def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
     return slice(first, last + 1)
 
 
-def place_root(config: BvhConfig, clip: _Clip) -> None:
-    """Take the travel out if it is not wanted, then put the clip where it starts, in place."""
-    root = clip.places[:, 0]
-    frames = root.shape[0]
+def place_root(config: BvhConfig, motion: Captured) -> None:
+    """Take the travel out if it is not wanted, then put the motion where it starts, in place."""
+    root = motion.places[:, 0]
+    frames = len(root)
     if not config.travel and frames > 1:
         way = (root[-1] - root[0]) * np.array([1.0, 0.0, 1.0])
         root -= np.linspace(0.0, 1.0, frames)[:, None] * way
-    lowest = min(
-        float(_pose(clip.parents, clip.offsets, clip.local[k], clip.places[k])[1][:, 1].min()) for k in _spread(frames)
-    )
+    lowest = float(motion.at(_spread(frames))[..., 1].min())
     root += np.array(config.position) - np.array([root[0, 0], lowest, root[0, 2]])
 
 
@@ -287,7 +278,7 @@ def find_stature(found: Captured, up: int) -> tuple[float, int]:
     """
     arm = find_arms(found.joints, found.parents)
     trunk = [j for j, name in enumerate(found.joints) if not arm[j] and find_part(name) in ("back", "neck", "head")]
-    poses = np.array([found.pose(k) for k in _spread(len(found.turns))])
+    poses = found.at(_spread(len(found.turns)))
     ways = poses[:, trunk[-1]] - poses[:, 0] if trunk else np.eye(3)[[up]]
     rest = rest_positions(found.parents, found.offsets * (found.parents >= 0)[:, None])
     height = choose_height(*(float(np.ptp(x[..., ~arm, up], axis=-1).max()) for x in (rest, poses)))
@@ -306,7 +297,7 @@ class BVH:
         ends, frames = sum(name.endswith("_end") for name in found.joints), len(found.turns)
         facts = {"joints": f"{len(found.joints) - ends}, and {ends} ends of bones", "frames": f"{frames}"}
         if STEPS[0] <= found.dt <= SLOWEST:
-            facts["lasts"] = f"{(frames - 1) * found.dt:.3g} s, at {1.0 / found.dt:.4g} Hz"
+            facts["lasts"] = f"{found.duration:.3g} s, at {1.0 / found.dt:.4g} Hz"
         axis = find_stature(found, 1)[1]
         tall = find_stature(found, axis)[0]
         unit = unit_of(tall)
@@ -347,12 +338,11 @@ class BVH:
             raise BadInput("a body of no size", file=str(path), limit=f"{FARTHEST:g} m", remedy=remedy)
         loop = c.end == "loop" and len(places) > 1
         blend = min(c.blend, 0.25 * (len(places) - 1) * dt) if loop else 0.0
-        clip = _Clip(found.parents, scale * found.offsets, local, places, dt, loop, blend, c.ramp, np.zeros((1, 3)))
-        place_root(c, clip)
-        if loop:
-            way = clip.sample(clip.duration - blend)[1][0] - clip.places[0, 0]
-            clip.drift[0] = way * np.array([1.0, 0.0, 1.0])
-        return Mover(found.joints, found.parents, clip.offsets, clip.pose, notes=_size_notes(c, height))
+        motion = replace(found, offsets=scale * found.offsets, turns=local, places=places, dt=dt)
+        place_root(c, motion)
+        way = (motion.sample(motion.duration - blend)[1][:1] - motion.places[0, :1]) * np.array([1.0, 0.0, 1.0])
+        clip = _Clip(motion, loop, blend, c.ramp, way)
+        return Mover(found.joints, found.parents, motion.offsets, clip.pose, notes=_size_notes(c, height))
 
 
 def _size_notes(config: BvhConfig, height: float) -> tuple[str, ...]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,11 @@ from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import keep_largest
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.file import LARGEST_FILE, find_vertices
-from nuno_kernels.meshes.glb import find_places, join_parts, open_glb, read_parts
+from nuno_kernels.meshes.glb import find_places, join_parts, open_glb, read_parts, way_up
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Mover
+from nuno_schemas.reading import read_as
 from nuno_schemas.vectors import norm
 
 SAME = 1e-6
@@ -50,22 +50,11 @@ def read_rig(path: Path) -> Rig | None:
     """That of a GLB file, None of one that has none, or of another kind. Raises BadInput for one that does not hold
     together.
     """
-    if path.suffix.lower() != ".glb":
-        return None
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ValueError(f"it has more than {LARGEST_FILE:,} bytes")
-        return _read(*open_glb(path.read_bytes()))
-    except BadInput as error:
-        raise replace(error, file=str(path)) from None
-    except (LookupError, TypeError, ValueError, AttributeError, OSError, RecursionError, struct.error) as error:
-        raise BadInput(
-            f"its joints cannot be read: {error}", str(path), field="file", value=path.name,
-            remedy="export it anew, uncompressed",
-        ) from None  # fmt: skip
+    return read_as(path, "GLB", _read, LARGEST_FILE) if path.suffix.lower() == ".glb" else None
 
 
-def _read(said: Any, data: bytes) -> Rig | None:
+def _read(file: bytes) -> Rig | None:
+    said, data = open_glb(file)
     nodes = said.get("nodes", [])
     parts = list(read_parts(said, data))
     carriers = [
@@ -97,30 +86,22 @@ def _read(said: Any, data: bytes) -> Rig | None:
 
 def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) -> int:
     """The joint that a mesh without a skin hangs on."""
-    at = node
-    while at not in joints:
-        if at not in above:
-            raise ValueError(f"no joint carries the mesh of {nodes[node].get('name', f'node {node}')!r}")
-        at = above[at]
-    return at
+    for at in way_up(node, above):
+        if at in joints:
+            return at
+    raise ValueError(f"no joint carries the mesh of {nodes[node].get('name', f'node {node}')!r}")
 
 
 def _parent(joint: int, joints: list[int], above: dict[int, int]) -> int:
     """The number of the joint that one hangs on, through nodes between them, -1 where it hangs on none."""
-    at = above.get(joint)
-    while at is not None and at not in joints:
-        at = above.get(at)
-    return -1 if at is None else joints.index(at)
+    return next((joints.index(at) for at in way_up(joint, above)[1:] if at in joints), -1)
 
 
 def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:
     """Each once, in the file's order but for those that it hangs on, which come before it."""
     found: list[int] = []
     for joint in joints:
-        way = [joint]
-        while way[-1] in above:
-            way.append(above[way[-1]])
-        found += [at for at in reversed(way) if at in joints and at not in found]
+        found += [at for at in reversed(way_up(joint, above)) if at in joints and at not in found]
     return found
 
 

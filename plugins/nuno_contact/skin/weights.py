@@ -10,8 +10,6 @@ Automatic rigging and animation of 3D characters, SIGGRAPH 2007, 4). The matrix 
 so that weights lie in [0, 1] and add up to one, and they pass from one bone to the next over about the limb's
 thickness. Nearest is among the bones that a vertex sees through the body, so that a hand beside a thigh does not carry
 it.
-
-Solved by conjugate gradients for all bones together, not by a factorisation, whose bits differ between processors.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.harmonic import edge_weights
+from nuno_kernels.meshes.harmonic import edge_weights, solve_gradients
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -94,30 +92,12 @@ def spread_heat(x: Float, faces: Int, part: Int, distance: Float, parts: int) ->
     right[np.arange(number), part] = source
     heat = np.zeros((number, parts))
     heat[np.arange(number), part] = 1.0
-    return _solve(matrix, diagonal[:, None], right, heat)
-
-
-def _solve(matrix: csr_array, diagonal: Float, right: Float, heat: Float) -> Float:
-    """Conjugate gradients, preconditioned with the diagonal, of each column."""
+    what = "weights of its joints are found for this body"
     residual = right - matrix @ heat
-    z = residual / diagonal
-    direction, power = z, (residual * z).sum(axis=0)
-    least = ACCURACY**2 * np.maximum(power, 1e-300)
-    for _ in range(ROUNDS):
-        if (power <= least).all():
-            return heat
-        image = matrix @ direction
-        bent = (direction * image).sum(axis=0)
-        step = np.where(power > least, power / np.where(bent > 0.0, bent, 1.0), 0.0)
-        heat = heat + step * direction
-        residual = residual - step * image
-        z = residual / diagonal
-        before, power = power, (residual * z).sum(axis=0)
-        direction = z + power / np.where(before > 0.0, before, 1.0) * direction
-    raise BadInput(
-        "no weights of its joints are found for this body", field="file", limit=f"{ROUNDS:,} rounds",
-        remedy="mend or remesh it: its triangles differ too much in size, or are no more than lines",
-    )  # fmt: skip
+    try:
+        return solve_gradients(lambda p: matrix @ p, diagonal[:, None], residual, heat, ACCURACY, ROUNDS, what)
+    except BadInput as error:
+        raise error.at("file") from None
 
 
 def keep_largest(heat: Float) -> tuple[Int, Float]:

@@ -57,7 +57,7 @@ class Centreline:
 
 
 def lengths(points: Float) -> Float:
-    """(k,) length of a line of points (k, 3) up to each of them [m]."""
+    """(k,) length of a line of points (k, d) up to each of them [m]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 

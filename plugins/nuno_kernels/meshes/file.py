@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from nuno_kernels.meshes.polygons import RawMesh
 from nuno_kernels.meshes.stl import read_stl
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.reading import read_as
 
 READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
 KINDS = tuple(READERS)
@@ -72,16 +72,10 @@ def load_mesh(path: Path, kinds: tuple[str, ...] = KINDS) -> RawMesh:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in kinds:
         limit = ", ".join(f".{name}" for name in kinds)
-        raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=limit)
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise BadInput("too large for a mesh", value=size, limit=f"{LARGEST_FILE} bytes")
-    try:
-        mesh = READERS[kind](path.read_bytes())
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, struct.error) as error:
-        raise BadInput(f"cannot be read as {kind.upper()}: {error}", field="file") from None
+        raise BadInput("unknown kind of mesh", str(path), field="file", value=path.name, limit=limit)
+    mesh = read_as(path, kind.upper(), READERS[kind], LARGEST_FILE)
     if not mesh.faces.size:
-        raise BadInput("the mesh has no triangles", field="file")
+        raise BadInput("the mesh has no triangles", str(path), field="file")
     return mesh
 
 

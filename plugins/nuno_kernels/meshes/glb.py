@@ -196,16 +196,21 @@ def find_places(nodes: Any) -> dict[int, Float]:
     parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
     found: dict[int, Float] = {}
     for k in range(len(nodes)):
-        way = [k]
-        while way[-1] in parents and len(way) <= len(nodes):
-            way.append(parents[way[-1]])
-        if len(way) > len(nodes):
-            raise ValueError("its nodes go round in a circle")
-        for node in reversed(way):
+        for node in reversed(way_up(k, parents)):
             if node not in found:
                 before = found[parents[node]] if node in parents else np.eye(4)
                 found[node] = before @ _local(nodes[node])
     return found
+
+
+def way_up(node: int, parents: dict[int, int]) -> list[int]:
+    """A node, its parent, and so on. Raises ValueError for nodes that hang on each other."""
+    way = [node]
+    while way[-1] in parents:
+        way.append(parents[way[-1]])
+        if len(way) > len(parents) + 1:
+            raise ValueError("its nodes go round in a circle")
+    return way
 
 
 def _local(node: Any) -> Float:

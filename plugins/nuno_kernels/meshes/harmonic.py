@@ -9,6 +9,8 @@ Weights of obtuse pairs, which may be negative, are raised to a small share of t
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from nuno_kernels.meshes.normals import edge_numbers
@@ -39,8 +41,7 @@ def edge_weights(x: Float, faces: Int) -> tuple[Int, Float]:
 def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
     """(n,) the field that is `value` on the vertices `given` (n,) and harmonic elsewhere.
 
-    Conjugate gradients, preconditioned with the diagonal. Vertices that no edges join to a given one stay 0. Raises
-    BadInput for a mesh on which they do not converge.
+    Vertices that no edges join to a given one stay 0. Raises BadInput for a mesh on which it is not found.
     """
     pairs, weight = edge_weights(x, faces)
     used = ~(given[pairs[:, 0]] & given[pairs[:, 1]])
@@ -52,22 +53,35 @@ def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
 
     u = np.where(given, value, 0.0)
     residual = np.where(given, 0.0, -apply(u))
+    what = "smooth field was found on the mesh, from which a limb's rows follow"
+    return solve_gradients(lambda p: np.where(given, 0.0, apply(p)), diagonal, residual, u, ACCURACY, ROUNDS, what)
+
+
+def solve_gradients(
+    apply: Callable[[Float], Float], diagonal: Float, residual: Float, u: Float, accuracy: float, rounds: int, what: str
+) -> Float:
+    """Conjugate gradients, preconditioned with the diagonal, from u (n,) or (n, k) on, of each column; a symmetric
+    positive definite matrix is what `apply` multiplies by it.
+
+    Ends when each residual is no more than so small a share of its first; raises BadInput, for a mesh that has no
+    `what`, after so many rounds. Not a factorisation, whose bits differ between processors.
+    """
     z = residual / diagonal
-    direction, power = z, float((residual * z).sum())
-    least = ACCURACY**2 * power
-    for _ in range(ROUNDS):
-        if power <= least:
+    direction, power = z, (residual * z).sum(axis=0)
+    least = accuracy**2 * np.maximum(power, np.finfo(float).tiny / accuracy**2)
+    for _ in range(rounds):
+        if (power <= least).all():
             return u
-        image = np.where(given, 0.0, apply(direction))
-        step = power / float((direction * image).sum())
+        image = apply(direction)
+        bent = (direction * image).sum(axis=0)
+        step = np.where(power > least, power / np.where(bent > 0.0, bent, 1.0), 0.0)
         u = u + step * direction
         residual = residual - step * image
         z = residual / diagonal
-        before, power = power, float((residual * z).sum())
-        direction = z + power / before * direction
+        before, power = power, (residual * z).sum(axis=0)
+        direction = z + power / np.where(before > 0.0, before, 1.0) * direction
     raise BadInput(
-        "no smooth field was found on the mesh, from which a limb's rows follow",
-        value=f"a residual of {np.sqrt(power / least) * ACCURACY:.2g} of the first after {ROUNDS:,} rounds",
-        limit=f"{ACCURACY:g}",
+        f"no {what}", limit=f"{accuracy:g}",
+        value=f"a residual of {np.sqrt((power / least).max()) * accuracy:.2g} of the first after {rounds:,} rounds",
         remedy="mend or remesh it: its triangles differ too much in size, or are no more than lines",
-    )
+    )  # fmt: skip

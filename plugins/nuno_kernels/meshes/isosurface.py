@@ -10,8 +10,10 @@ close to a corner of the grid.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Bool, Float, Int
 
@@ -81,7 +83,7 @@ def _without_pinches(value: Float) -> Float:
             return np.where(inside & (value >= 0.0), -np.abs(value).max() * SLIGHT, value)
 
 
-def _halves(values: Bool, axis: int) -> tuple[Bool, Bool]:
+def _halves(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """Views of all but the last, and of all but the first, along an axis."""
     n = values.shape[axis]
     index = [slice(None)] * values.ndim
@@ -90,7 +92,7 @@ def _halves(values: Bool, axis: int) -> tuple[Bool, Bool]:
     return values[tuple(first)], values[tuple(last)]
 
 
-def _corners(values: Bool, one: int, other: int) -> list[tuple[Bool, Bool]]:
+def _corners(values: NDArray[Any], one: int, other: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Views of the four corners of each square along two axes."""
     return [_halves(half, other) for half in _halves(values, one)]
 
@@ -101,30 +103,23 @@ def _net(value: Float) -> tuple[Float, Int]:
     total, count = np.zeros((*(n - 1 for n in value.shape), 3)), np.zeros([n - 1 for n in value.shape], int)
     crossed = []
     for axis in range(3):
-        first, last = (np.take(value, range(s, value.shape[axis] - 1 + s), axis) for s in (0, 1))
+        first, last = _halves(value, axis)
         cut = (first < 0.0) != (last < 0.0)
         at = np.stack(np.nonzero(cut), axis=1).astype(float)
         at[:, axis] += first[cut] / (first[cut] - last[cut])
-        crossed.append((cut, np.take(inside, range(value.shape[axis] - 1), axis)))
+        crossed.append((cut, _halves(inside, axis)[0]))
         place = np.zeros((*cut.shape, 3))
         place[cut] = at
-        one, other = (axis + 1) % 3, (axis + 2) % 3
-        for i in (0, 1):
-            for j in (0, 1):
-                cells = _window(cut.shape, one, other, i, j)
-                total += place[cells]
-                count += cut[cells]
+        sides = (axis + 1) % 3, (axis + 2) % 3
+        # Each cell has four edges along an axis.
+        for edges, there in zip(_corners(place, *sides), _corners(cut, *sides), strict=True):
+            for k in (0, 1):
+                total += edges[k]
+                count += there[k]
     number = np.full(count.shape, -1)
     number[count > 0] = np.arange(int((count > 0).sum()))
     quads = np.concatenate([_quads(number, cut, within, axis) for axis, (cut, within) in enumerate(crossed)])
     return total[count > 0] / count[count > 0][:, None], quads
-
-
-def _window(shape: tuple[int, ...], one: int, other: int, i: int, j: int) -> tuple[slice, ...]:
-    """The edges that are the (i, j)-th of each cell's four along an axis, of edges of this shape."""
-    window = [slice(None)] * 3
-    window[one], window[other] = slice(i, shape[one] - 1 + i), slice(j, shape[other] - 1 + j)
-    return tuple(window)
 
 
 def _quads(number: Int, cut: Bool, inside: Bool, axis: int) -> Int:
