@@ -113,7 +113,7 @@ def test_killed_service_ends_the_run_and_is_named(long_run: Callable[..., Run], 
     assert record is not None
     wait_until(lambda: frames_in(record.with_name(record.name + ".part")) > 0)
     child = next(
-        p for p in psutil.Process().children() if p.cmdline()[3:5] == ["serve", service] and run.run in p.cmdline()
+        p for p in psutil.Process().children() if p.cmdline()[4:6] == ["serve", service] and run.run in p.cmdline()
     )
     os.kill(child.pid, signal.SIGKILL)
     outcome = run.join()
@@ -139,11 +139,12 @@ def test_of_services_that_are_gone_the_one_that_said_why_is_named() -> None:
     watched = SimpleNamespace(
         paused=False, ended=None, without={}, dispensable=set(), needed=["simulation", "collision"], blamed="",
         cut_off=str, errors=errors, bus=SimpleNamespace(ask_json=lambda *question: {}),
-        watch=SimpleNamespace(alive=set), _drain=lambda *arguments, **patience: False,
+        watch=SimpleNamespace(alive=set), strange=set(), plan=SimpleNamespace(services=()), progress=None,
+        _drain=lambda timeout=0.0: False,
         say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), laggards=None,
-        _hear=lambda names, progress: False, _why=lambda name: errors.get(name, oversight.GONE),
+        _hear=lambda names: False, _why=lambda name: errors.get(name, oversight.GONE),
     )  # fmt: skip
-    said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched), None)
+    said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched))
     assert said == "the collision service died: the sensor is on fire"
 
 
