@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -205,18 +206,9 @@ def _check(recording: Recording, asked: Asked) -> None:
     _check_files(asked)
     for path in filter(None, (asked.gif, asked.mp4)):
         check_animation(path, asked.fps, _size(asked.size))
-    if asked.usd:
-        from nuno.exports.usd import check_usd
-
-        check_usd(asked.usd)
-    if asked.foxglove:
-        from nuno.exports.foxglove import check_foxglove
-
-        check_foxglove(asked.foxglove)
-    if asked.ros2:
-        from nuno.exports.ros2 import check_ros2
-
-        check_ros2(asked.ros2)
+    for name in ("usd", "foxglove", "ros2"):
+        if path := getattr(asked, name):
+            getattr(import_module(f"nuno.exports.{name}"), f"check_{name}")(path)
     require(None, asked.rrd, "--rrd")
     for name in () if asked.yarns else ("form", *YARNS):
         if getattr(asked, name) is not None:

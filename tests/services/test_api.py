@@ -14,7 +14,6 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.restore import restored_scene
-from nuno.supervision.oversight import Progress
 from nuno.supervision.supervisor import Supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import Scene
@@ -161,9 +160,9 @@ def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
     write_chain(tmp_path)
     follow = Supervisor.follow
 
-    def follow_until_interrupted(supervisor: Supervisor, progress: Progress | None) -> str:
+    def follow_until_interrupted(supervisor: Supervisor) -> str:
         signal.raise_signal(signal.SIGINT)
-        return follow(supervisor, progress)
+        return follow(supervisor)
 
     monkeypatch.setattr(Supervisor, "follow", follow_until_interrupted)
     with pytest.raises(KeyboardInterrupt, match="interrupted") as caught:

@@ -197,8 +197,8 @@ def test_the_distance_to_a_mesh_is_that_to_all_its_triangles_by_looking_at_few(m
     points = np.concatenate(
         [rng.uniform(-6, 6, (80, 3)), 0.99 * ball.vertices[:80], mesh.vertices[-9:], np.zeros((1, 3))]
     )
-    original = mesh_module._to_triangles
-    monkeypatch.setattr(mesh_module, "_to_triangles", lambda p, *t: (looked.append(len(p)), original(p, *t))[1])
+    original = mesh_module.to_triangles
+    monkeypatch.setattr(mesh_module, "to_triangles", lambda p, *t: (looked.append(len(p)), original(p, *t))[1])
     found = distances(points, columns)
     _, expected, _ = trimesh.proximity.closest_point_naive(mesh, points)
     np.testing.assert_allclose(found, expected, atol=1e-9)

@@ -98,8 +98,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
         bus=SimpleNamespace(service="simulation"), orphaned=lambda: False,
         event=lambda kind, text, frame, t: said.append((kind, text, frame)),
     )  # fmt: skip
-    leave = np.zeros(1, np.int64)
-    attendant = Attendant(context, leave)
+    attendant = Attendant(context)
     attendant.holds = lambda: "12 vertices of skirt pinched"
     for number in range(1, 6):
         with attendant.frame(number, 0.1 * number):
@@ -108,7 +107,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
                 time.sleep(3 * attend.LOOKS)
     attendant.close()
     ((kind, text, frame),) = said
-    assert kind == "warning" and frame == 5 and not leave[0]
+    assert kind == "warning" and frame == 5 and not attendant.leave[0]
     assert text.startswith("frame 6 has taken ") and text.endswith(" times the usual: 12 vertices of skirt pinched")
 
 
@@ -116,22 +115,20 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     """What is measured between frames, and at the end, is not cut short by a stop that came before."""
     context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=lambda: False)
     question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
-    leave = np.zeros(1, np.int64)
-    attendant = Attendant(context, leave)
+    attendant = Attendant(context)
     attendant.prepared()
     attendant.hear(question)
     time.sleep(attend.PATIENCE + 4 * attend.LOOKS)
-    assert not leave[0]
+    assert not attendant.leave[0]
     with attendant.frame(1, 0.1):
-        wait_until(lambda: bool(leave[0]))
+        wait_until(lambda: bool(attendant.leave[0]))
     attendant.close()
 
 
 def test_preparation_is_left_where_the_supervisor_goes() -> None:
     context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
-    leave = np.zeros(1, np.int64)
-    Attendant(context, leave)
-    wait_until(lambda: bool(leave[0]))
+    attendant = Attendant(context)
+    wait_until(lambda: bool(attendant.leave[0]))
     wait_until(lambda: all(thread.name != "dye attendant" for thread in threading.enumerate()))
 
 

@@ -139,12 +139,12 @@ def test_of_services_that_are_gone_the_one_that_said_why_is_named() -> None:
     watched = SimpleNamespace(
         paused=False, ended=None, without={}, dispensable=set(), needed=["simulation", "collision"], blamed="",
         cut_off=str, errors=errors, bus=SimpleNamespace(ask_json=lambda *question: {}),
-        watch=SimpleNamespace(alive=set), _drain=lambda *arguments, **patience: False,
-        say=lambda *words: None, plan=SimpleNamespace(services=()), strange=set(),
-        silence=SimpleNamespace(look=lambda say: None), laggards=None,
-        _hear=lambda names, progress: False, _why=lambda name: errors.get(name, oversight.GONE),
+        watch=SimpleNamespace(alive=set), strange=set(), plan=SimpleNamespace(services=()), progress=None,
+        _drain=lambda timeout=0.0: False,
+        say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), laggards=None,
+        _hear=lambda names: False, _why=lambda name: errors.get(name, oversight.GONE),
     )  # fmt: skip
-    said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched), None)
+    said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched))
     assert said == "the collision service died: the sensor is on fire"
 
 

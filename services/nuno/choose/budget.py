@@ -37,6 +37,11 @@ class Budget:
     used: float = 0.0
     """Wall time of trials so far [s], without what was compiled for them."""
 
+    @property
+    def over(self) -> str:
+        """What is said where it is used up."""
+        return f"trials were ended after {self.seconds:g} s: --budget gives them longer"
+
     def stop(self) -> None:
         """Have what is being tried return at once."""
         self.leave[0] = 1

@@ -72,35 +72,23 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
     if start is None and scene.solver.plugin != AUTO:
         remedy = "give a dt and allow_unstable: true, or use another solver"
         raise loaded.at("solver.plugin", BadInput("no step is stable for this solver on this scene", remedy=remedy))
-    trials, found = _trials(loaded, system, bodies, start, budget), list[Found]()
+    trials, found, over = _trials(loaded, system, bodies, start, budget), list[Found](), ""
     try:
         _try_all(loaded, trials, start, accuracy, found)
     except Spent:
-        return _untried(loaded, trials, start, found, accuracy)
-    best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
-    return _chosen(loaded, best, _reason(trials, best, found, accuracy))
-
-
-def _chosen(loaded: Loaded, best: Found, why: str) -> Loaded:
-    dt = 1.0 / float(loaded.scene.frame_rate) / best.steps
-    return written(loaded, _given(loaded, best.name) | {"dt": dt}, why)
-
-
-def _untried(loaded: Loaded, trials: Trials, start: Method | None, found: list[Found], accuracy: Accuracy) -> Loaded:
-    """The scene with what is known when the budget is used up, or the first method at its longest stable step."""
-    over = f"trials were ended after {trials.budget.seconds:g} s: --budget gives them longer"
+        over = budget.over
     if found:
         best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
-        return _chosen(loaded, best, f"{_reason(trials, best, found, accuracy)}; {over}")
-    if start is None:
+        why = "; ".join(filter(None, (_reason(trials, best, found, accuracy), over)))
+    elif start is not None:
+        best = Found(start.name, start.fewest, math.inf, start.fewest)
+        why = f"{accuracy}: {best.said[0]}, which are stable; how far they are off is not known, {over}"
+    else:
         remedy = "--budget 10min, or name one: solver: {plugin: tr_bdf2, dt: auto}"
-        problem = BadInput("no solver could be tried in the time that is given", value=f"{trials.budget.seconds:g} s",
-                           remedy=remedy)  # fmt: skip
-        raise loaded.at("solver.plugin", problem)
-    first = Found(start.name, start.fewest, math.inf, start.fewest)
-    return _chosen(
-        loaded, first, f"{accuracy}: {first.said[0]}, which are stable; how far they are off is not known, {over}"
-    )
+        problem, value = "no solver could be tried in the time that is given", f"{budget.seconds:g} s"
+        raise loaded.at("solver.plugin", BadInput(problem, value=value, remedy=remedy))
+    dt = 1.0 / float(scene.frame_rate) / best.steps
+    return written(loaded, _given(loaded, best.name) | {"dt": dt}, why)
 
 
 def _given(loaded: Loaded, name: str) -> dict[str, Any]:

@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 
 from nuno.choose.budget import Budget, Spent
-from nuno.choose.found import PROMISE, Found, counted, written
+from nuno.choose.found import PROMISE, Found, written
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import ROUNDING, first_step
 from nuno.scene.scene_file import FIRST_DYE, Loaded
+from nuno.words import many
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.solver import AUTO
@@ -76,7 +77,7 @@ class DyeTrials:
         if key not in self.kept:
             begun, out, costs = _written(self.loaded, name, start=key[2]), [], []
             dyeing = DyeRun(begun, os.cpu_count() or 1, key[1], self.budget.leave)
-            with self.budget.trial(f"{name} with {counted(key[1])} a frame on {self.frames} frames of dye"):
+            with self.budget.trial(f"{name} with {many(key[1], 'step')} a frame on {self.frames} frames of dye"):
                 for _ in range(self.frames):
                     report = dyeing.advance().report
                     if report.status == "left":
@@ -122,7 +123,7 @@ def decide_dye(loaded: Loaded, budget: Budget) -> Loaded:
     explicit = DyeRun(_written(loaded, FIRST_DYE), 1)
     first = _first_on_time(explicit)
     stable = first * -(-explicit.steps // first)
-    long: Found | str = f"trials were ended after {budget.seconds:g} s: --budget gives them longer"
+    long: Found | str = budget.over
     plain, trials = long, DyeTrials(loaded, explicit.steps * explicit.dt, 1, first, budget)
     with suppress(Spent):
         trials = _begin_trials(loaded, explicit, first, stable, budget)

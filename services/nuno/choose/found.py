@@ -9,6 +9,7 @@ from typing import Any
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
+from nuno.words import many
 from nuno_schemas.solver import Accuracy
 
 PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
@@ -34,12 +35,7 @@ class Found:
     @property
     def said(self) -> tuple[str, str]:
         """Its steps and its error in words."""
-        return f"{counted(self.steps)} a frame", f"{self.error:.2g}" if self.tried else f"about {self.error:.2g}"
-
-
-def counted(steps: int) -> str:
-    """So many steps, in words."""
-    return f"{steps} step{'s' if steps > 1 else ''}"
+        return f"{many(self.steps, 'step')} a frame", f"{self.error:.2g}" if self.tried else f"about {self.error:.2g}"
 
 
 def written(loaded: Loaded, solver: Mapping[str, Any], why: str, dyed: bool = False) -> Loaded:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from nuno.choose.budget import Budget
-from nuno.choose.found import counted
 from nuno.cloth import build
+from nuno.words import many
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
 from nuno_schemas.system import System
@@ -120,7 +120,7 @@ class Trials:
         if key not in self.kept:
             self._compile(method)
             cost, began = self._cost(method, steps), time.perf_counter()
-            what = f"{method.name} with {counted(steps)} a frame on {self.frames} frames"
+            what = f"{method.name} with {many(steps, 'step')} a frame on {self.frames} frames"
             with self.budget.trial(what, cost * self.pace), np.errstate(all="ignore"):
                 self.kept[key] = self._run(method, steps, disturbance)  # what a diverging trial overflows is its result
             self.work += cost

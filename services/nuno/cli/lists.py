@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+from importlib import import_module
 
 from nuno import registry
 from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
 
 REFERENCES = {
-    "messages": "what a run publishes",
-    "fields": "every field of a scene",
-    "commands": "every command and its arguments",
+    "messages": ("nuno.reference.messages", "what a run publishes"),
+    "fields": ("nuno.reference.fields", "every field of a scene"),
+    "commands": ("nuno.cli.reference", "every command and its arguments"),
 }
-"""Pages of the documentation that are made from what they describe."""
+"""Pages of the documentation that are made from what they describe, by `describe_NAME` of a module."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     elif parser.get_default("command") == "scenes":
         parser.add_argument("--paths", action="store_true", help="print where they are")
     else:
-        for name, what in REFERENCES.items():
+        for name, (_, what) in REFERENCES.items():
             parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
 
 
@@ -32,18 +33,8 @@ def main(args: argparse.Namespace) -> int:
         _list_plugins(args.group)
     elif args.command == "scenes":
         _list_scenes(args.paths)
-    elif args.messages:
-        from nuno.reference.messages import describe_messages
-
-        print(describe_messages(), end="")
-    elif args.fields:
-        from nuno.reference.fields import describe_fields
-
-        print(describe_fields(), end="")
-    elif args.commands:
-        from nuno.cli.reference import describe_commands
-
-        print(describe_commands(), end="")
+    elif name := next((name for name in REFERENCES if getattr(args, name)), ""):
+        print(getattr(import_module(REFERENCES[name][0]), f"describe_{name}")(), end="")
     else:
         from nuno.scene.json_schema import scene_schema
 

@@ -7,6 +7,8 @@ way than its closest points: by lines and planes where what is closest is inside
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from nuno.collision.pairs import Boxes, Long, Mesh, boxes_of, once, overlap
@@ -26,7 +28,7 @@ def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float
     along = np.ascontiguousarray(x.T)
     edges, faces = boxes_of(along, mesh.edges), boxes_of(along, mesh.faces)
     vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), (along, along), face.repeat(2), faces, within)
-    least = _above(x[vertex], x[mesh.faces[below]])
+    least = float(_above(x[vertex], x[mesh.faces[below]]).min(initial=np.inf))
     one, two = edge.repeat(3), mesh.sides[face].ravel()
     one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, min(within, SURE * least))
     least = min(least, _across(x[mesh.edges[one]], x[mesh.edges[two]]))
@@ -38,16 +40,22 @@ def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple
     return once(*overlap(a, (boxes[0] - within, boxes[1] + within), b, others), others[0].shape[1])
 
 
-def _above(p: Float, triangle: Float) -> float:
-    """The least distance of points p (k, 3) from triangles (k, 3, 3) whose inside they are above; inf for none."""
+def to_triangles(p: Float, triangle: Float) -> Float:
+    """(k,) distances of points p (k, 3) from triangles (k, 3, 3)."""
+    a, b, c = (triangle[:, i] for i in range(3))
+    return functools.reduce(np.minimum, (_beside(p, a, b), _beside(p, b, c), _beside(p, c, a)), _above(p, triangle))
+
+
+def _above(p: Float, triangle: Float) -> Float:
+    """(k,) distances of points p (k, 3) from triangles (k, 3, 3) whose inside they are above; inf from others."""
     a, b, c = (triangle[:, i] for i in range(3))
     normal = np.cross(b - a, c - a)
     size = np.linalg.norm(normal, axis=1)
     inside = size > 0.0
     for start, end in ((a, b), (b, c), (c, a)):
         inside &= _dot(np.cross(end - start, p - start), normal) >= 0.0
-    distance = np.abs(_dot(p[inside] - a[inside], normal[inside])) / size[inside]
-    return float(distance.min(initial=np.inf))
+    above: Float = np.divide(np.abs(_dot(p - a, normal)), size, out=np.full(len(p), np.inf), where=inside)
+    return above
 
 
 def _across(one: Float, two: Float) -> float:

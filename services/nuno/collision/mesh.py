@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.collision.clearance import to_triangles
 from nuno.collision.pairs import Boxes, boxes_of, overlap
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Bool, Float, Int
@@ -132,25 +133,9 @@ def distances(points: Float, columns: Columns) -> Float:
             found = tree.query_ball_point(points[at:end], reach[at:end])
             point = np.repeat(np.arange(at, end), [len(one) for one in found])
             face = which[np.concatenate([*found, []]).astype(np.int64)]
-            np.minimum.at(least, point, _to_triangles(points[point], *corners[face].transpose(1, 0, 2)))
+            np.minimum.at(least, point, to_triangles(points[point], corners[face]))
             at = end
     return least
-
-
-def _to_triangles(p: Float, a: Float, b: Float, c: Float) -> Float:
-    """(m,) of points (m, 3) to a triangle each."""
-    least: Float = np.full(len(p), np.inf)
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1)
-    unit = normal / np.where(length > 0.0, length, 1.0)[:, None]
-    within = length > 0.0
-    for start, end in ((a, b), (b, c), (c, a)):
-        along, off = end - start, p - start
-        square = (along * along).sum(axis=1)
-        part = np.clip((off * along).sum(axis=1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-        least = np.minimum(least, np.linalg.norm(off - part[:, None] * along, axis=1))
-        within &= (np.cross(along, off) * unit).sum(axis=1) >= 0.0
-    return np.where(within, np.minimum(least, np.abs(((p - a) * unit).sum(axis=1))), least)
 
 
 _COLUMNS: dict[int, tuple[Geometry, Columns]] = {}

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wire.arrays import BadMessage, arrays_of, decode_arrays, encode_arrays
 from nuno.wrong import Wrong, check_field, check_layout, check_skins
 from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
@@ -18,25 +18,20 @@ POSES_QUESTION = "collision/ask/poses"
 TOLD_QUESTION = "collision/ask/told"
 """What to ask for the bodies, and which of them are told where to be: as JSON, of each its joints and its key."""
 
-_ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", "friction")
-_MESHES = ("vertices", "faces", "owner")
-
-
-_FIELDS = ("low", "shape", "child", "corners")
-_NUMBERS = ("size", "tolerance", "band")
-_SKINS = ("place", "joint", "weight")
+NUMBERS = ("size", "tolerance", "band")
+"""Of a distance field, beside its arrays."""
 
 
 def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
     """Bytes of a geometry; one that is not `whole` is only to be drawn, and leaves the distance fields out."""
-    arrays = {name: getattr(geometry, name) for name in (*_ARRAYS, *_MESHES)}
+    arrays = arrays_of(geometry)
     text: dict[str, Any] = {"bodies": geometry.bodies, "frames": geometry.frames, "fields": []}
     for number, field in enumerate(geometry.fields if whole else ()):
-        text["fields"].append(None if field is None else {name: getattr(field, name) for name in _NUMBERS})
+        text["fields"].append(None if field is None else {name: getattr(field, name) for name in NUMBERS})
         if field is not None:
-            arrays |= {f"field{number}.{name}": getattr(field, name) for name in _FIELDS}
+            arrays |= arrays_of(field, f"field{number}.")
     for number, skin in enumerate(geometry.skins):
-        arrays |= {f"skin{number}.{name}": getattr(skin, name) for name in _SKINS}
+        arrays |= arrays_of(skin, f"skin{number}.")
     return encode_arrays(arrays, text)
 
 
@@ -44,10 +39,12 @@ def decode_geometry(payload: bytes) -> Geometry:
     """Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
-        fields = tuple(_field(arrays, number, text["fields"][number]) for number in range(len(text.get("fields", ()))))
-        plain = {name: arrays[name] for name in (*_ARRAYS, *_MESHES)}
-        number = int((plain["kind"] == SKIN).sum())
-        skins = tuple(Skin(*(arrays[f"skin{i}.{name}"] for name in _SKINS)) for i in range(number))
+        plain = {name: values for name, values in arrays.items() if "." not in name}
+        fields = tuple(
+            None if numbers is None else DistanceField(**numbers, **_part(arrays, f"field{number}."))
+            for number, numbers in enumerate(text.get("fields", ()))
+        )
+        skins = tuple(Skin(**_part(arrays, f"skin{i}.")) for i in range(int((plain["kind"] == SKIN).sum())))
         geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields, skins=skins)
         check_layout("", geometry)  # kernels take shapes and indices as they are
         check_skins(geometry)
@@ -61,14 +58,9 @@ def decode_geometry(payload: bytes) -> Geometry:
         raise BadMessage(f"geometry of which {error}") from None
 
 
-def _field(
-    arrays: Mapping[str, NDArray[Any]], number: int, numbers: Mapping[str, float] | None
-) -> DistanceField | None:
-    if numbers is None:
-        return None
-    low, shape, child, corners = (arrays[f"field{number}.{name}"] for name in _FIELDS)
-    size, tolerance, band = (float(numbers[name]) for name in _NUMBERS)
-    return DistanceField(low, size, shape, tolerance, band, child, corners)
+def _part(arrays: Mapping[str, NDArray[Any]], before: str) -> dict[str, Any]:
+    """Those whose names begin so, by the rest."""
+    return {name.removeprefix(before): values for name, values in arrays.items() if name.startswith(before)}
 
 
 def encode_poses(poses: Poses, frame: int) -> bytes:

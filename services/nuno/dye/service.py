@@ -106,9 +106,8 @@ def _finite(value: float) -> float | None:
 
 def main(context: Context) -> None:
     """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
-    leave = np.zeros(1, np.int64)
-    attendant = Attendant(context, leave)
-    dyeing = DyeRun(context.loaded, context.options.threads, leave=leave)
+    attendant = Attendant(context)
+    dyeing = DyeRun(context.loaded, context.options.threads, leave=attendant.leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
     DyeDriver(context, dyeing, attendant).serve()

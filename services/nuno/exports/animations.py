@@ -16,7 +16,7 @@ import numpy as np
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
 from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames, draw_turn
-from nuno.exports.target import RATE, Progress, check_target, opened, writing
+from nuno.exports.target import RATE, Progress, check_target, load_extra, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -115,7 +115,9 @@ def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None 
     if fps is not None and not 1.0 <= fps <= 240.0:
         raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
     check_target(path, suffix)
-    return _ffmpeg() if suffix == ".mp4" else None
+    if suffix == ".gif":
+        return None
+    return load_extra(("imageio_ffmpeg",), "MP4 needs imageio-ffmpeg", "video", "export a .gif")
 
 
 def _choose_palette(pictures: Iterator[Picture]) -> Image.Image:
@@ -149,15 +151,6 @@ def _write_gif(path: Path, pictures: Iterator[Picture], rate: float, palette: Im
     first, rest = indexed(next(pictures)), map(indexed, pictures)
     # Pillow joins equal pictures into one that lasts longer, so that the timing stays.
     first.save(path, save_all=True, append_images=rest, duration=round(1000.0 / rate), loop=0)
-
-
-def _ffmpeg() -> Any:
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        remedy = 'install it: pip install "nuno[video]"; or export a .gif'
-        raise BadInput("MP4 needs imageio-ffmpeg, which is not installed", remedy=remedy) from None
-    return imageio_ffmpeg
 
 
 def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], fps: float) -> None:

@@ -235,12 +235,15 @@ def find_message(recording: Recording, topic: str, number: int | None) -> tuple[
     return next(recording.messages([topic], start, start + 1e-9), None), times
 
 
-def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> None:
-    """Raises BadInput where a frame's points are not those of the cloth."""
+def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame, finite: bool = False) -> None:
+    """Raises BadInput where a frame's points are not those of the cloth, or not `finite`."""
     most = max((piece.stop for piece in pieces), default=0)
     if len(frame.x) < most:
         problem = f"frame {frame.number} has {len(frame.x)} points for {most} vertices"
         raise BadInput(problem, str(recording.path))
+    if finite and not np.isfinite(frame.x).all():
+        problem, remedy = "the frame's positions are not finite", "export single frames before it: --glb, --frame N"
+        raise BadInput(problem, str(recording.path), value=frame.number, remedy=remedy)
 
 
 def read_pressure(recording: Recording) -> Pressures | None:

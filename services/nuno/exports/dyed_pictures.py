@@ -11,7 +11,7 @@ import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter
 from nuno.exports.cloth import ShownPiece, find_message
-from nuno.exports.target import Progress
+from nuno.exports.target import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
@@ -162,10 +162,7 @@ def draw_amounts(pictures: DyedPictures, times: list[float], progress: Progress 
     wanted = {round(time * 1e9) for time in times}
     messages = pictures.recording.messages([CONCENTRATION.name], times[0], times[-1] + 1e-9)
     shown = (message for message in messages if message.log_time in wanted)
-    for done, message in enumerate(shown, 1):
-        yield pictures.draw(message)
-        if progress is not None:
-            progress(done, len(wanted))
+    return map(pictures.draw, following(shown, len(wanted), progress))
 
 
 def caption(picture: Picture, text: str, pixel: float | None) -> Picture:

@@ -106,24 +106,21 @@ class _Export:
 
     def _pass_on(self, message: Recorded) -> None:
         """A message of a JSON topic as it is, and an event as a line of the log, too."""
-        self._put_raw(message.topic, message.log_time, message.payload, message.seq)
+        kind = topic_of(message.topic)
+        schema = kind.schema if kind else message.topic
+        self._put(message.topic, schema, message.log_time, message.payload, message.seq, self.kinds[message.topic])
         if message.topic.startswith(f"{EVENT.name}/"):
             self._put(EVENTS, "foxglove.Log", message.log_time, encode_event(self.recording, message))
 
-    def _put(self, topic: str, schema: str, at: int, payload: bytes) -> None:
+    def _put(
+        self, topic: str, schema: str, at: int, payload: bytes, number: int = 0, kind: dict[str, Any] | None = None
+    ) -> None:
+        """A message of a schema of foxglove's, or of JSON of a `kind`."""
         if topic not in self._channels:
-            known = self._writer.register_schema(schema, "protobuf", foxglove_schema(schema))
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
-        self._writer.add_message(self._channels[topic], log_time=at, publish_time=at, data=payload)
-
-    def _put_raw(self, topic: str, at: int, payload: bytes, sequence: int) -> None:
-        if topic not in self._channels:
-            kind = topic_of(topic)
-            name, text = kind.schema if kind else topic, json.dumps(self.kinds[topic]).encode()
-            known = self._writer.register_schema(name, "jsonschema", text)
-            self._channels[topic] = self._writer.register_channel(topic, "json", known)
-        channel = self._channels[topic]
-        self._writer.add_message(channel, log_time=at, publish_time=at, data=payload, sequence=sequence)
+            how = ("protobuf", foxglove_schema(schema)) if kind is None else ("jsonschema", json.dumps(kind).encode())
+            known = self._writer.register_schema(schema, *how)
+            self._channels[topic] = self._writer.register_channel(topic, "json" if kind else "protobuf", known)
+        self._writer.add_message(self._channels[topic], log_time=at, publish_time=at, data=payload, sequence=number)
 
 
 def describe_topics(recording: Recording, topics: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
-from nuno.exports.target import Progress, make_folder, opened, together, writing
+from nuno.exports.target import Progress, following, make_folder, opened, together, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.wire.arrays import origin_of
@@ -53,12 +53,10 @@ def export_meshes(
         make_folder(folder)
         cloth, number = Pieces(recording), recording.counts.get("sim/state", 0)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
-        for frame in recording.frames():
+        for frame in following(recording.frames(), number, progress):
             path = folder / f"frame_{frame.number:05d}{suffix}"
             _write(path, suffix, recording, cloth.at(frame.t), dyed, frame)
             written.append(path)
-            if progress is not None:
-                progress(len(written), number)
     return written
 
 
@@ -72,10 +70,7 @@ def _known(suffix: str, path: Path) -> str:
 def _write(
     path: Path, suffix: str, recording: Recording, pieces: list[ShownPiece], dyed: DyedPictures | None, frame: Frame
 ) -> None:
-    check_size(recording, pieces, frame)
-    if not np.isfinite(frame.x).all():
-        remedy = "name an earlier one with --frame"
-        raise BadInput("the frame's positions are not finite", str(recording.path), value=frame.number, remedy=remedy)
+    check_size(recording, pieces, frame, finite=True)
     with writing(path, suffix) as new, new.open("wb") as stream:
         if suffix == ".obj":
             _write_obj(stream, pieces, frame)

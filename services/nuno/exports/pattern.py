@@ -15,7 +15,7 @@ from nuno.collision.surfaces import outlines
 from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
 from nuno.exports.paint import paint_stretch
 from nuno.exports.pattern_marks import INK, SEAM, legend, points, scale, text
-from nuno.exports.target import check_target, opened, writing
+from nuno.exports.target import check_target, load_extra, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput
@@ -87,13 +87,7 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
 
 
 def _fpdf() -> Any:
-    try:
-        import fpdf
-        import fpdf.svg
-    except ImportError:
-        remedy = 'install it: pip install "nuno[pdf]"; or export an .svg'
-        raise BadInput("PDF needs fpdf2, which is not installed", remedy=remedy) from None
-    return fpdf
+    return load_extra(("fpdf", "fpdf.svg"), "PDF needs fpdf2", "pdf", "export an .svg")
 
 
 def _write_pdf(svg: str, path: Path) -> None:

@@ -29,7 +29,7 @@ from nuno.exports.cloth import (
 from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, tubes
 from nuno.exports.shapes import paint_piece
-from nuno.exports.target import Progress, check_target, opened, write_png
+from nuno.exports.target import Progress, check_target, following, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
@@ -209,15 +209,9 @@ def draw_frames(
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
     painter = Painter(recording, shown, size, {"samples": 4}, colour, changes)
-    times, done = Counter(numbers), 0
-    for frame in recording.frames():
-        if frame.number in times:
-            picture = painter.draw(frame)
-            for _ in range(times.pop(frame.number)):
-                yield picture
-                done += 1
-                if progress is not None:
-                    progress(done, len(numbers))
+    times = Counter(numbers)
+    drawn = ((painter.draw(frame), times.pop(frame.number)) for frame in recording.frames() if frame.number in times)
+    yield from following((picture for picture, often in drawn for _ in range(often)), len(numbers), progress)
 
 
 def draw_turn(
@@ -232,10 +226,7 @@ def draw_turn(
     """Draw a frame from all around, in so many pictures. Raises BadInput."""
     painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes)
     painter.stand_back(frame)
-    for k in range(number):
-        yield painter.draw(frame, 2.0 * np.pi * k / number)
-        if progress is not None:
-            progress(k + 1, number)
+    return (painter.draw(frame, 2.0 * np.pi * k / number) for k in following(range(number), number, progress))
 
 
 def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:

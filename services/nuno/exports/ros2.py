@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from nuno.exports.shapes import CLOTH, Shape, Show, Turn
-from nuno.exports.target import Progress, check_folder, opened, writing_folder
+from nuno.exports.target import Progress, check_folder, load_extra, opened, writing_folder
 from nuno.recording.reader import Recording
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, STATE
 
@@ -61,11 +60,7 @@ def export_ros2(source: Recording | Path | str, path: Path, progress: Progress |
 def check_ros2(path: Path) -> None:
     """Raises BadInput where something is there already, and where rosbags is not installed."""
     check_folder(path)
-    try:
-        import rosbags  # noqa: F401
-    except ImportError:
-        remedy = 'install it: pip install "nuno[ros]"; or export for Foxglove, --foxglove out.mcap'
-        raise BadInput("ROS 2 bags need rosbags, which is not installed", remedy=remedy) from None
+    load_extra(("rosbags",), "ROS 2 bags need rosbags", "ros", "export for Foxglove, --foxglove out.mcap")
 
 
 def _lasting() -> Any:

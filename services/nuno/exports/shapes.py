@@ -82,10 +82,7 @@ class Show:
         x, t = self.recording.points(message), message.t
         number, digest = self.recording.marks().get(message.log_time, (message.seq, ""))
         pieces = self._pieces.at(t)
-        check_size(self.recording, pieces, Frame(number, t, digest, x))
-        if not np.isfinite(x).all():
-            problem, remedy = "the frame's positions are not finite", "export single frames before it: --glb, --frame N"
-            raise BadInput(problem, str(self.recording.path), value=number, remedy=remedy)
+        check_size(self.recording, pieces, Frame(number, t, digest, x), finite=True)
         dressed = pieces if self._dyed is None else self._dyed.dress(pieces, t)
         return [shape_piece(piece, x[piece.start : piece.stop] - self.origin) for piece in dressed]
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
+from importlib import import_module
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 
+T = TypeVar("T")
 Progress = Callable[[int, int], None]
 """Called with the steps done and all steps."""
 
@@ -38,6 +41,24 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".json": (0, b'{\n "globalVariables": {\n  "nuno"'),
 }
 """How a file of each kind begins: offset and bytes."""
+
+
+def following(items: Iterable[T], number: int, progress: Progress | None) -> Iterator[T]:
+    """The same items, of which there are so many, and `progress` after each."""
+    for done, item in enumerate(items, 1):
+        yield item
+        if progress is not None:
+            progress(done, number)
+
+
+def load_extra(names: tuple[str, ...], needs: str, extra: str, instead: str) -> Any:
+    """The first of modules that come with an extra of nuno. Raises BadInput where they are not installed."""
+    try:
+        first, *_ = [import_module(name) for name in names]
+        return first
+    except ImportError:
+        remedy = f'install it: pip install "nuno[{extra}]"; or {instead}'
+        raise BadInput(f"{needs}, which is not installed", remedy=remedy) from None
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, re
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
-from nuno.exports.target import Progress, check_target, opened, writing
+from nuno.exports.target import Progress, check_target, following, load_extra, opened, writing
 from nuno.process import scratch
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
@@ -65,13 +65,9 @@ def check_usd(path: Path) -> None:
 
 
 def _pxr() -> Any:
-    try:
-        import pxr
-        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt  # noqa: F401
-    except ImportError:
-        remedy = 'install it: pip install "nuno[usd]"; or export a .glb'
-        raise BadInput("USD needs usd-core, which is not installed", remedy=remedy) from None
-    return pxr
+    parts = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "UsdUtils", "Vt")
+    names = ("pxr", *(f"pxr.{part}" for part in parts))
+    return load_extra(names, "USD needs usd-core", "usd", "export a .glb")
 
 
 @contextmanager
@@ -108,13 +104,10 @@ class _Writer:
         cloth, bodies = Pieces(self.recording), read_bodies(self.recording)
         number = self.recording.counts.get(STATE.name, 0) if self.frame is None else 1
         origin, shown = None, None
-        for done, shown in enumerate(self.frames(), 1):
+        for done, shown in enumerate(following(self.frames(), number, progress), 1):
             x, code = shown.x, self.code(shown)
             pieces = cloth.at(shown.t)
-            check_size(self.recording, pieces, shown)
-            if not np.isfinite(x).all():
-                problem, remedy = "the frame's positions are not finite", "name an earlier one with --frame"
-                raise BadInput(problem, str(self.recording.path), value=shown.number, remedy=remedy)
+            check_size(self.recording, pieces, shown, finite=True)
             if origin is None:
                 origin = origin_of(x)
                 self.root.AddTranslateOp().Set(self.pxr.Gf.Vec3d(*origin.tolist()))
@@ -128,8 +121,6 @@ class _Writer:
                 self.add_bodies(points - origin, bodies.faces, code)
             if done % AT_ONCE == 0:
                 self.stage.Save()
-            if progress is not None:
-                progress(done, number)
         if shown is None or not self.shaped:
             problem, remedy = "nothing in the recording has faces", "a net has none: export .npz"
             raise BadInput(problem, str(self.recording.path), remedy=remedy)

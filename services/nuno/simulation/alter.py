@@ -17,6 +17,7 @@ from nuno.scene.chosen import Chosen, choose_operation
 from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Loaded
+from nuno.wire.arrays import arrays_of
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Int
 from nuno_schemas.operation import arranges
@@ -25,12 +26,8 @@ from nuno_schemas.scene import Applied
 NAME = "add"
 """What errors call the text of an added operation."""
 ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
-SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind", "lock", "k_lock")
-MEMBRANE = ("faces", "along", "across", "area", "moduli", "damping")
-BENDING = ("pairs", "weight")
-FRICTION = ("vertices", "shares", "area", "limit", "slip")
-CORNERS = ("points", "vertex", "faces")
-HINGES = ("first", "count", "stride", "k", "rest")
+PARTS = ("springs", "hinges", "membrane", "bending", "friction", "corners")
+"""Of a fabric, beside arrays, those among them that it may lack."""
 
 
 def name_of(item: str) -> str:
@@ -94,20 +91,12 @@ def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[An
     return np.ascontiguousarray(np.moveaxis(carried, 0, axes[0]))
 
 
-PARTS = {
-    "springs": SPRINGS, "hinges": HINGES, "membrane": MEMBRANE, "bending": BENDING, "friction": FRICTION,
-    "corners": CORNERS,
-}  # fmt: skip
-"""Arrays of each part of a fabric, those among them that it may lack."""
-
-
 def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     """All arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the way back."""
     arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
-    for part, names in PARTS.items():
-        held = getattr(fabric, part)
-        own = {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
-        arrays |= {name: values for name, values in own.items() if values is not None}
+    for part in PARTS:
+        if (held := getattr(fabric, part)) is not None:
+            arrays |= arrays_of(held, f"{part}.")
     for i, binding in enumerate(fabric.bindings):
         arrays[f"bindings.{i}"] = binding.vertices
         arrays |= {} if binding.local is None else {f"bindings.{i}.local": binding.local}
@@ -127,10 +116,9 @@ def fabric_from(
     """
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
-        for part, names in PARTS.items():  # panels stay as they are cut: no operation changes triangles of corners
+        for part in PARTS:  # panels stay as they are cut: no operation changes triangles of corners
             if (own := getattr(built, part)) is not None:
-                kept = {name: arrays[f"{part}.{name}"] for name in names if getattr(own, name) is not None}
-                parts[part] = replace(own, **kept)
+                parts[part] = replace(own, **{name: arrays[f"{part}.{name}"] for name in arrays_of(own)})
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
             for i, (body, frame) in enumerate(bound)

@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,7 +257,7 @@ class Changing(Stepper):
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
         if origins:
             self._adopt_fabrics(arrays, text, origins)
-        elif _same(before, self.numbers):
+        elif np.array_equal(cast(Any, before), cast(Any, self.numbers)):  # so is None to None
             return False
         if self.numbers is not None:
             check_array(NUMBERS, self.numbers, np.int32, (self.fabric.number,))
@@ -283,9 +283,3 @@ class Changing(Stepper):
         for i, (change, crest) in enumerate(zip(self.changes, self.crests, strict=True)):
             check_array(f"fabric/crests/{i}", crest, np.int32, (5, None), Bounds(0, sizes[change["object"]] - 1))
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
-
-
-def _same(numbers: Int | None, others: Int | None) -> bool:
-    if numbers is None or others is None:
-        return numbers is others
-    return np.array_equal(numbers, others)

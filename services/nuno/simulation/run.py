@@ -60,13 +60,13 @@ class Simulation(Changing):
 
     def __init__(
         self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int,
-        watch: Callable[[], None] = lambda: None, leave: NDArray[np.int64] | None = None,
+        leave: NDArray[np.int64] | None = None,
     ) -> None:  # fmt: skip
-        """`watch` is called now and then where the start takes long, and may raise; `leave` as in System."""
+        """`leave` as in System."""
         self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         again = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
-        settled = settle(self.loaded, again, watch)
+        settled = settle(self.loaded, again)
         self.rested = settled.objects
         self.fabric, self.pieces, arranged = build.build_told(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled.told, *arranged]

@@ -42,7 +42,7 @@ than the end of the run may take."""
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and answers control."""
 
-    def __init__(self, context: Context, simulation: Simulation, attendant: Attendant | None = None) -> None:
+    def __init__(self, context: Context, simulation: Simulation, attendant: Attendant) -> None:
         super().__init__(context, simulation, attendant)
         self.simulation = simulation
         self.bodies = PosesAhead(context)
@@ -249,10 +249,8 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
 
-    leave = np.zeros(1, np.int64)
-    attendant = Attendant(context, leave)
-    watch = context.require_supervisor
-    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watch, leave)
+    attendant = Attendant(context)
+    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, attendant.leave)
     if geometry is not None:
         simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))
     if context.loaded.scene.record.contact_forces and geometry is not None:

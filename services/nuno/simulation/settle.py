@@ -48,9 +48,8 @@ class Settled:
     told: tuple[dict[str, Any], ...] = ()
 
 
-def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling], watch: Callable[[], None]) -> Settled:
-    """Let a scene come to rest on fewer vertices, while its bodies stand where they start. `watch` is called each
-    frame, and may raise.
+def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
+    """Let a scene come to rest on fewer vertices, while its bodies stand where they start.
 
     Raises BadInput where these vertices are too few, or a force knows vertices by number, and RunFailed where a step
     fails.
@@ -77,7 +76,6 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling], watch: Callab
         problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
         raise loaded.at(f"objects[{first}].model.coarse", problem) from error
     while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
-        watch()
         report = simulation.step().report
         if report.status != "ok":
             raise RunFailed(f"on coarser triangles, frame {simulation.frame}: {report.message or report.status}")

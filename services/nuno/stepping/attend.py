@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nuno.service import Context
 from nuno.wire.question import Question
@@ -32,9 +31,9 @@ LATEST = 50
 class Attendant:
     """A thread that looks after one service's steps, from its start to `close`."""
 
-    def __init__(self, context: Context, leave: NDArray[np.int64]) -> None:
-        """`leave` (1,) is read by whatever takes steps; see nuno_schemas.system.System."""
-        self._context, self._leave = context, leave
+    def __init__(self, context: Context) -> None:
+        self._context, self.leave = context, np.zeros(1, np.int64)
+        """(1,) for whatever takes steps; see nuno_schemas.system.System"""
         self._asked: float | None = None
         self._began: float | None = time.monotonic()
         """When the present frame began; at first, the preparation."""
@@ -79,8 +78,8 @@ class Attendant:
             with self._lock:
                 late = self._asked is not None and now - self._asked > PATIENCE
                 if late and self._began is not None:
-                    self._leave[0] = 1
-                if late and (gone or self._leave[0]):
+                    self.leave[0] = 1
+                if late and (gone or self.leave[0]):
                     return
                 if self._began is None:
                     continue

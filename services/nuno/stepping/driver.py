@@ -47,14 +47,12 @@ class Driver(Teller):
     every = 1
     """Frames from one whose arrays are published to the next."""
 
-    def __init__(
-        self, context: Context, stepper: Stepper, attendant: Attendant | None = None, follows: Topic | None = None
-    ) -> None:
+    def __init__(self, context: Context, stepper: Stepper, attendant: Attendant, follows: Topic | None = None) -> None:
         """`follows` is the topic of the leader's statuses, None for the leader; `attendant` has looked after the
         preparation.
         """
         super().__init__(context, stepper)
-        self.attendant = attendant or Attendant(context, stepper.leave)
+        self.attendant = attendant
         self.attendant.holds = stepper.holds
         self.attendant.prepared()
         self.before: Checkpoint | None = None

@@ -10,15 +10,15 @@ import contextlib
 import hashlib
 import json
 import logging
-import secrets
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from logging.handlers import MemoryHandler
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from nuno.process import hold, sweep
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
@@ -111,35 +111,34 @@ class _Once(logging.StreamHandler[TextIO]):
 
 
 class _File(_Once, logging.FileHandler):
-    """A run's log, under its own name once the services are ready: a run that is refused leaves what is there."""
+    """A run's log, opened at its first record."""
 
     def __init__(self, target: Path) -> None:
-        self.target = self.fresh = target
-        if target.is_file() or not target.exists():  # else a pipe, which is written as it is
-            self.target = target.resolve()
-            self.fresh = self.target.with_name(f".{self.target.name}.{secrets.token_hex(4)}")
-            sweep(self.target.parent, f".*{SUFFIX}.????????")
-        self.named = str(self.target)
-        super().__init__(self.fresh, "w", "utf-8")
-        if self.stream is not None:
-            hold(self.stream.fileno())
+        self.named = str(target)
+        super().__init__(target, "w", "utf-8", delay=True)
 
     def emit(self, record: logging.LogRecord) -> None:
         """See logging.Handler."""
-        super().emit(record)
-        if record.getMessage() == READY:
-            self.settle()
-
-    def settle(self) -> None:
-        """Take the place of an earlier run's."""
-        if self.fresh != self.target:
-            with contextlib.suppress(OSError):  # its folder may have been removed
-                self.fresh.replace(self.target)
+        try:
+            super().emit(record)
+        except OSError:  # it cannot be opened any more
+            self.handleError(record)
 
     def close(self) -> None:
         """See logging.Handler; what could not be written cannot be written now, either."""
         with contextlib.suppress(OSError):
             super().close()
+
+
+class _UntilReady(MemoryHandler):
+    """Holds records back until the services are ready: a run that is refused leaves the log that is there."""
+
+    ready = False
+
+    def shouldFlush(self, record: logging.LogRecord) -> bool:  # noqa: N802
+        """See logging.handlers.BufferingHandler."""
+        self.ready = self.ready or record.getMessage() == READY
+        return self.ready
 
 
 @contextlib.contextmanager
@@ -151,13 +150,16 @@ def written(run: str, target: Path | None) -> Iterator[None]:
     if target is None:
         yield
         return
-    handler: logging.Handler
-    try:
-        handler = _Once(sys.stdout) if str(target) == "-" else _File(target)
-    except OSError as error:
-        remedy = "choose a folder that exists and can be written"
-        raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
-    handler.setFormatter(JsonLines())
+    kept = _Once(sys.stdout) if str(target) == "-" else _File(target)
+    kept.setFormatter(JsonLines())
+    handler: logging.Handler = kept
+    if str(target) != "-" and (target.is_file() or not target.exists()):  # else a pipe, which is written at once
+        try:
+            tempfile.TemporaryFile(dir=target.resolve().parent).close()
+        except OSError as error:
+            remedy = "choose a folder that exists and can be written"
+            raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
+        handler = _UntilReady(0, target=kept)
     handler.addFilter(lambda record: getattr(record, "run", "") == run)
     level = LOGGER.level
     LOGGER.addHandler(handler)
@@ -165,12 +167,11 @@ def written(run: str, target: Path | None) -> Iterator[None]:
     try:
         yield
     except BadInput:
-        if isinstance(handler, _File) and handler.fresh != handler.target:
-            handler.fresh.unlink(missing_ok=True)
+        if isinstance(handler, _UntilReady):
+            handler.buffer.clear()
         raise
     finally:
         LOGGER.removeHandler(handler)
         LOGGER.setLevel(level)
         handler.close()
-        if isinstance(handler, _File):
-            handler.settle()
+        kept.close()

@@ -54,8 +54,10 @@ Progress = Callable[[FrameStatus | str], None]
 class Supervisor:
     """One run, from start to report."""
 
-    def __init__(self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> None:
-        self.loaded, self.options, self.plan, self.run = loaded, options, plan, run
+    def __init__(
+        self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str, progress: Progress | None
+    ) -> None:
+        self.loaded, self.options, self.plan, self.run, self.progress = loaded, options, plan, run, progress
         self.bus = Bus(session, run, SUPERVISOR)
         offer_health(self.bus)
         self.alive = self.bus.alive()
@@ -87,13 +89,13 @@ class Supervisor:
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
-    def wait_until_ready(self, progress: Progress | None) -> None:
+    def wait_until_ready(self) -> None:
         """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
         begin, told, by_hand = time.monotonic(), set[str](), self.exited is dict
         settles = coarser(self.loaded) is not None and self.options.resume is None
         patience = max(self.patience, COMPILE_TIMEOUT) if settles else self.patience
         while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
-            self._drain(progress)
+            self._drain()
             if self.bad_input is not None:
                 raise self.bad_input
             if broken := self.cut_off():
@@ -101,31 +103,31 @@ class Supervisor:
             over = self.exited()
             if gone := {name for name in missing if name in over or self.watch.gone(name)}:
                 name = min(gone)
-                self._hear({name}, progress)
+                self._hear({name})
                 if self.bad_input is not None:
                     raise self.bad_input
                 why = self.errors.get(name) or f"the {name} service ended before it was ready: {over.get(name) or GONE}"
                 if name not in self.dispensable:
                     raise RunFailed(why)
-                self._miss(name, why, progress)
+                self._miss(name, why)
                 continue
             waited = time.monotonic() - begin
-            if progress is not None and waited > PREPARING_AFTER and told != missing and (by_hand or not told):
+            if self.progress is not None and waited > PREPARING_AFTER and told != missing and (by_hand or not told):
                 told, away = missing, f"waiting for services that are started by hand: {', '.join(sorted(missing))}"
-                self.say(away if by_hand else SETTLING if settles else PREPARING, progress)
+                self.say(away if by_hand else SETTLING if settles else PREPARING)
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
-        self._drain(progress)  # what comes from here on, the recorder hears, too
+        self._drain()  # what comes from here on, the recorder hears, too
 
-    def check_premises(self, progress: Progress | None) -> None:
+    def check_premises(self) -> None:
         """Have all services start from the same scene. Raises BadInput where one does not, RunFailed where one dies."""
         for services in (set(self.needed), self.dispensable):
             try:
                 alive = services & self.watch.alive()
                 notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
             except RunFailed as error:
-                self._hear({error.peer}, progress)
+                self._hear({error.peer})
                 if broken := self.cut_off():
                     raise RunFailed(broken) from None
                 if error.peer in self.watch.alive():
@@ -134,22 +136,22 @@ class Supervisor:
                     continue
                 raise RunFailed(f"the {error.peer} service died: {self._why(error.peer)}") from None
             for note in notes:
-                self.say(note, progress)
+                self.say(note)
 
     def _why(self, name: str) -> str:
         """Why a service is over."""
         return self.errors.get(name) or self.exited().get(name) or GONE
 
-    def _hear(self, names: set[str], progress: Progress | None) -> bool:
+    def _hear(self, names: set[str]) -> bool:
         """Wait for last words of services that are over, which may be on the way; whether the run ends meanwhile."""
         end, over = time.monotonic() + LAST_WORDS, self.ended is not None
         while True:
-            if self._drain(progress, timeout=0.05) and not over:
+            if self._drain(timeout=0.05) and not over:
                 return True
             if names & self.errors.keys() or time.monotonic() >= end:
                 return False
 
-    def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
+    def _drain(self, timeout: float = 0.0) -> bool:
         """Take in what services say; whether the run has ended."""
         item = self.inbox.get(timeout)
         while isinstance(item, Message):
@@ -157,10 +159,10 @@ class Supervisor:
                 if item.topic in STATUSES:
                     status = STATUSES[item.topic].model_validate_json(item.payload)
                     self.silence.hear(status.frame)
-                    if progress is not None:
-                        progress(status)
+                    if self.progress is not None:
+                        self.progress(status)
                 else:
-                    self._note(item.topic, Event.model_validate_json(item.payload), progress)
+                    self._note(item.topic, Event.model_validate_json(item.payload))
             except ValueError:
                 self.inbox.refuse(item)
             item = self.inbox.get(0)
@@ -169,7 +171,7 @@ class Supervisor:
             self.recorded = "recorder" in self.watch.alive()
         return self.ended is not None
 
-    def _note(self, topic: str, event: Event, progress: Progress | None) -> None:
+    def _note(self, topic: str, event: Event) -> None:
         """Take in one event. Raises ValueError where it does not come from a service of this run."""
         if topic != f"{EVENT.name}/{event.service}" or event.service not in self.plan.services:
             raise ValueError(f"{topic} speaks for {event.service}")
@@ -184,30 +186,30 @@ class Supervisor:
             if event.service != self.plan.leader or not isinstance(summary, dict):
                 raise ValueError("not the end of the run")
             self.ended = summary
-        elif event.kind in ("start", "warning") and progress is not None:
-            progress(event.text)
+        elif event.kind in ("start", "warning") and self.progress is not None:
+            self.progress(event.text)
 
-    def follow(self, progress: Progress | None) -> str:
+    def follow(self) -> str:
         """Let the run go to its end; the error that ended it early, or ""."""
         if self.paused:
-            self.say(f"paused before its first frame; to go on: nuno control {self.run} resume", progress)
+            self.say(f"paused before its first frame; to go on: nuno control {self.run} resume")
         else:
             self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
-            self._drain(progress, timeout=0.2)
-            if progress is not None:
-                self.laggards.look(lambda text: self.say(text, progress))
-                self.silence.look(lambda text: self.say(text, progress))
+            self._drain(timeout=0.2)
+            if self.progress is not None:
+                self.laggards.look(self.say)
+                self.silence.look(self.say)
             if broken := self.cut_off():
                 return broken
             for name in self.dispensable - self.watch.alive() - self.without.keys():
-                self._hear({name}, progress)
-                self._miss(name, self.exited().get(name) or GONE, progress)
+                self._hear({name})
+                self._miss(name, self.exited().get(name) or GONE)
             for name in self.watch.alive() - {SUPERVISOR, *self.plan.services} - self.strange:
                 self.strange.add(name)
-                self.say(f"the {name} service takes no part: the run was started without it", progress)
+                self.say(f"the {name} service takes no part: the run was started without it")
             if dead := [name for name in self.needed if name not in self.watch.alive()]:
-                if self._drain(progress) or self._hear(set(dead), progress):
+                if self._drain() or self._hear(set(dead)):
                     break
                 if self.blamed in self.watch.alive():
                     return f"the run gave up: {self.errors[dead[0]]}"
@@ -216,21 +218,19 @@ class Supervisor:
                 return f"the {name} service died: {self._why(name)}"
         return ""
 
-    def say(self, text: str, progress: Progress | None, level: int = logging.INFO) -> None:
+    def say(self, text: str, level: int = logging.INFO) -> None:
         """Tell who watches, and the log."""
         log.note(self.run, text, level=level)
-        if progress is not None:
-            progress(text)
+        if self.progress is not None:
+            self.progress(text)
 
-    def _miss(self, name: str, why: str, progress: Progress | None) -> None:
+    def _miss(self, name: str, why: str) -> None:
         """Go on without a service that the run can do without, and say so, once."""
         if name not in self.without:
             self.without[name] = self.errors.get(name) or why
-            self.say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
+            self.say(f"the run goes on without a view: the {name} service died: {self.without[name]}")
 
-    def finish(
-        self, error: str, report: Summarise, discard: bool = False, progress: Progress | None = None
-    ) -> dict[str, dict[str, Any]]:
+    def finish(self, error: str, report: Summarise, discard: bool = False) -> dict[str, dict[str, Any]]:
         """Ask each service to finish, the recorder last, and collect what they counted.
 
         `discard` leaves no recording behind: nothing has happened that could be in it.
@@ -246,7 +246,7 @@ class Supervisor:
                 break
             if name not in self.watch.alive():
                 if not error and name not in self.without:
-                    self._lose(name, "", progress)
+                    self._lose(name, "")
                 continue
             failed = error or any(service in self.errors for service in self.needed)
             state = "failed" if failed or not self.ended else str(self.ended.get("state", "failed"))
@@ -259,42 +259,40 @@ class Supervisor:
                 request |= {"discard": discard, "expected": sent, "report": report(answers)}
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
-            if name == "render" and progress is not None and not error:
-                self.say(DRAWING, progress)
+            if name == "render" and self.progress is not None and not error:
+                self.say(DRAWING)
             try:
-                answers[name] = self._ask_to_finish(name, request, patience, progress)
+                answers[name] = self._ask_to_finish(name, request, patience)
             except RunFailed as failure:
                 self.broken = self.cut_off()
                 if self.broken:
                     break
-                self._lose(name, str(failure), progress)
+                self._lose(name, str(failure))
         answers[SUPERVISOR] = {name: self.inbox.counts.told()[name] for name in ("missing", "refused")}
         self.alive.undeclare()
         return answers
 
-    def _ask_to_finish(
-        self, name: str, request: dict[str, Any], patience: float, progress: Progress | None
-    ) -> dict[str, Any]:
+    def _ask_to_finish(self, name: str, request: dict[str, Any], patience: float) -> dict[str, Any]:
         """A service's answer. Where the user would not wait for pictures, those that wait are left undrawn."""
         try:
             return self.bus.ask_json(f"finish/{name}", request, patience)
         except KeyboardInterrupt:
             if name != "render":
                 raise
-        self.say(UNDRAWN, progress)
+        self.say(UNDRAWN)
         answer = self.bus.ask_json(f"finish/{name}", {"error": "interrupted"}, patience)
         self.errors[name] = f"interrupted, pictures left undrawn: {answer.get('undrawn')}"
         return answer
 
-    def _lose(self, name: str, why: str, progress: Progress | None) -> None:
+    def _lose(self, name: str, why: str) -> None:
         """Note a service that has not finished."""
-        self._hear({name}, progress)
+        self._hear({name})
         why = self.exited().get(name) or why or GONE
         if name in self.dispensable:
-            self._miss(name, why, progress)
+            self._miss(name, why)
         elif name not in self.errors:
             self.errors[name] = f"the service did not finish: {why}"
-            self.say(f"{name}: {self.errors[name]}", progress)
+            self.say(f"{name}: {self.errors[name]}")
 
     def _await_recorder(self) -> None:
         """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""

@@ -103,10 +103,10 @@ def supervise(
         if progress is not None:
             progress(f"run {run}, its bus at {endpoint}")
         log.note_start(run, loaded, plan.services)
-        supervisor = Supervisor(loaded, options, plan, session, run)
+        supervisor = Supervisor(loaded, options, plan, session, run, progress)
         supervisor.paused = deployment.paused
         for text in scene_warnings(loaded):
-            supervisor.say(text, progress, logging.WARNING)
+            supervisor.say(text, logging.WARNING)
         if deployment.connect:
             supervisor.cut_off = partial(cut_off, session, endpoint)
         else:
@@ -120,28 +120,25 @@ def supervise(
                 launch.threads(loaded, options, plan, session, run, supervisor.watch)
             )
         apart = deployment.processes or deployment.connect is not None
-        return _conduct(supervisor, began, apart, progress, report)
+        return _conduct(supervisor, began, apart, report)
 
 
 def _conduct(
-    supervisor: Supervisor,
-    began: float,
-    apart: bool,
-    progress: Progress | None,
-    report: Callable[[Outcome], dict[str, Any]] | None,
+    supervisor: Supervisor, began: float, apart: bool, report: Callable[[Outcome], dict[str, Any]] | None
 ) -> Outcome:
     """`apart`: each service has read the scene by itself."""
     ready, error = 0.0, ""
     try:
-        supervisor.wait_until_ready(progress)
+        supervisor.wait_until_ready()
         if apart:
-            supervisor.check_premises(progress)
+            supervisor.check_premises()
         ready = time.perf_counter()
         if supervisor.options.record is not None and not supervisor.options.temporary:
             runs.note_recording(supervisor.options.folder / supervisor.options.record)
         log.note(supervisor.run, log.READY, {"seconds": ready - began})
-        error = supervisor.follow(progress)
+        error = supervisor.follow()
     except BadInput:
+        supervisor.progress = None  # why it is refused is all that is to be said
         supervisor.finish("refused", lambda answers: {}, discard=True)
         raise
     except RunFailed as failure:
@@ -150,8 +147,8 @@ def _conduct(
         error = _word(signal)
     ended = time.perf_counter()
     ready = ready or ended
-    if error and progress is not None:
-        progress(f"the services end in order: {error}{AT_ONCE if error in SIGNALS else ''}")
+    if error and supervisor.progress is not None:
+        supervisor.progress(f"the services end in order: {error}{AT_ONCE if error in SIGNALS else ''}")
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
         summary = supervisor.ended or answers.get(supervisor.plan.leader, {}).get("summary", {})
@@ -161,9 +158,7 @@ def _conduct(
         return Outcome(supervisor.run, state, why, supervisor.plan, summary, answers, seconds)
 
     try:
-        answers = supervisor.finish(
-            error, lambda answers: report(outcome(answers)) if report else {}, progress=progress
-        )
+        answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
     except KeyboardInterrupt as signal:
         log.note_failure(supervisor.run, f"{_word(signal)} while its services ended")
         raise

@@ -10,6 +10,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,12 @@ def _arrays_class() -> Any:
 def arrays_schema() -> bytes:
     """The FileDescriptorSet that an MCAP reader needs to decode `nuno.Arrays`."""
     return descriptor_pb2.FileDescriptorSet(file=[_file()]).SerializeToString()
+
+
+def arrays_of(part: Any, before: str = "") -> dict[str, NDArray[Any]]:
+    """The arrays among the fields of a dataclass, by their names after `before`."""
+    found = {one.name: getattr(part, one.name) for one in fields(part)}
+    return {before + name: values for name, values in found.items() if isinstance(values, np.ndarray)}
 
 
 def encode_arrays(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any] | None = None) -> bytes:

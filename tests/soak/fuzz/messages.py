@@ -22,6 +22,7 @@ from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver
+from nuno.stepping.attend import Attendant
 from nuno.studio.desk import Desk
 from nuno.wire.arrays import BadMessage, encode_picture
 from nuno.wire.bus import Bus, Inbox
@@ -176,7 +177,7 @@ def _asked(make: Callable[[Context], Callable[[Question], None]], folder: Path) 
 
 def _control(context: Context) -> Callable[[Question], None]:
     simulation = Simulation(context.loaded, None, None, 1)
-    driver = ClothDriver(context, simulation)
+    driver = ClothDriver(context, simulation, Attendant(context))
 
     def answer(question: Question) -> None:
         said = driver.control(question.json())
