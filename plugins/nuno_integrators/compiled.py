@@ -214,8 +214,13 @@ class Compiled(ABC):
         packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
         # After a change, or from a checkpoint, what makes lists has none before its next step.
         call_each(_set_poses(packed, (poses[1], poses[1])), "begin", work.x, 0.0, packed.threads)
+        free = self.free_forces(system, work, packed, extra)
         _set_poses(packed, poses)
-        return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1])
+        return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1], free)
+
+    def free_forces(self, system: System, work: Any, packed: Packed, extra: Extra) -> Float | None:
+        """(n, 3) forces [N] as steps find them where nothing is slid on; None where that is what their laws say."""
+        return None
 
     def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:
         """(3, n) the velocity by which contact was felt at the end of the last step; that of the state unless told."""

@@ -53,13 +53,17 @@ def find_forces(
     return Forces(kinds, moved, link_tensions(system.fabric, state.x))
 
 
-def find_touched(system: System, packed: Packed, x: Float, v: Float, extra: Extra, poses: Poses) -> Touched:
+def find_touched(
+    system: System, packed: Packed, x: Float, v: Float, extra: Extra, poses: Poses, free: Float | None
+) -> Touched:
     """What each body does to the vertices in the state x, v (3, n), with bodies as at the end of the interval, where
-    `poses` has them: what its contact gives where nothing else acts.
+    `poses` has them: what its contact gives where nothing else acts. What is slid on holds against `free` (n, 3) [N] of
+    vertices that are not held, where a method's steps find other forces than their laws.
     """
     bare, mass = _bare(packed), system.fabric.mass[:, None]
     total = _force(bare, x, v, 1.0, extra)
     total += mass * np.asarray(system.gravity, np.float64) - system.damping * mass * v.T
+    total = total if free is None else np.where(system.fabric.pinned[:, None], total, free)
     by: dict[str, Float] = {}
     for term, names in _with_bodies(system, packed):
         for number, name in enumerate(names):

@@ -61,9 +61,14 @@ def unconstrained(fabric: Fabric) -> list[str]:
 
 @dataclass
 class XPBDWork(Work):
-    """What the compiled loop works on."""
+    """What the compiled loop works on, and the last step [s]: (1,), 0 before the first one."""
 
     own: Swept
+    last: Float
+
+    def kept(self) -> dict[str, Float]:
+        """The step is part of the state for what bodies are said to feel."""
+        return {"last_step": self.last}
 
 
 class XPBD(Compiled):
@@ -91,7 +96,7 @@ class XPBD(Compiled):
         held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
         x, v = np.empty((2, 3, n))
         own = Swept(others, pack_constraints(packed, repeated), np.empty((1, n)), held, config.iterations)
-        return XPBDWork(packed, x, v, np.empty((4, 3, n)), own)
+        return XPBDWork(packed, x, v, np.empty((4, 3, n)), own, np.zeros(1))
 
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Only forces without a constraint limit the step; `resolved` follows from config.residual."""
@@ -114,8 +119,22 @@ class XPBD(Compiled):
 
     def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         call_each(packed, "approach", 1.0 / dt)
+        work.last[0] = dt if steps else work.last[0]
         source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
         return Told(steps, "", {"iterations": steps * work.own.iterations})
+
+    def free_forces(self, system: System, work: XPBDWork, packed: Packed, extra: Extra) -> Float | None:
+        """By a step like the last one: sweeps end before springs are at their law. A step takes damping at its end."""
+        slid = np.array([kernels_of(term).unbalance is not None for term in packed.bodies], np.bool_)
+        dt = float(work.last[0])
+        if not slid.any() or not 0.0 < dt < np.inf:
+            return None
+        x, v = work.x.copy(), work.v.copy()
+        call_each(packed, "approach", 1.0 / dt)
+        free = packed._replace(bodies_on=packed.bodies_on & ~slid)
+        source_of(advance_xpbd, extra)(x, v, work.stages, 1, dt, free, extra, work.own)
+        call_each(packed, "approach", np.inf)
+        return np.asarray(system.fabric.mass[:, None] * (v - work.v).T * (1.0 / dt + packed.damping))
 
     def compile(self, work: XPBDWork, packed: Packed, extra: Extra) -> None:
         self.go(work, packed, extra, 0, 1.0)
