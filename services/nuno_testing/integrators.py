@@ -6,10 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.oscillator import DAMPING, OMEGA, oscillator, solution
-from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
 from nuno_testing.subject import Subject, made_twice
+
+OMEGA, DAMPING = 3.0, 0.6
+
+
+def oscillator() -> System:
+    """Two free particles on springs of rest length 0 to a pinned one: x'' = -omega^2 x - damping x'."""
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, -0.3], [-0.5, 0.4, 0.9]])
+    pairs = np.array([[0, 1], [0, 2]], np.int32)
+    springs = Springs.from_pairs(pairs, np.full(2, 2.0 * OMEGA**2), np.zeros(2), np.zeros(2))
+    velocity = np.array([[0.0, 0.0, 0.0], [0.1, -1.0, 0.5], [0.7, 0.0, -0.2]])
+    faces = np.zeros((0, 3), np.int32)
+    pinned = np.array([True, False, False])
+    return System(Fabric("oscillator", x, velocity, np.full(3, 2.0), pinned, faces, springs), np.zeros(3), DAMPING)
+
+
+def solution(system: System, t: float) -> Float:
+    """x(t) of the damped oscillator in closed form."""
+    x, v = system.fabric.position, system.fabric.velocity
+    half, rate = 0.5 * DAMPING, np.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
+    found: Float = np.exp(-half * t) * (x * np.cos(rate * t) + (v + half * x) / rate * np.sin(rate * t))
+    return found
 
 
 def exactly(subject: Subject) -> Any:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,22 +57,20 @@ def by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ByHand]
         yield ByHand(tmp_path, endpoint)
 
 
-class Said:
-    """What commands have said so far, on standard error."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self.capsys, self.heard = capsys, ""
-
-    def __call__(self, words: str) -> bool:
-        self.heard += self.capsys.readouterr().err
-        return words in self.heard
+def listen(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], bool]:
+    """Whether commands have said this from now on, on standard error. Reading what pytest captures, again and again,
+    would lose what another thread writes just then.
+    """
+    heard = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", heard)
+    return lambda words: words in heard.getvalue()
 
 
 def test_services_say_who_is_there_and_end_with_0_where_the_run_is_done(
-    by_hand: ByHand, capsys: pytest.CaptureFixture[str]
+    by_hand: ByHand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that the run does without is told that it takes no part."""
-    said = Said(capsys)
+    said = listen(monkeypatch)
     by_hand.serve("recorder", "collision")
     wait_until(lambda: said("r1 recorder: recorder is ready") and said("collision: collision is ready"))
     by_hand.serve("simulation")
@@ -85,9 +85,9 @@ def test_services_say_who_is_there_and_end_with_0_where_the_run_is_done(
 
 
 def test_a_second_service_of_a_name_is_told_so_and_does_not_disturb_the_first(
-    by_hand: ByHand, capsys: pytest.CaptureFixture[str]
+    by_hand: ByHand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = Said(capsys)
+    said = listen(monkeypatch)
     by_hand.serve("recorder")
     wait_until(lambda: said("r1 recorder: recorder is ready"))
     by_hand.start("again", "serve", "recorder")
