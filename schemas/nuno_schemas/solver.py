@@ -20,10 +20,9 @@ class Solver(Choice):
 
     dt: Interval | Literal["auto"] = Field(
         default="auto",
-        description="step [s]; the nearest is taken of which whole ones make a frame; auto: the largest "
-        "that is safely stable",
+        description="step [s], rounded to the nearest that divides the frame; auto: the largest that is safely stable",
     )
-    strict: bool = Field(default=False, description="refuse a dt of which no whole number makes a frame")
+    strict: bool = Field(default=False, description="refuse a dt that does not divide the frame")
 
     @model_validator(mode="before")
     @classmethod

@@ -61,7 +61,7 @@ def rounded_times(loaded: Loaded) -> list[str]:
 
 
 def rounded_steps(loaded: Loaded) -> list[str]:
-    """Steps of cloth and dye of which no whole number makes a frame, and what is taken for them."""
+    """Warnings of steps of cloth and dye that do not divide the frame, with the steps taken instead."""
     scene, found = loaded.scene, list[str]()
     solvers = [("solver.dt", scene.solver, 1.0)] if scene.moves else []
     solvers += [("dye.solver.dt", scene.dye.solver, scene.dye.speed)] if scene.dye is not None else []

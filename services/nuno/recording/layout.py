@@ -230,8 +230,10 @@ def _records_of(chunk: Chunk) -> Iterator[Message | Channel]:
     """
     with _damage():
         data = _unpack(chunk) if chunk.compression else chunk.data
-        if len(data) != chunk.uncompressed_size or not _fits(chunk.uncompressed_crc, data):
-            raise Damaged(f"a chunk holds {len(data)} bytes of {chunk.uncompressed_size}, or its checksum does not fit")
+        if len(data) != chunk.uncompressed_size:
+            raise Damaged(f"a chunk holds {len(data)} bytes, not {chunk.uncompressed_size}")
+        if not _fits(chunk.uncompressed_crc, data):
+            raise Damaged("the checksum of a chunk does not fit its bytes")
         at = 0
         while at < len(data):
             opcode, length = _HEAD.unpack_from(data, at)

@@ -105,7 +105,7 @@ def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None =
         session = _open(config)
     except zenoh.ZError as error:
         if "in use" in str(error):
-            remedy = "choose another port, or leave --listen out for a free one"
+            remedy = f"choose another port, such as --listen tcp/127.0.0.1:{free_port()}"
             raise PortTaken("another program listens there", value=endpoint, remedy=remedy) from None
         remedy = "check the endpoint"
         raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy=remedy) from None
