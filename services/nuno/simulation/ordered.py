@@ -22,6 +22,8 @@ class Ordered:
         self._plugin, self._numbers = plugin, numbers
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # asked of a copy before it has a plugin
+            raise AttributeError(name)
         method = getattr(self._plugin, name)
 
         def call(*args: Any) -> Any:

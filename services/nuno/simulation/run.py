@@ -240,6 +240,8 @@ class Simulation(Changing):
         if report.status == "ok":
             if begun is not None:
                 finer = Stage(self.solver, self.system, FINER * self.steps, self.dt / FINER).replay(begun)[1]
+                if finer.status == "left":  # the run is to stop: the frame is whole, and nothing shows that it is wrong
+                    return report
                 if finer.status == "ok" and not self.growth.is_more(report.energy, internal(finer.energy)):
                     self.growth.allow(report.energy)
                     return report

@@ -203,7 +203,7 @@ class ClothDriver(Driver):
         """Energies, limits and sizes for the report."""
         simulation, fabric = self.simulation, self.simulation.fabric
         parts: dict[str, float] = {}
-        if ended in ("done", "stopped") and not self.abandoned and self.seconds["steps"] > 0.0:
+        if ended in ("done", "stopped") and not simulation.leave[0] and self.seconds["steps"] > 0.0:
             parts = simulation.divide(self.seconds["steps"])
         limit = simulation.limit
         return {
