@@ -117,3 +117,14 @@ def test_a_folder_for_notes_that_cannot_be_made_is_named(tmp_path: Path, monkeyp
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with pytest.raises(BadInput, match="no folder for running runs"), runs.announced("a", "tcp/127.0.0.1:1"):
         pass
+
+
+def test_a_second_session_of_one_identity_is_refused_though_it_has_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would else join when the first one ends: another run, or the end of this."""
+    monkeypatch.setattr(sessions, "HANDOVER", 0.2)
+    endpoint, own = f"tcp/127.0.0.1:{sessions.free_port()}", sessions.identity("r1", "recorder")
+    with sessions.hub(endpoint), sessions.spoke(endpoint, patience=5.0, own=own):
+        with pytest.raises(BadInput, match="there already"), sessions.spoke(endpoint, patience=3600.0, own=own):
+            pass
+        with sessions.spoke(endpoint, patience=5.0, own=sessions.identity("r1", "dye")):
+            pass

@@ -32,6 +32,9 @@ shorter time would take a service that is stopped for a while, or pages to a slo
 QUEUED_BATCHES = 16
 """Batches of 64 KiB that wait for a session, at most (16 is zenoh's most): what a slow reader may lag behind."""
 
+HANDOVER = 3.0
+"""How long [s] a session waits for one of its identity to end, once the hub answers."""
+
 LINGER = 0.1
 """So long [s] Python waits when it ends: see `_closing`."""
 
@@ -105,7 +108,7 @@ def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None =
         session = _open(config)
     except zenoh.ZError as error:
         if "in use" in str(error):
-            remedy = f"choose another port, such as --listen tcp/127.0.0.1:{free_port()}"
+            remedy = "choose another port: --listen tcp/127.0.0.1:PORT"
             raise PortTaken("another program listens there", value=endpoint, remedy=remedy) from None
         remedy = "check the endpoint"
         raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy=remedy) from None
@@ -134,9 +137,13 @@ def hub_at(
 def spoke(
     endpoint: str, extra: str | None = None, patience: float = 0.0, own: str | None = None
 ) -> Iterator[zenoh.Session]:
-    """A session connected to a hub, of the identity `own`. Raises BadInput if there is none within `patience` [s]."""
+    """A session connected to a hub, of the identity `own`. Raises BadInput if there is no hub within `patience`
+    [s], and where one of that identity stays.
+    """
     config = _config("client", [], [endpoint], extra)
     if own is not None:
+        with spoke(endpoint, extra, patience):  # zenoh says the same of no hub and of one that knows the identity
+            patience = min(patience, HANDOVER)
         config.insert_json5("id", json.dumps(own))
     config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
     try:
@@ -144,10 +151,9 @@ def spoke(
     except zenoh.ZError as error:
         problem = f"nothing answers there: {_short(error)}"
         remedy = "start the hub first (nuno serve router), or check --connect"
-        with ExitStack() as stack, suppress(BadInput):
-            if own is not None and stack.enter_context(spoke(endpoint, extra)):  # it refuses this identity alone
-                problem = f"this service of the run is there already (or vanished less than {SILENCE_SECONDS:g} s ago)"
-                remedy = "end the other one, or give the run and all its services another name with --run"
+        if own is not None:
+            problem = f"this service of the run is there already (or vanished less than {SILENCE_SECONDS:g} s ago)"
+            remedy = "end the other one, or give the run and all its services another name with --run"
         raise BadInput(problem, value=endpoint, remedy=remedy) from None
     with _closing(session):
         yield session
