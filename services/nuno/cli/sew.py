@@ -17,6 +17,7 @@ from nuno.begin.worn import Garment, describe_worn, is_own, name_garments, unit_
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.exports.target import replacing
+from nuno.scene import scene_file
 from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
 from nuno.words import many
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
         "--scene": ("FILE", "the scene that is written and run (default: PATTERN...-worn.yaml, here)", Path),
     })  # fmt: skip
-    worn.add_argument("--write", action="store_true", help="write the scene, and do not run it")
+    worn.add_argument("--write", action="store_true", help="write the scene and build it, but do not run it")
     checked = parser.add_argument_group("or only look at the patterns")
     checked.add_argument(
         "--check", action="store_true",
@@ -102,6 +103,9 @@ def wear(args: argparse.Namespace) -> int:
         _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
+        from nuno.cloth.build import build_fabrics
+
+        build_fabrics(scene_file.read(scene, (), roots))  # what a run of it would refuse, this does
         return 0
     code = nuno(command)
     # A body that walks is not as high at the end as it was measured.
