@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -406,6 +407,26 @@ def test_vertices_are_joined_along_rims_and_edges_without_length(tmp_path: Path)
     doubled[4].insert(doubled[4].index(6) + 1, 8)
     x, faces = read_closed(write_obj(tmp_path / "doubled.obj", [*CORNERS, CORNERS[6]], doubled))
     assert len(x) == 8 and volume(x, faces) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("off", [5e-15, 1e-6])
+def test_a_seam_that_a_program_has_rounded_is_closed_where_the_mesh_is_mended(off: float, tmp_path: Path) -> None:
+    """A tube in mm whose last column of vertices is that of the first but for rounding, each triangle with its own."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 17)
+    ring = np.stack([20.0 * np.cos(angle), 20.0 * np.sin(angle)], axis=1)
+    ring[-1] = ring[0] + [0.0, off]
+    corners = []
+    for a, b in pairwise(ring):
+        low, high, sides = [(*end, 0.0) for end in (a, b)], [(*end, 50.0) for end in (a, b)], (0.0, 50.0)
+        corners += [[low[0], low[1], high[1]], [low[0], high[1], high[0]]]
+        corners += [[(0.0, 0.0, sides[0]), low[1], low[0]], [(0.0, 0.0, sides[1]), high[0], high[1]]]
+    points = np.array(corners).reshape(-1, 3)
+    faces = np.arange(len(points), dtype=np.int32).reshape(-1, 3)
+    with pytest.raises(BadInput, match="has a hole") as refused:
+        read_closed(tmp_path / "tube.stl", load=lambda _: (points, faces))
+    assert refused.value.remedy is not None and refused.value.remedy.startswith("mend: true")
+    x, closed = read_closed(tmp_path / "tube.stl", 1e-3, mend=True, load=lambda _: (points, faces))
+    assert len(x) == 34 and volume(x, closed) == pytest.approx(50e-3 * 8.0 * 20e-3**2 * np.sin(np.pi / 8.0), rel=1e-6)
 
 
 def test_quads_and_materials_keep_texture_coordinates_and_their_order(shared_data: Path, tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ from nuno_schemas.reading import read_as
 READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
 KINDS = tuple(READERS)
 LARGEST_FILE = 1 << 30
+SEAM = 1e-6
+"""Share of the extent that the two sides of a seam lie apart at most: files keep seven digits."""
 
 
 def load_surface(path: Path) -> tuple[Float, Int]:
@@ -137,11 +139,27 @@ def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:
-    """The mesh with its normals outwards and its holes filled, as far as trimesh can."""
+    """The mesh with the sides of its seams joined, its normals outwards and its holes filled, as far as trimesh can."""
     import trimesh
 
+    x, faces = join_seams(x, faces)
     mesh: Any = trimesh.Trimesh(x, faces, process=False)
     trimesh.repair.fix_winding(mesh)
     mesh.fill_holes()
     trimesh.repair.fix_normals(mesh, multibody=True)
     return clean_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
+
+
+def join_seams(x: Float, faces: Int) -> tuple[Float, Int]:
+    """The mesh with vertices on its rim at one place, that of the first, where they lie nearly there."""
+    numbers, pairs = edge_numbers(faces)
+    rim = np.unique(pairs[np.bincount(numbers.reshape(-1), minlength=len(pairs)) == 1])
+    if not rim.size:
+        return x, faces
+    from scipy.spatial import KDTree  # slow to import, for meshes with a rim alone
+
+    near = KDTree(x[rim]).query_pairs(SEAM * float(np.ptp(x, axis=0).max()), output_type="ndarray")
+    x = x.copy()
+    for first, other in rim[near[np.argsort(near[:, 1], kind="stable")]].tolist():
+        x[other] = x[first]
+    return clean_mesh(x, faces)
