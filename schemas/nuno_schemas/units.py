@@ -69,15 +69,22 @@ def _is_plain(text: str) -> bool:
     return not re.search(f"(?:{_POWER}){{2}}", units) and not re.search(r"[\d,]|\*\*|\^|\+", rest)
 
 
+def decimal_point(text: str) -> str:
+    """What to write for a number with a decimal comma, in words; empty for any other text."""
+    if not (comma := _DECIMAL_COMMA.fullmatch(text)):
+        return ""
+    sign, whole, decimals, units = comma.groups()
+    thousands = f", or {sign}{whole}{decimals}{units} if thousands are meant" if len(decimals) == 3 else ""
+    return f"write {sign}{whole or 0}.{decimals}{units}{thousands}"
+
+
 def _parse(text: str, unit: str) -> float:
     import pint
 
     if len(text) > 100:
         raise ValueError("a quantity has at most 100 characters")
-    if comma := _DECIMAL_COMMA.fullmatch(text):
-        sign, whole, decimals, units = comma.groups()
-        thousands = f", or {sign}{whole}{decimals}{units} if thousands are meant" if len(decimals) == 3 else ""
-        raise ValueError(f"a decimal comma; write {sign}{whole or 0}.{decimals}{units}{thousands}")
+    if remedy := decimal_point(text):
+        raise ValueError(f"a decimal comma; {remedy}")
     if fraction := _FRACTION.fullmatch(text):
         text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
     try:

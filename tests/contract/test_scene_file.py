@@ -269,6 +269,22 @@ def test_a_decimal_comma_is_never_dropped(shared_data: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    ("friction", "field", "number"),
+    [("0,3", "bodies[0].3", "0.3"), ("'0,3'", "bodies[0].friction", "0.3"), ("'-1,25'", "bodies[0].friction", "-1.25")],
+)
+def test_a_decimal_comma_in_a_plain_number_is_named_with_the_point(
+    friction: str, field: str, number: str, tmp_path: Path
+) -> None:
+    """In braces, too, where YAML takes what stands behind the comma for a field of its own."""
+    ball = "{name: ball, collider: {plugin: sphere, radius: 0.2 m}, friction: FRICTION}"
+    cloth = "{name: s, model: {plugin: sheet, resolution: [5, 5], fabric: denim}}"
+    text = f"nuno: 1\nname: a\nduration: 0.1 s\nbodies:\n  - {ball}\nobjects:\n  - {cloth}\n"
+    error = refused(tmp_path, text.replace("FRICTION", friction))
+    assert (error.field, error.line) == (field, 5)
+    assert error.remedy is not None and number in error.remedy.replace(":", " ").split()
+
+
+@pytest.mark.parametrize(
     ("text", "value"),
     [("10", 10), ("1_000", 1000), ("007", 7), ("0", 0), ("010.5", 10.5), ("0x10", 16), ("'010'", "010"), ("08", "08")],
 )

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 
 from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.units import decimal_point
 
 OVERRIDDEN = 0
 """Line of a field that was given on the command line."""
@@ -46,6 +47,7 @@ _WRONG_TYPE = {
     "model": "must be a mapping of fields, such as {field: value}",
     "finite": "must be finite",
 }
+_NUMBERS = (_WRONG_TYPE["int"], _WRONG_TYPE["float"])
 _BOUNDS = {"greater_than": "more than", "less_than": "less than"}
 _BOUNDS |= {"greater_than_equal": "at least", "less_than_equal": "at most"}
 
@@ -92,6 +94,10 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     problem, value, limit, remedy = words
     if first["type"] != "missing" and first.get("input", "") is None:
         problem, remedy = f"the field is empty, and {problem}", f"write its value; {EMPTY}"
+        if str(place[-1]).isdecimal():
+            remedy = f"write a point for a decimal comma, as in 0.{place[-1]}: in braces a comma parts fields"
+    if problem in _NUMBERS and isinstance(value, str):
+        remedy = decimal_point(value) or remedy
     if remedy in (None, ADD):
         remedy = _example(model, first["loc"]) or remedy
     return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
