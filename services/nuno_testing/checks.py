@@ -4,13 +4,219 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
+from trimesh.creation import box
 
 from nuno import registry
-from nuno_testing import bodies, cloth, contacts, dye, forces, integrators, renderers, rides
-from nuno_testing.subject import Subject
+from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
+from nuno_schemas.camera import frame
+from nuno_schemas.drawing import Mesh
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.operation import Beside, Outcome
+from nuno_schemas.system import System, Term
+from nuno_testing import bodies, dye, forces, integrators, rides
+from nuno_testing.subject import Subject, made_twice
+
+# What renderers owe.
+
+FACES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], np.int32)
+
+
+def scene() -> list[Mesh]:
+    """A tent over a block, in two meshes."""
+    tent = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1]])
+    colours = np.linspace(0, 1, 15).reshape(5, 3)
+    return [Mesh(tent, FACES, colours=colours), Mesh(tent * 0.5, FACES, two_sided=False)]
+
+
+def a_picture_has_the_size_asked_for(subject: Subject) -> None:
+    """Down to a single pixel."""
+    for size in ((64, 48), (31, 57), (1, 1)):
+        picture = subject.plugin.render(subject.config, scene(), frame(scene(), size=size))
+        assert picture.shape == (size[1], size[0], 3)
+
+
+def the_same_scene_is_drawn_alike(subject: Subject) -> None:
+    """And is left alone; there is more to see than a single colour."""
+    meshes = scene()
+    camera = frame(meshes, size=(64, 48))
+    picture = made_twice(lambda: subject.plugin.render(subject.config, meshes, camera), meshes, camera)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+
+
+def nothing_to_draw_is_a_picture_too(subject: Subject) -> None:
+    """No meshes, or one without triangles."""
+    camera, hollow = frame(scene(), size=(64, 48)), Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    empty, bare = (subject.plugin.render(subject.config, meshes, camera) for meshes in ([], [hollow]))
+    assert (empty == bare).all()
+
+
+def a_face_of_vertices_that_are_not_there_is_refused(subject: Subject) -> None:
+    """By the name of its mesh."""
+    tent = scene()[0]
+    for index in (-1, 5):
+        bad = Mesh(tent.vertices, np.array([[0, 1, index]], np.int32))
+        with pytest.raises(BadInput, match=r"meshes\[0\]\.faces"):
+            subject.plugin.render(subject.config, [bad], frame([tent], size=(16, 12)))
+
+
+RENDERERS = (
+    a_picture_has_the_size_asked_for,
+    the_same_scene_is_drawn_alike,
+    nothing_to_draw_is_a_picture_too,
+    a_face_of_vertices_that_are_not_there_is_refused,
+)
+
+
+# What contacts owe: measured on single grains that fall on a block.
+
+GRAVITY, STEP = np.array([0.0, -9.81, 0.0]), 2e-4
+BOX_MESH = box((6.0, 1.0, 6.0))
+CORNERS, SIDES = np.asarray(BOX_MESH.vertices) - [0.0, 0.5, 0.0], np.asarray(BOX_MESH.faces, np.int32)
+
+
+def block(kind: int, friction: float) -> Geometry:
+    """A body whose top is at height 0: a box, or its triangles."""
+    low, high = CORNERS.min(axis=0)[None], CORNERS.max(axis=0)[None]
+    a, b = (0.5 * (low + high), 0.5 * (high - low)) if kind == BOX else (low, high)
+    zero, one = np.zeros(1, np.int32), np.ones(1)
+    triangles = (CORNERS, SIDES, np.zeros(len(SIDES), np.int32)) if kind == MESH else ()
+    return Geometry(
+        ("block",), ("block/world",), np.array([kind], np.int8), zero, zero, a, b, 0.0 * one, np.nan * one, 0.5 * one,
+        friction * one, *triangles,
+    )  # fmt: skip
+
+
+def term_of(subject: Subject, grains: Fabric, friction: float) -> Term:
+    """The contact's term, with the kind of block that it can meet."""
+    try:
+        found: Term = subject.plugin.prepare(subject.config, grains, block(BOX, friction), GRAVITY)
+    except BadInput:
+        found = subject.plugin.prepare(subject.config, grains, block(MESH, friction), GRAVITY)
+    return found
+
+
+def thrown(subject: Subject, x: Float, v: Float, friction: float, seconds: float) -> State:
+    """Where grains of a gram end up that start at x, v (n, 3)."""
+    grains = Fabric("grains", x, v, np.full(len(x), 1e-3), np.zeros(len(x), bool), no_rows(np.int32, 3))
+    system, state = System(grains, GRAVITY, 0.0, (term_of(subject, grains, friction),)), State(x.copy(), v.copy())
+    solver, pose = registry.load("nuno.integrators", "symplectic_euler"), Poses(0.0, np.eye(4)[:1], np.zeros((1, 3)))
+    memory = solver.prepare(solver.Config(), system, state)
+    assert solver.advance(system, state, memory, (pose, pose), round(seconds / STEP), STEP).status == "ok"
+    return state
+
+
+def what_falls_on_a_body_comes_to_rest_on_it(subject: Subject) -> None:
+    """Within a millimetre; what is still in the air, or falls beside it, does as if there were none."""
+    x = np.array([[0.0, 0.01, 0.0], [1.0, 1.0, 1.0], [4.0, 0.01, 0.0]])
+    end = made_twice(lambda: thrown(subject, x, 0.0 * x, 0.3, 0.4), x)
+    assert abs(end.x[0, 1]) < 1e-3
+    assert np.abs(end.v[0]).max() < 1e-2
+    assert np.abs(end.x[1:, 1] - (x[1:, 1] - 0.5 * 9.81 * 0.4**2)).max() < 1e-3
+    assert (end.x[1:, [0, 2]] == x[1:, [0, 2]]).all()
+
+
+def what_slides_is_slowed_as_coulomb_says(subject: Subject) -> None:
+    """By mu g, or not at all: no force is along the surface but friction."""
+    x, v = np.array([[-1.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+    for friction in (0.0, 0.4):
+        end = thrown(subject, x, v, friction, 0.2)
+        assert abs(end.v[0, 0] - (1.0 - friction * 9.81 * 0.2)) < 0.03 * friction + 1e-9
+        assert abs(end.v[0, 2]) < 1e-9
+
+
+CONTACTS = (what_falls_on_a_body_comes_to_rest_on_it, what_slides_is_slowed_as_coulomb_says)
+
+
+# What models and operations owe.
+
+
+def torso() -> tuple[Any, Any]:
+    """Vertices and faces of the body that comes with nuno, for models that are drawn over one."""
+    collider = registry.load("nuno.colliders", "mesh")
+    shape = collider.build(collider.Config(shape="torso", resolution=48), None, None)
+    return shape.vertices, shape.faces
+
+
+def built(subject: Subject) -> Fabric:
+    """The fabric; of a model that is drawn over a body, over one that comes with nuno."""
+    model, over = subject.plugin, getattr(type(subject.plugin._plugin), "over", None)
+    if over is None or model.over(subject.config) is None:
+        fabric: Fabric = model.build(subject.config, subject.files, 0)
+        return fabric
+    drawn: Fabric = model.build_over(subject.config, subject.files, 0, *torso())
+    return drawn
+
+
+def it_is_built_the_same_again(subject: Subject) -> None:
+    """With as many vertices as it says before it is built."""
+    fabric = made_twice(lambda: built(subject))
+    assert fabric.number == subject.plugin.count(subject.config, subject.files)
+
+
+def each_spring_and_hinge_is_there_once(subject: Subject) -> None:
+    """No two springs join the same vertices, and no two hinges."""
+    fabric = built(subject)
+    springs = [] if fabric.springs is None else [np.sort(fabric.springs.pairs(), axis=1)]
+    hinges = [] if fabric.hinges is None else [np.sort(fabric.hinges.quads(), axis=1)]
+    for corners in (*springs, *hinges):
+        assert len(np.unique(corners, axis=0)) == len(corners)
+
+
+def triangles_face_one_way(subject: Subject) -> None:
+    """Each has an area, and neighbours run along their common edge in opposite directions."""
+    fabric = built(subject)
+    x, faces = fabric.position, fabric.faces
+    area = np.linalg.norm(np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]), axis=1)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert (area > 0.0).all()
+    assert len(np.unique(edges, axis=0)) == len(edges)
+
+
+MODELS = (it_is_built_the_same_again, each_spring_and_hinge_is_there_once, triangles_face_one_way)
+
+
+def applied(subject: Subject, fabric: Fabric) -> Outcome:
+    """What is made of a fabric at rest, without bodies, or on the surface of the one that it is made beside."""
+    state = State(fabric.position.copy(), 0.0 * fabric.position)
+
+    def make() -> Outcome:
+        if not hasattr(subject.plugin, "apply_beside"):
+            made: Outcome = subject.plugin.apply(subject.config, fabric, state, None)
+            return made
+        still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, fabric.number))
+        beside: Outcome = subject.plugin.apply_beside(subject.config, fabric, state, Beside(("body",), *still))
+        return beside
+
+    made: Outcome = made_twice(make, fabric, state)
+    return made
+
+
+def it_makes_the_same_again_and_leaves_its_arguments_alone(subject: Subject) -> None:
+    """Of a knitted tube, or else of a sheet of triangles; numbers are finite, and curves hold together."""
+    knit, sheet = (registry.load("nuno.models", name) for name in ("knit", "sheet"))
+    try:
+        made = applied(subject, knit.build(knit.Config(form="tube", wales=8, courses=15), None, 0))
+    except BadInput:
+        made = applied(subject, sheet.build(sheet.Config(cells="triangles", pin=("top-left",)), None, 0))
+    assert np.isfinite(list(made.facts.values())).all()
+    if (curves := made.curves) is None:
+        return
+    n = len(curves.points)
+    assert curves.points.shape == curves.normal.shape == (n, 3) and np.isfinite(curves.points).all()
+    assert curves.ptr[0] == 0 and curves.ptr[-1] == n and (np.diff(curves.ptr) >= 2).all()
+    assert len(curves.radius) == len(curves.kind) == len(curves.ptr) - 1
+    assert set(curves.kind.tolist()) <= set(range(len(curves.names)))
+    assert np.isin(np.round(np.linalg.norm(curves.normal, axis=1), 12), (0.0, 1.0)).all()
+    assert all(len(values) == n for values in made.arrays.values())
+
+
+OPERATIONS = (it_makes_the_same_again_and_leaves_its_arguments_alone,)
 
 
 def answers_to_its_entry_point(subject: Subject) -> None:
@@ -33,14 +239,14 @@ def refuses_unknown_fields_by_name(subject: Subject) -> None:
 
 ALL = (answers_to_its_entry_point, refuses_unknown_fields_by_name)
 OWN: Mapping[str, tuple[Callable[[Subject], None], ...]] = {
-    "nuno.models": cloth.MODELS,
-    "nuno.operations": cloth.OPERATIONS,
+    "nuno.models": MODELS,
+    "nuno.operations": OPERATIONS,
     "nuno.forces": forces.FORCES,
     "nuno.integrators": integrators.INTEGRATORS + rides.RIDES,
     "nuno.colliders": bodies.COLLIDERS,
     "nuno.motions": bodies.MOTIONS,
-    "nuno.contacts": contacts.CONTACTS,
-    "nuno.renderers": renderers.RENDERERS,
+    "nuno.contacts": CONTACTS,
+    "nuno.renderers": RENDERERS,
     "nuno.dye_solvers": dye.SOLVERS,
     "nuno.isotherms": dye.ISOTHERMS,
 }

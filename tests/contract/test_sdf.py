@@ -14,8 +14,8 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.scene.scene_file import read
+from nuno_contact.colliders import sdf as field_cache
 from nuno_contact.colliders.sdf import SdfCollider, SdfConfig
-from nuno_contact.fields import cache as field_cache
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.penalty.plugin import check
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses

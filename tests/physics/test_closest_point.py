@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.scan import scan_triangles
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_wrinkle.lines import scan_triangles
 
 
 def soup(seed: int, count: int) -> tuple[Float, Int]:

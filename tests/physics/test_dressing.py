@@ -13,7 +13,7 @@ from sewing_patterns import REAL, Body, back, column, panel, pattern, read_patte
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.elements import build_triangles
+from nuno_cloth.models.membrane import build_triangles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.sewing.sew import sew
 from nuno_contact.offset.tree import make_tree

@@ -14,7 +14,7 @@ from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.energy import membrane_energy
 from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_cloth.models.delaunay import triangulate
-from nuno_cloth.models.elements import build_elements
+from nuno_cloth.models.membrane import build_elements
 from nuno_cloth.models.mesh import Mesh, MeshConfig
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_schemas.errors import BadInput

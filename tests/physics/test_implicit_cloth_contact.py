@@ -12,7 +12,7 @@ from test_cloth_contact import heap, pace, sliding
 
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline
-from nuno_cloth.models.elements import build_elements
+from nuno_cloth.models.membrane import build_elements
 from nuno_cloth.models.triangles import find_edges
 from nuno_contact.offset.places import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float

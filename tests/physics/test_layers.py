@@ -18,11 +18,10 @@ from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
 from nuno_cloth.fabrics.material import Materials, resolve
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.elements import build_triangles
-from nuno_cloth.models.pattern import Pattern, PatternConfig
+from nuno_cloth.models.membrane import build_triangles
+from nuno_cloth.models.pattern import Pattern, PatternConfig, enclose
 from nuno_cloth.models.placement import require_bare
 from nuno_cloth.models.shirt import Shirt, ShirtConfig
-from nuno_cloth.sewing.layers import enclose
 from nuno_contact.offset.tree import make_tree
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.meshes.check import check_closed

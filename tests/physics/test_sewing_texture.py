@@ -10,8 +10,8 @@ import pytest
 from sewing_patterns import FEW, REAL, read_pattern
 
 from nuno.scene.files import SceneFiles
+from nuno_cloth.models.pattern import lay_out
 from nuno_cloth.sewing.sew import sew
-from nuno_cloth.sewing.texture import lay_out
 
 
 @pytest.mark.quick(garment=FEW, grain=[30.0])

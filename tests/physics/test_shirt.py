@@ -10,7 +10,7 @@ import pytest
 
 from nuno.cloth.yarns import structural_edges
 from nuno_cloth.models.delaunay import fill_outline, triangulate
-from nuno_cloth.models.elements import open_spans
+from nuno_cloth.models.membrane import open_spans
 from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
 from nuno_cloth.models.shirt_pattern import outline_of
 from nuno_cloth.models.triangles import face_areas, find_edges

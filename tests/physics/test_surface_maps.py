@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from straight_yarns import above, parallel, plane, worn
 
-from nuno_render.rays.map_rows import BACKGROUND, COUNTS, MEANS
-from nuno_render.rays.maps import Density, Map, map_values, most_of, reach_of
+from nuno_render.rays.maps import BACKGROUND, COUNTS, MEANS, Density, Map, map_values, most_of, reach_of
 from nuno_render.rays.near import sort_points, sum_near
 from nuno_render.rays.yarn_config import MapConfig
 from nuno_schemas.colour import colours, to_srgb

@@ -188,7 +188,7 @@ def test_a_slow_collision_service_is_waited_for(
 ) -> None:
     monkeypatch.setattr("nuno.wire.asked.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
-    monkeypatch.setattr("nuno.simulation.ask_bodies.PATIENCE", 1.0)
+    monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
     real = Collision.poses
 
     def slow(collision: Collision, frame: int) -> object:

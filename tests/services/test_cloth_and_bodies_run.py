@@ -13,7 +13,7 @@ import yaml
 
 from nuno.cli import main
 from nuno.cloth.build import build_start
-from nuno.collision.primitives import box_mesh
+from nuno.collision.surfaces import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation

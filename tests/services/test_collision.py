@@ -13,9 +13,8 @@ import pytest
 import trimesh
 from persons import skinned
 
-from nuno.collision import mesh as mesh_module
-from nuno.collision.distance import penetration, signed_distance
-from nuno.collision.mesh import distances, make_columns
+from nuno.collision import distance as mesh_module
+from nuno.collision.distance import distances, make_columns, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.handed import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices

@@ -20,7 +20,8 @@ from nuno import registry
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.supervision import silence, supervisor
+from nuno.supervision import oversight as silence
+from nuno.supervision import supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State
 from nuno_schemas.messages import EVENT, FrameStatus

@@ -22,8 +22,8 @@ from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, shipped
 from nuno.service import Context, Options
-from nuno.simulation.ask_bodies import ask_poses, take_poses
 from nuno.simulation.run import Simulation
+from nuno.simulation.service import ask_poses, take_poses
 from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
@@ -74,7 +74,7 @@ def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monk
         ahead.append(asked[-1] - frame)
         return take_poses(context, frame, answer)
 
-    for module in ("nuno.simulation.ask_bodies", "nuno.simulation.service"):
+    for module in ("nuno.simulation.service", "nuno.simulation.service"):
         monkeypatch.setattr(f"{module}.ask_poses", ask)
         monkeypatch.setattr(f"{module}.take_poses", take)
     nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")

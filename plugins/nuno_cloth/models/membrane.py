@@ -15,13 +15,132 @@ at its ends. Shear moves both yarns, and has the sum of their S.
 
 from __future__ import annotations
 
+from typing import Literal, NamedTuple
+
 import numpy as np
 
-from nuno_cloth.fabrics.material import Materials
+from nuno_cloth.fabrics.material import HandSet, Materials
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.triangles import face_areas
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import Membrane
+from nuno_cloth.models.bending import build_bending
+from nuno_cloth.models.bending_friction import build_friction
+from nuno_cloth.models.triangles import Edges, face_areas, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import BENDING, STRUCTURAL, Bool, Float, Hinges, Int, Springs
+from nuno_schemas.triangles import Bending, BendingFriction, Membrane
+
+# What cloth of triangles is simulated with: a measured fabric's membrane and bending, or springs with hinges.
+
+Tension = Literal["auto", "membrane", "springs"]
+TENSION = (
+    "what bears tension and shear: membrane, triangles of constant strain along warp and weft, which have a measured "
+    "fabric's stiffness on any mesh; springs on the edges, which lines of wrinkles need; auto: a membrane of measured "
+    "fabrics, springs of constants set by hand"
+)
+BYTES_PER_VERTEX, SPRUNG = 4500, 2000
+"""What a run takes at most, of a membrane and of springs: 4,188 and 1,896 were measured, between meshes of 90,000 and
+250,000 and of 262,144 and 640,000 vertices, and the file's text and triangles while it is read."""
+
+
+class Elements(NamedTuple):
+    """Parts of a fabric, by their names there: masses, triangles, what bears tension, and what bending."""
+
+    mass: Float
+    faces: Int
+    springs: Springs | None = None
+    hinges: Hinges | None = None
+    membrane: Membrane | None = None
+    bending: Bending | None = None
+    friction: BendingFriction | None = None
+
+
+def build_elements(
+    material: Material | HandSet, x: Float, faces: Int, edges: Edges, warp: Float, folded: bool = False,
+    tension: Tension = "springs", held: Bool | None = None,
+) -> Elements:  # fmt: skip
+    """A membrane and bending by a matrix, or springs on edges with hinges or bending springs across the inner ones.
+    Raises BadInput for a membrane of constants per spring, and for hinges that are to bend as they cannot.
+
+    What is `held` (n,) between triangles that are held all round does not bend.
+
+    Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
+    seams, with it laid open.
+    """
+    if tension == "membrane" and isinstance(material, HandSet):
+        remedy = "give a preset or measured values, or take tension: springs"
+        raise BadInput("constants per spring make no membrane", field="tension", value=tension, remedy=remedy)
+    held = np.zeros(len(x), np.bool_) if held is None else held
+    if tension != "springs" and isinstance(material, Material):
+        return build_triangles(material, x[faces], faces, warp, held)
+    pairs, area = edges.pairs, face_areas(x[faces])
+    mass = _masses(material.density, area, faces, len(x))
+    rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
+    flat = np.zeros(len(edges.inner))
+    reduced = _reduced(mass, pairs)
+    if isinstance(material, Material):
+        axes = yarn_axes(x[faces], warp)
+        friction = build_friction(material, x[faces], faces, *axes, held)
+        if material.bend_bias is not None or material.bend_poisson != 0.0:
+            problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
+            raise BadInput(problem, field="tension", value=tension, remedy=remedy)
+        hinges = _hinges(edges, hinge_stiffness(material, x, edges, area, *axes), flat)
+        k = spring_stiffness(material, x, faces, edges, *axes)
+        c = 2 * material.damping_ratio * np.sqrt(k * reduced)
+        springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
+        return Elements(mass, faces, springs, hinges, friction=friction)
+    k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
+    c = material.damping + ratio * np.sqrt(k * reduced)
+    springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
+    if material.bending[0] > 0:
+        ends = np.ascontiguousarray(edges.quads[:, 2:])
+        span = open_spans(x, edges.quads) if folded else np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
+        across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
+        springs = Springs.join([springs, across])
+    return Elements(mass, faces, springs, _hinges(edges, flat + material.hinge, flat))
+
+
+def build_triangles(material: Material | Materials, corners: Float, faces: Int, warp: Float, held: Bool) -> Elements:
+    """A membrane, and bending by a matrix, of triangles with corners (f, 3, 3) at rest [m] between vertices faces
+    (f, 3), with the warp (3,) or (f, 3) laid onto each. Along a seam two that are neighbours have corners of their own.
+
+    What is `held` (n,) between triangles that are held all round does not bend.
+    """
+    density = Materials.spread(material, len(faces)).by_triangle("density")
+    mass, axes = _masses(density, face_areas(corners), faces, len(held)), yarn_axes(corners, warp)
+    friction = build_friction(material, corners, faces, *axes, held)
+    membrane = build_membrane(material, corners, faces, mass, *axes)
+    bending = build_bending(material, corners, faces, *axes, held)
+    return Elements(mass, faces, membrane=membrane, bending=bending, friction=friction)
+
+
+def open_spans(x: Float, quads: Int) -> Float:
+    """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
+    start, end, left, right = (x[quads[:, i]] for i in range(4))
+    along = end - start
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    (one, high), (other, low) = (
+        (np.einsum("hk,hk->h", side - start, along), np.linalg.norm(np.cross(side - start, along), axis=1))
+        for side in (left, right)
+    )
+    return np.asarray(np.hypot(one - other, high + low))
+
+
+def _masses(density: Float | float, area: Float, faces: Int, n: int) -> Float:
+    """(n,) a third of each triangle's mass for each of its corners [kg]."""
+    return np.bincount(faces.reshape(-1), np.repeat(area * density / 3, 3), n).astype(np.float64)
+
+
+def _reduced(mass: Float, pairs: Int) -> Float:
+    """(s,) reduced masses of springs (s, 2) [kg]."""
+    one, other = mass[pairs[:, 0]], mass[pairs[:, 1]]
+    return np.asarray(one * other / (one + other))
+
+
+def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
+    if not k.any():
+        return None
+    one = np.ones(len(k), np.int32)
+    return Hinges(edges.quads, one, one, k, rest)
 
 
 def build_membrane(

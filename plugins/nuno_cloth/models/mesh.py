@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
-from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,

@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
-from nuno_cloth.models.elements import BYTES_PER_VERTEX, build_triangles
+from nuno_cloth.models.membrane import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
@@ -24,21 +24,75 @@ from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.fields import PatternFile
 from nuno_cloth.sewing.flare import LESS, WIDE, flare
-from nuno_cloth.sewing.layers import enclose
 from nuno_cloth.sewing.pattern import Pattern as Drawn
 from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
-from nuno_cloth.sewing.texture import lay_out
 from nuno_cloth.sewing.wrap import wrap
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.isosurface import net_of
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files, Rested
 from nuno_schemas.units import quantity
+
+# Texture coordinates of a sewn garment, by cut vertex: on each panel a print runs as it is cut.
+
+
+def lay_out(sewn: Sewn) -> tuple[Float, float]:
+    """(m, 2) of the cut vertices, u to the right and v upwards, in [0, 1]; and how long a unit of them is [m].
+
+    Triangles into them are `sewn.faces`.
+
+    Each panel lies with its outside up, turned so that its warp runs along v; panels stand side by side in their
+    order, all on v = 0, and all at one scale: that of the longer side of the rectangle round them. So a stripe along v
+    follows the warp on every panel. A seam's vertices are one in the cloth and differ here, as panels are cut apart.
+    """
+    points, start = np.empty_like(sewn.flat), 0.0
+    for k, (x, y) in enumerate(sewn.warp):
+        own = np.unique(sewn.faces[sewn.panel == k])
+        flat = sewn.flat[own]
+        # Sums of two products, and no matrix product: BLAS may round in another order.
+        turned = np.stack([flat[:, 0] * y - flat[:, 1] * x, flat[:, 0] * x + flat[:, 1] * y], axis=1)
+        turned -= turned.min(axis=0)
+        turned[:, 0] += start
+        points[own] = turned
+        start = float(turned[:, 0].max())
+    unit = float(points.max())
+    return points / unit, unit
+
+
+# A dressed body: what the next garment is drawn together round.
+
+CELLS, FINEST = 2.0, 8e-3
+"""Cells of the grid to the clearance, and how small they are at least [m]."""
+
+
+def enclose(x: Float, faces: Int, worn: Sequence[Fabric], clearance: float) -> tuple[Float, Int]:
+    """Vertices (v, 3) [m] and triangles (f, 3) of a closed surface about `clearance` [m] off a body, with vertices x
+    (n, 3) and triangles faces (m, 3), and off the cloth that it wears.
+
+    Room between body and cloth that is less than twice the clearance wide, or that nothing leads into, belongs to what
+    is enclosed: a garment that is drawn round that does not get beneath a hem.
+    """
+    from scipy.ndimage import binary_fill_holes
+
+    spacing = max(clearance / CELLS, FINEST)
+    points = np.concatenate([x, *(one.position for one in worn)])
+    low = points.min(axis=0) - clearance - 2.0 * spacing
+    counts = np.ceil((points.max(axis=0) + clearance + 2.0 * spacing - low) / spacing).astype(int) + 1
+    nodes = low + spacing * np.indices(tuple(counts)).reshape(3, -1).T
+    away = np.asarray(closest_points(build_tree(x, faces), nodes).distance)
+    for one in worn:
+        # Cloth has two sides, and no inside.
+        away = np.minimum(away, np.abs(closest_points(build_tree(one.position, one.faces), nodes).distance))
+    value = away.reshape(tuple(counts)) - clearance
+    value[binary_fill_holes(value < 0.0) & (value >= 0.0)] = -clearance
+    return net_of(value, low, spacing)
+
 
 SHORTEST, SHARE = 3e-3, 0.2
 """Sides are closed that are shorter than this [m], and than this share of what they should be."""

@@ -15,8 +15,8 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import MEASURES, Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
-from nuno_cloth.models.elements import BYTES_PER_VERTEX, SPRUNG, Elements, build_elements
 from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
+from nuno_cloth.models.membrane import BYTES_PER_VERTEX, SPRUNG, Elements, build_elements
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
-from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, Over, Wearable, find_texture, require_bare
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.stance import check_stance

@@ -22,8 +22,8 @@ from pydantic import BaseModel
 from nuno_cloth.fabrics.constants import Lattice
 from nuno_cloth.fabrics.material import HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
-from nuno_cloth.models.elements import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.grid import Grid
+from nuno_cloth.models.membrane import BYTES_PER_VERTEX, Elements, build_triangles
 from nuno_cloth.models.outside import require_outside
 from nuno_cloth.models.placement import Attach, Wearable, find_texture, require_bare
 from nuno_cloth.models.sheet import build_grid, bytes_of_grid

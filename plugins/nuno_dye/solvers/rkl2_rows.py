@@ -1,4 +1,4 @@
-"""M of a row's cells and a stage from it, vector by vector: the inner loops of nuno_dye.solvers.rkl2_stage.
+"""M of a row's cells and a stage from it, vector by vector: the inner loops of nuno_dye.solvers.rkl2.
 
 A kernel takes a row of both layers, (2 r, w), weft rows before warp rows, and puts what the next one needs into
 `scratch` from row `slots` on: four rows of SLOT each in turn. Amounts lie in three planes, one after the other,

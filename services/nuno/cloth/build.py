@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from nuno.cloth.arrange import Start, arrange
 from nuno.cloth.join import join_fabrics
-from nuno.cloth.roughness import roughen
 from nuno.cloth.texture import check_texture
 from nuno.cloth.worn import check_wearer, check_worn
 from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import surface
+from nuno.collision.surfaces import surface, vertex_normals
 from nuno.scene.chosen import Chosen
 from nuno.scene.plausible import with_doubts
 from nuno.scene.scene_file import Loaded
@@ -28,6 +28,86 @@ from nuno_schemas.plugin import Rested
 from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import Carried, System, Term
 from nuno_schemas.vectors import turn
+
+# An uneven start: what flat cloth needs to leave its plane.
+#
+# In a plane nothing pushes cloth out of it: without an unevenness a hung sheet keeps z = 0 for ever, and a strip stands
+# on its edge whatever its length. Rejected: noise for each vertex, of which a finer mesh has more and steeper bumps, so
+# that its springs would start strained; waves in space are the same unevenness on any mesh.
+
+WAVES, SHORTEST = 64, 8.0
+"""Waves that are added up, between the cloth's size (the diagonal of its bounding box) and so small a part of it."""
+
+
+def roughen(fabric: Fabric, height: float, seed: int) -> Fabric:
+    """The fabric with its free vertices moved along their normals by `height` [m], root mean square.
+
+    Springs and hinges stay as they are: at rest the cloth is as flat as it was. Raises BadInput where it has no faces.
+    """
+    if len(fabric.faces) == 0:
+        raise BadInput("only cloth with triangles has a normal to be rough along", remedy="leave it out")
+    moved = height * _waves(fabric.position, np.random.default_rng(seed))
+    held = fabric.pinned.copy()
+    for binding in fabric.bindings:
+        held[binding.vertices] = True
+    moved[held] = 0.0
+    return replace(fabric, position=fabric.position + moved[:, None] * vertex_normals(fabric.position, fabric.faces))
+
+
+def _waves(x: Float, random: np.random.Generator) -> Float:
+    """(n,) a sum of waves at places (n, 3), of mean square 1; numbers are added in an order that never changes."""
+    size = math.hypot(*np.ptp(x, axis=0).tolist()) or 1.0
+    total = np.zeros(len(x))
+    for _ in range(WAVES):
+        number = 2.0 * math.pi / size * SHORTEST ** random.uniform()
+        up, turn, phase = random.uniform(-1.0, 1.0), *random.uniform(0.0, 2.0 * math.pi, 2)
+        level = math.sqrt(1.0 - up**2)
+        along = level * math.cos(turn) * x[:, 0] + up * x[:, 1] + level * math.sin(turn) * x[:, 2]
+        total += np.cos(number * along + phase)
+    return math.sqrt(2.0 / WAVES) * total
+
+
+# Operations that move all cloth of a scene before anything acts on it.
+
+
+@dataclass(frozen=True)
+class Start:
+    """The fabric of each object at the start, and what operations said that moved it there: operation, object ("" for
+    all) and facts.
+    """
+
+    fabrics: list[Fabric]
+    told: list[dict[str, Any]]
+
+
+def arrange(loaded: Loaded, fabrics: list[Fabric], bodies: Surface | None) -> Start:
+    """Let the scene's operations that arrange the start do so, in their order, round the bodies that cloth meets as it
+    meets cloth. Raises BadInput.
+
+    An operation on one object moves that one alone: all others are held.
+    """
+    scene, told = loaded.scene, list[dict[str, Any]]()
+    stops = np.cumsum([0, *(fabric.number for fabric in fabrics)]).tolist()
+    names = [spec.name for spec in scene.objects]
+    objects = {name: np.arange(a, b, dtype=np.int32) for name, (a, b) in zip(names, pairwise(stops), strict=True)}
+    meet = scene.meet() if scene.meets else np.ones((len(names), len(names)), np.bool_)
+    thickness = getattr(loaded.cloth_contact.config, "thickness", None) if loaded.cloth_contact else None
+    for i, (applied, chosen) in enumerate(zip(scene.operations, loaded.operations, strict=True)):
+        if not arranges(chosen.plugin):
+            continue
+        whole = join_fabrics(fabrics, scene.name)
+        if applied.object is not None:
+            held = np.ones(whole.number, np.bool_)
+            held[objects[applied.object]] = False
+            whole = replace(whole, pinned=whole.pinned | held)
+        try:
+            made = chosen.plugin.arrange(chosen.config, whole, objects, meet, thickness, bodies)
+        except BadInput as error:
+            raise loaded.at(f"operations[{i}]", error) from None
+        fabrics = [replace(f, position=made.position[a:b]) for f, (a, b) in zip(fabrics, pairwise(stops), strict=True)]
+        told.append({"operation": chosen.name, "object": applied.object or "", "facts": dict(made.facts)})
+    return Start(fabrics, told)
+
 
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
@@ -79,7 +159,7 @@ def build_fabric(
 def build_told(
     loaded: Loaded, geometry: Geometry | None, poses: Poses | None, rested: Sequence[Rested] = ()
 ) -> tuple[Fabric, list[Piece], list[dict[str, Any]]]:
-    """The same, and what operations said that have arranged it: see `nuno.cloth.arrange.Start`. Raises BadInput."""
+    """The same, and what operations said that have arranged it: see `nuno.cloth.build.Start`. Raises BadInput."""
     start = build_start(loaded, geometry, poses, rested)
     return join_fabrics(start.fabrics, loaded.scene.name), place_pieces(loaded, start.fabrics), start.told
 

@@ -6,7 +6,7 @@ import threading
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +15,78 @@ from numpy.typing import NDArray
 
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import NO_SURFACES, Surfaces
-from nuno.exports.cloth import check_size
+from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
 from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
-from nuno.exports.paint import as_png
+from nuno.exports.paint import PLAIN, as_png
+from nuno.exports.shapes import sample
 from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import open_recording
+from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame, Recorded
 from nuno.seen.shown import draw_bodies, size_of
-from nuno.seen.sight import NO_POINTS
-from nuno.studio.shape import Shape, read_shape
+from nuno.seen.sight import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
 from nuno.wire.arrays import origin_of
+from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
+
+# What the cloth of a recording consists of, as the page shows it.
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the cloth consists of until an operation changes it.
+
+    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] where an
+    image lies on it, else None.
+    """
+
+    pieces: tuple[ShownPiece, ...]
+    faces: Int
+    edges: Int
+    rest: NDArray[np.float32]
+    colours: NDArray[np.float32] | None
+
+    def same_as(self, other: Shape) -> bool:
+        """Whether each vertex is the same of the same cloth in both."""
+        return all(
+            (one.start, one.stop) == (two.start, two.stop)
+            and np.array_equal(one.faces, two.faces)
+            and np.array_equal(one.edges, two.edges)
+            for one, two in zip(self.pieces, other.pieces, strict=False)
+        ) and len(self.pieces) == len(other.pieces)
+
+
+def read_shape(recording: Recording, t: float) -> Shape:
+    """The cloth's at t [s]. Raises BadInput where its description is damaged."""
+    try:
+        cut = cut_pieces(*recording.fabric(t))
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+        raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
+    pieces = [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in cut]
+    faces, edges, rest = (
+        np.concatenate([none, *rows])
+        for none, rows in (
+            (NO_FACES, (piece.faces + piece.start for piece in pieces)),
+            (NO_EDGES, (piece.edges + piece.start for piece in pieces)),
+            (NO_LENGTHS, (piece.rest for piece in pieces)),
+        )
+    )
+    return Shape(tuple(pieces), faces, edges, rest.astype(np.float32), _printed(pieces))
+
+
+def _printed(pieces: Sequence[ShownPiece]) -> NDArray[np.float32] | None:
+    """(n, 3) sRGB of all vertices where an image lies on a piece, else None: each has the colour of its pixel."""
+    if all(piece.image is None for piece in pieces):
+        return None
+    colours = np.ones((max(piece.stop for piece in pieces), 3), np.float32)
+    for piece in pieces:
+        own = colours[piece.start : piece.stop]
+        own[:] = to_srgb(parse_hex(piece.colour or PLAIN))
+        if piece.image is not None and (laid := piece.laid_out) is not None:
+            own[laid.vertex] = sample(piece.image, laid.points) / 255.0
+    return colours
+
 
 DYED = "This cloth is dyed and does not move: it is shown from above, as its pictures have it."
 NOTHING = "It holds no positions of cloth that could be shown."

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from nuno.draw import keep
-from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
-from nuno.draw.refusals import beside
+from nuno.draw.lines import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, to_obj
 from nuno.draw.shown import require_lines
 from nuno.pages.server import describe
 from nuno.scene.scene_file import Loaded
@@ -17,6 +18,28 @@ from nuno.studio.cloth import Start, Starts
 from nuno.studio.run import Run
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
+
+# Refusals as the page shows them: beside the line that they are about.
+
+_LINE = re.compile(r"lines\[(\d+)\]")
+_TRIANGLE = re.compile(r"triangle (\d+)")
+
+
+def beside(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:
+    """The same refusal, its field that of one of the page's lines, of which those of the numbers `which` were tried.
+
+    Where a triangle is to blame, through which two lines go that may not, the later one of them is shown.
+    """
+    line, triangle = _LINE.search(error.field or ""), _TRIANGLE.search(str(error.value))
+    if line is not None and int(line[1]) < len(which):
+        number = which[int(line[1])]
+    elif triangle is not None:
+        piece = piece_of(sight, int(sight.faces[strokes[which[0]].points[0][0], 0]))
+        number = which[line_at([strokes[i] for i in which], piece, int(triangle[1]), sight)]
+    else:
+        return error
+    return replace(error, field=f"lines[{number}]")
+
 
 Load = Callable[[str], Loaded]
 

@@ -103,7 +103,7 @@ def _mesh(kind: str, *words: str) -> Kind:
     name = {"file": f"input.{kind}"}
     cloth: list[Use] = [] if kind == "glb" else [("nuno.models", "mesh", name | {"merge": False})]
     readers = tuple(f"nuno_kernels.meshes.{name}" for name in ("file", "polygons", "obj", "ply", "stl", "glb"))
-    follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.elements", *readers)
+    follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.membrane", *readers)
     return _file(kind.upper(), f".{kind}", lambda: mesh_seeds(kind), mutate, follows, *cloth,
                  ("nuno.colliders", "mesh", name))  # fmt: skip
 
@@ -223,7 +223,7 @@ FILES = (
     _file("photograph", ".png", lambda: [_image("RGB"), _image("RGBA"), _image("RGB", "JPEG")], IMAGE.mutate,
           ("nuno_dye.cloths.photograph", "nuno_dye.cloths.photograph_cloth", *PNG_MODULES),
           ("nuno.dye_cloths", "photograph", PHOTOGRAPH)),
-    _file("npz of a net", ".npz", net_seeds, ARRAYS.mutate, ("nuno_cloth.models.net", "nuno_cloth.models.net_yarns",
+    _file("npz of a net", ".npz", net_seeds, ARRAYS.mutate, ("nuno_cloth.models.net", "nuno_cloth.models.net",
     *NPZ_MODULES),
           ("nuno.models", "net", {"file": "input.npz"})),
     _file("npz of cells", ".npz", _cell_seeds, ARRAYS.mutate, ("nuno_dye.cloths.cells_file", "nuno_dye.cloths.cells",
