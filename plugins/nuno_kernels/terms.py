@@ -83,7 +83,7 @@ class Kernels:
     energy(term, x) -> float or Measured           energy [J]
     tension(term, x) -> float                      the largest single force [N]
     stiffest(term) -> float                        the largest stiffness [N/m]
-    turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning_work
+    turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning
     rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see

@@ -9,7 +9,7 @@ import pytest
 
 import nuno
 from nuno.access import folder
-from nuno.access.rights import PEOPLE, Rights
+from nuno.access.folder import PEOPLE, Rights
 from nuno_schemas.errors import BadInput, RunFailed
 from soak import access
 

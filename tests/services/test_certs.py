@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from refusals import largest_file
 
 from nuno.access import certificates, folder
-from nuno.access.rights import IN, access_control, read_rights
+from nuno.access.folder import IN, access_control, read_rights
 from nuno.cli import main
 from nuno.service import MODULES, SUPERVISOR
 from nuno_schemas.errors import BadInput

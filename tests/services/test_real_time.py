@@ -16,7 +16,7 @@ from nuno.choose.cloth import decide
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.stepping.clock import Clock
+from nuno.stepping.driver import Clock
 from nuno_schemas.messages import STATE
 
 DURATION, RATE, PAUSE = 0.5, 25.0, 3.0

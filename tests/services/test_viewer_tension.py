@@ -79,7 +79,7 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
 
 
 def test_the_legend_has_the_colours_of_the_tensions_at_its_ticks() -> None:
-    from nuno.viewer.about import SIDE, TOP, tension_legend, ticks
+    from nuno.viewer.bridge import SIDE, TOP, tension_legend, ticks
     from nuno.viewer.cloth import TABLE
 
     bar = tension_legend(2.0)[TOP + 1, SIDE:-SIDE].astype(int)

@@ -12,7 +12,7 @@ from typing import Any
 
 import nuno
 from nuno.access import certificates, folder
-from nuno.access.rights import Rights, read_rights
+from nuno.access.folder import Rights, read_rights
 from nuno.supervision import supervisor
 from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.report.result import Result

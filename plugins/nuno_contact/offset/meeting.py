@@ -79,7 +79,7 @@ class Meeting(NamedTuple):
     pair_damping: Float
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
     eased: Float
-    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease"""
+    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease_part"""
     pair_friction: Float
     """(P,) Coulomb coefficient of a pair"""
     normal: Float
@@ -151,7 +151,7 @@ class Meeting(NamedTuple):
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
     rate: Float
-    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease [1/s]"""
+    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease_part [1/s]"""
     local: Float
     """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
     frame: Int

@@ -162,7 +162,7 @@ def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, 
 
 
 def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:
-    """What nuno_dye.laws.adsorption.adsorb_row does, with an isotherm that no kernel knows."""
+    """What nuno_dye.laws.adsorption.adsorb does, with an isotherm that no kernel knows."""
     room = cells.fixed_room
     most = np.minimum(room, function(phi, room)) - fixed
     taken = np.maximum(np.minimum(np.minimum(rate * (phi - fixed), most), phi), 0.0)

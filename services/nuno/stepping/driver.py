@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from nuno.recording.recorded import Checkpoint
 from nuno.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
 from nuno.stepping.attend import Attendant
-from nuno.stepping.clock import Clock
 from nuno.stepping.stepped import Stepped, Stepper
 from nuno.wire.arrays import encode_arrays
 from nuno.wire.asked import WAITING_AFTER
@@ -25,6 +24,49 @@ from nuno.wire.question import Question
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
+
+# Frames paced to the clock: a simulated second a second of wall time.
+
+LISTEN_EVERY = 0.5
+"""Longest that control is not looked at while a frame waits [s]."""
+
+
+class Clock:
+    """Waits after each frame until it is due, counted from the first, without what the run was paused for.
+
+    A frame is late that is done after the next one would be due. Those after it do not wait until they have caught up.
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._origin: float | None = None
+        self.late, self.frames, self.most = 0, 0, 0.0
+
+    def hold(self, began: float) -> None:
+        """Wait until the frame that was begun at a wall time [s] is due; say it where the run falls behind."""
+        driver, interval = self._driver, 1.0 / self._driver.scene.frame_rate
+        if self._origin is None:  # the first is due an interval after it was begun
+            self._origin = began - (driver.stepper.t - interval)
+        self.frames += 1
+        behind = -self._left()
+        self.most = max(self.most, behind)
+        if behind > interval:
+            self.late += 1
+            if self.late == 1:
+                text = f"cannot keep up with the clock: frame {driver.stepper.frame} is {behind:.2g} s late"
+                driver.context.event("warning", text, driver.stepper.frame, driver.stepper.t)
+        while (left := self._left()) > 0.0 and driver.finish is None and driver.state == "running":
+            driver.listen(min(left, LISTEN_EVERY))
+
+    def _left(self) -> float:
+        """Until the present frame is due [s]."""
+        assert self._origin is not None
+        return self._origin + self._driver.stepper.t + self._driver.paused_seconds - time.perf_counter()
+
+    def told(self) -> dict[str, Any]:
+        """For the report: frames in all and those that were late, and by how much the latest [s]."""
+        return {"frames": self.frames, "late": self.late, "most": max(0.0, self.most)}
+
 
 # What frames tell on the bus: their status, their arrays, and checkpoints.
 
