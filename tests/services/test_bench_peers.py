@@ -22,7 +22,7 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
-from nuno_bench.peers.choose import choose
+from nuno_bench.peers.command import choose
 from nuno_bench.peers.problem import Score, Sheet, judge
 from nuno_bench.peers.process import Point, measure
 from nuno_bench.peers.python import NumPy, stiff_sheet

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nuno.cli import main
-from nuno_bench.peers.choose import choose, leave_out
+from nuno_bench.peers.command import choose, leave_out
 from nuno_bench.peers.table import KINDS
 from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed

@@ -74,7 +74,7 @@ def run_pile(task: tuple[int, float]) -> Passed:
         found = Passed(seed)
         try:
             path = random_pile(seed, duration, Path(folder))
-            found = describe(seed, scene_file.read(path).data)
+            found = made_of(seed, scene_file.read(path).data)
             simulation = Simulation.with_bodies(scene_file.read(path), 1)
         except BadInput as error:
             return replace(found, status="refused", message=" ".join(str(error).split()))
@@ -84,7 +84,7 @@ def run_pile(task: tuple[int, float]) -> Passed:
     return replace(found, seconds=time.perf_counter() - begun)
 
 
-def describe(seed: int, scene: dict[str, Any]) -> Passed:
+def made_of(seed: int, scene: dict[str, Any]) -> Passed:
     """What a scene is made of, by its data."""
     models = [part["model"] for part in scene["objects"]]
     bodies = scene.get("bodies", [])
