@@ -20,9 +20,9 @@ from nuno_bench.contact import command, run
 from nuno_bench.contact import command as page
 from nuno_bench.contact.run import Passed, run_pile
 from nuno_bench.problem import piles
-from nuno_bench.problem.irregular import irregular_square
 from nuno_bench.problem.oracle import Oracle
-from nuno_bench.problem.random_piles import BODIES, SOLVERS, random_pile
+from nuno_bench.problem.piles import irregular_square
+from nuno_bench.problem.random_scenes import BODIES, SOLVERS, random_pile
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.sweep.kept import Kept
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from nuno_bench import extras, machine, options
 from nuno_bench.contact.run import Passed, run_pile
-from nuno_bench.problem.random_piles import random_pile
+from nuno_bench.problem.random_scenes import random_pile
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
 from nuno_bench.sweep import places

@@ -14,7 +14,7 @@ from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.problem.oracle import Oracle
-from nuno_bench.problem.random_piles import CLOTHS, random_pile
+from nuno_bench.problem.random_scenes import CLOTHS, random_pile
 from nuno_schemas.errors import BadInput
 
 Verdict = Literal["clean", "crossed", "disagrees", "failed", "refused", "crashed"]

@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from nuno_bench.precision.findings import ABOVE
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.point import ABOVE, Point
 from nuno_bench.precision.settings import RESIDUAL, Setting, Solver, at_steps, at_tolerance, has_residual
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AnyProblem

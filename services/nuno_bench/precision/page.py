@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.precision.errors import Error
-from nuno_bench.precision.findings import (
+from nuno_bench.precision.own import Own, describe
+from nuno_bench.precision.point import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
+    Error,
+    Point,
     by_solver,
     choice_rows,
     fit_order,
     judge,
 )
-from nuno_bench.precision.own import Own, describe
-from nuno_bench.precision.point import Point
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AnyProblem
-from nuno_bench.problem.horizon import LOST, Horizon
+from nuno_bench.problem.reference import LOST, Horizon
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 from nuno_bench.report.result import number, spread_of

@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from nuno import registry
 from nuno.cloth.join import join_fabrics
 from nuno.scene.files import SceneFiles
-from nuno_bench.problem.irregular import irregular_square, write_obj
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.system import System
 
 G = 9.81
@@ -26,6 +26,8 @@ THICKNESS = 1e-3
 """Of the contact, unless it is given another [m]."""
 REST = 1.01 * THICKNESS
 """How far apart pieces begin that are to lie on each other [m]."""
+STRAY = 0.3
+"""Vertices inside are this part of a spacing off the grid at most, along each axis."""
 
 
 def sheet(
@@ -113,3 +115,25 @@ def swinging(irregular: bool = False) -> list[Fabric]:
     for piece in pieces:
         piece.pinned[:8] = True
     return pieces
+
+
+def irregular_square(side: int, size: float, seed: int) -> tuple[Float, Int]:
+    """(n, 3) vertices [m] of a square of so many vertices a side, its middle at the origin and its outside up, and its
+    Delaunay triangles (f, 3): edges of 0.4 to about 2 spacings.
+    """
+    rng, spacing = np.random.default_rng(seed), size / (side - 1)
+    across = spacing * np.arange(side) - 0.5 * size
+    grid = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1)
+    grid[1:-1, 1:-1] += spacing * rng.uniform(-STRAY, STRAY, (side - 2, side - 2, 2))
+    flat = grid.reshape(-1, 2)
+    faces = Delaunay(flat).simplices.astype(np.int32)
+    (ax, ay), (bx, by) = ((flat[faces[:, k]] - flat[faces[:, 0]]).T for k in (1, 2))
+    faces = np.where((ax * by < ay * bx)[:, None], faces, faces[:, ::-1])
+    return np.ascontiguousarray(np.insert(flat, 1, 0.0, axis=1)), np.ascontiguousarray(faces)
+
+
+def write_obj(path: Path, x: Float, faces: Int) -> None:
+    """Vertices (n, 3), with all their digits, and triangles (f, 3)."""
+    lines = [f"v {a!r} {b!r} {c!r}" for a, b, c in x.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -21,8 +21,18 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
-from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY, Point
-from nuno_bench.stability.sweep import Mapped, measure_all, settings_of
+from nuno_bench.stability.sweep import (
+    ACCURATE,
+    CLASSES,
+    EXACT,
+    LOST,
+    ROUGHNESS,
+    RUNAWAY,
+    Mapped,
+    Point,
+    measure_all,
+    settings_of,
+)
 from nuno_bench.sweep import places
 from nuno_bench.sweep.executor import Executor, versions
 from nuno_bench.sweep.kept import Kept, require

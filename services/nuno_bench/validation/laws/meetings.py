@@ -23,7 +23,7 @@ from nuno_bench.validation.laws.base import (
     choose_step,
     relative,
 )
-from nuno_bench.validation.laws.methods import KEEPS_ANGULAR_MOMENTUM
+from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import System
 

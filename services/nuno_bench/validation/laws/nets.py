@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from nuno import registry
 from nuno.scene.files import SceneFiles
 from nuno_bench.validation.laws.base import DOWN, NONE, Found, G, Laws, Run, fit_order, make_fabric
-from nuno_bench.validation.laws.methods import KEEPS_ANGULAR_MOMENTUM
-from nuno_bench.validation.laws.oscillator import order_found
+from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM, order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.system import System
 
