@@ -14,7 +14,6 @@ from typing import Any
 from nuno_bench import extras, machine, options
 from nuno_bench.peers import page as sheet_page
 from nuno_bench.peers.contact import page as contact_page
-from nuno_bench.peers.contact import table as contact_table
 from nuno_bench.peers.contact.ours import Solver
 from nuno_bench.peers.contact.problem import five_sheets, look
 from nuno_bench.peers.contact.queries import ask
@@ -22,11 +21,10 @@ from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import Point, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
 from nuno_bench.peers.skirt import page as skirt_page
-from nuno_bench.peers.skirt import table as skirt_table
 from nuno_bench.peers.skirt.ours import converge
 from nuno_bench.peers.skirt.problem import DURATION, hula_skirt
 from nuno_bench.peers.skirt.problem import look as look_at_skirt
-from nuno_bench.peers.table import KINDS, Kind
+from nuno_bench.peers.table import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -168,10 +166,10 @@ def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
 
 
 SCENES = {
-    "sheet": Scene("the stiff sheet, its error beside time", "peers", KINDS, plots.require_matplotlib, measure_sheet,
-                   sheet_page),
-    "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", contact_table.KINDS,
+    "sheet": Scene("the stiff sheet, its error beside time", "peers", SHEET_KINDS, plots.require_matplotlib,
+                   measure_sheet, sheet_page),
+    "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", PILE_KINDS,
                      require_oracle, measure_contact, contact_page),
-    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", skirt_table.KINDS,
+    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", SKIRT_KINDS,
                    plots.require_matplotlib, measure_skirt, skirt_page),
 }  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.peers.contact.problem import RATE
+from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float, Int
 
 PUSH, DAMP = 1e3, 0.1

@@ -16,7 +16,6 @@ from nuno_bench.peers.contact.problem import (
     DENSITY,
     FRICTION,
     RADIUS,
-    RATE,
     RUB,
     SHEAR,
     STRETCH,
@@ -24,6 +23,7 @@ from nuno_bench.peers.contact.problem import (
     Pile,
 )
 from nuno_bench.peers.newton_cloth import Newton
+from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
 
 DIAGONAL = 0.5

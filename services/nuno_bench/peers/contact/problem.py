@@ -9,14 +9,13 @@ import numpy as np
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
+from nuno_bench.peers.problem import RATE
 from nuno_bench.problem.oracle import Oracle
 from nuno_schemas.fabric import Float, Int
 
 SCENE = "contact/five-sheets"
 SIDES = (20, 19, 18, 17, 16)
 """Vertices along each side of the squares, which come finer and of jersey in the scene."""
-RATE = 60
-"""Published frames a second."""
 DENSITY, STRETCH, SHEAR, BEND = 0.2, 300.0, 100.0, 1e-5
 """Of the cloth [kg/m^2, N/m with the width held, N/m, N m]. A sheet of springs is isotropic where it is three times as
 stiff in tension as in shear; its two Lame constants are then its shear stiffness, which an engine that knows only

@@ -13,7 +13,8 @@ from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.peers.contact.problem import OVERRIDES, RATE, SCENE, THICKNESS, Pile
+from nuno_bench.peers.contact.problem import OVERRIDES, SCENE, THICKNESS, Pile
+from nuno_bench.peers.problem import RATE
 from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.places import TOUCHING
 from nuno_schemas.fabric import Float

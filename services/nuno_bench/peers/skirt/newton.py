@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from nuno.collision.pairs import mesh_of
-from nuno_bench.peers.contact.problem import RATE
 from nuno_bench.peers.newton import colour
 from nuno_bench.peers.newton_cloth import Newton
+from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.skirt.problem import Skirt
 from nuno_schemas.fabric import Float
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from nuno_bench.peers.contact import ours
-from nuno_bench.peers.contact.problem import RATE
+from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.skirt.problem import OVERRIDES, SCENE, Seen, Skirt, look
 from nuno_schemas.fabric import Float

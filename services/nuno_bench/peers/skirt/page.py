@@ -14,8 +14,8 @@ from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno_bench.gallery.kind import embed
-from nuno_bench.peers.contact.problem import RATE
 from nuno_bench.peers.page import Measured, against, compose, plain
+from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.process import Point, fastest, is_ours, times_ours
 from nuno_bench.peers.skirt.problem import DEEP, SCENE, Seen, Skirt
 from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, Table

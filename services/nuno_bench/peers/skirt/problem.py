@@ -13,8 +13,7 @@ from nuno.collision.distance import penetration
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.peers.contact.problem import RATE
-from nuno_bench.peers.problem import Sheet
+from nuno_bench.peers.problem import RATE, Sheet
 from nuno_bench.peers.python import plain_sheet
 from nuno_bench.problem.oracle import Oracle
 from nuno_cloth.fabrics.material import resolve
