@@ -22,7 +22,7 @@ from nuno_bench.peers.contact.problem import (
     THICKNESS,
     Pile,
 )
-from nuno_bench.peers.newton_cloth import Newton
+from nuno_bench.peers.newton import Cloth
 from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
 
@@ -30,7 +30,7 @@ DIAGONAL = 0.5
 """Of the stiffness of folds along rows, so that triangles whose diagonals alternate bend alike in all directions."""
 
 
-class _Newton(Newton):
+class _Pile(Cloth):
     def _pose(self, builder: Any, pile: Pile) -> None:
         mesh = self.mesh(pile.x, pile.faces, DENSITY, THICKNESS)
         self._build(builder, pile, mesh)
@@ -54,10 +54,11 @@ class _Newton(Newton):
     def _step_frame(self) -> None:
         self.solver.rebuild_bvh(self.now)
         for _ in range(self.substeps):
+            self.now.clear_forces()
             self.step(1.0 / RATE / self.substeps)
 
 
-class VBD(_Newton):
+class VBD(_Pile):
     """Triangles by vertex block descent, with self-contact.
 
     A frame is a graph of kernels, as in the examples; its steps are even in number, so that it ends where it began.
@@ -83,7 +84,7 @@ class VBD(_Newton):
         self.warp.capture_launch(self.graph)
 
 
-class Style3D(_Newton):
+class Style3D(_Pile):
     """Triangles by projective dynamics, with its own self-contact, which reaches as far as ours or as it is built."""
 
     def __init__(self, pile: Pile, substeps: int, iterations: int, own_reach: bool = False) -> None:
