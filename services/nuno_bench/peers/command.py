@@ -14,15 +14,13 @@ from typing import Any
 from nuno_bench import extras, machine, options
 from nuno_bench.peers import page as sheet_page
 from nuno_bench.peers.contact import page as contact_page
-from nuno_bench.peers.contact.ours import Solver
 from nuno_bench.peers.contact.problem import five_sheets, look
 from nuno_bench.peers.contact.queries import ask
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import Point, S, measure
-from nuno_bench.peers.python import Nuno, stiff_sheet
+from nuno_bench.peers.python import Nuno, PileSolver, stiff_sheet
 from nuno_bench.peers.skirt import page as skirt_page
-from nuno_bench.peers.skirt.ours import converge
-from nuno_bench.peers.skirt.problem import DURATION, hula_skirt
+from nuno_bench.peers.skirt.problem import DURATION, converge, hula_skirt
 from nuno_bench.peers.skirt.problem import look as look_at_skirt
 from nuno_bench.peers.table import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind
 from nuno_bench.report import page, plots
@@ -115,7 +113,7 @@ def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Name
     answers = []
     if any(kind.name == "ipctk" for kind in kinds):
         print("questions to ipctk ...", file=sys.stderr)
-        answers = ask(pile, Solver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
+        answers = ask(pile, PileSolver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
     return contact_page.Found(kinds, points, left_out, answers)
 
 

@@ -48,9 +48,10 @@ class Kind:
         return bool(self.package and extras.missing(self.package))
 
 
-def _nuno(module: str, posed: str, solver: str, given: str, *steps: str) -> Kind:
+def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Kind:
     """Our `solver`, what it is given beside `dt`, and what that may be: auto, or a number of steps a frame."""
-    made, before = ("Nuno", "dt ") if module == "python" else ("Solver", "")
+    module, _, made = place.rpartition(".")
+    before = "dt " if made == "Nuno" else ""
     settings: dict[str, Setting] = {}
     for step in steps:
         name, dt = ("dt auto", "auto") if step == "auto" else (f"{before}{step} a frame", repr(1 / RATE / int(step)))
@@ -78,11 +79,11 @@ SHEET_KINDS = (
     Kind("nuno-auto", "", "nuno_bench.peers.python", "Nuno",
          {f"accuracy {one}": {"solver": "plugin: auto", "accuracy": one} for one in ("preview", "normal")},
          f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."),
-    _nuno("python", KERNELS, "symplectic_euler", "", "auto", "240"),
-    _nuno("python", KERNELS, "leapfrog", "", "auto", "240"),
-    _nuno("python", KERNELS, "dopri5", "tolerance: 1e-6, ", "auto"),
-    _nuno("python", KERNELS, "tr_bdf2", "residual: 1e-2, ", "1", "2", "4"),
-    _nuno("python", KERNELS, "implicit_euler", "residual: 1e-2, ", "1", "4"),
+    _nuno("python.Nuno", KERNELS, "symplectic_euler", "", "auto", "240"),
+    _nuno("python.Nuno", KERNELS, "leapfrog", "", "auto", "240"),
+    _nuno("python.Nuno", KERNELS, "dopri5", "tolerance: 1e-6, ", "auto"),
+    _nuno("python.Nuno", KERNELS, "tr_bdf2", "residual: 1e-2, ", "1", "2", "4"),
+    _nuno("python.Nuno", KERNELS, "implicit_euler", "residual: 1e-2, ", "1", "4"),
     Kind("numpy", "", "nuno_bench.peers.python", "NumPy", _at(7500) | _at(15000),
          f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
     Kind("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
@@ -106,8 +107,8 @@ SHEET_KINDS = (
             f"{EXACT}; single precision; vertices are coloured so that no spring joins two of a colour."),
 )  # fmt: skip
 PILE_KINDS = (
-    _nuno("contact.ours", PILE, "symplectic_euler", "", "auto"),
-    _nuno("contact.ours", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
+    _nuno("python.PileSolver", PILE, "symplectic_euler", "", "auto"),
+    _nuno("python.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
     _engine("contact.newton", "VBD",
             _in(10, 4, "as cloth_twist") | _in(10, 10, "as cloth_hanging") | _in(20, 10, "as poker_cards"),
             f"{SAME_PILE}Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact "
@@ -122,9 +123,9 @@ PILE_KINDS = (
          "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
 )  # fmt: skip
 SKIRT_KINDS = (
-    _nuno("skirt.ours", SKIRT, "respa", "", "auto"),
-    _nuno("skirt.ours", SKIRT, "symplectic_euler", "", "auto"),
-    _nuno("skirt.ours", SKIRT, "implicit_euler", "residual: 1e-1, ", "1"),
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "respa", "", "auto"),
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "symplectic_euler", "", "auto"),
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "implicit_euler", "residual: 1e-1, ", "1"),
     _engine("skirt.newton", "XPBD", _in(10, 4) | _in(100, 1),
             f"{OWN_SKIRT}It adds up the corrections of all springs of a vertex without relaxation, which diverges "
             "unless the step is so small that compliance holds it back. Cloth meets cloth as balls at its vertices, "
