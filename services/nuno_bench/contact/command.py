@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def run_all(
-    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, told: Callable[[str], None]
+    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, say: Callable[[str], None]
 ) -> list[Passed]:
     """What came of the scenes of all seeds, in their order; those that are kept are not run again."""
     found = {one.seed: one for one in (Passed(**line) for line in kept.lines)}
@@ -81,7 +81,7 @@ def run_all(
             one = Passed(seed, status="crashed", message=str(one))
         found[seed] = one
         kept.add(vars(one))
-        told(f"{len(found)} of {len(seeds)}: {describe(one) or f'seed {seed}, {one.solver}: clean'}")
+        say(f"{len(found)} of {len(seeds)}: {describe(one) or f'seed {seed}, {one.solver}: clean'}")
     return [found[seed] for seed in dict.fromkeys(seeds)]
 
 

@@ -109,14 +109,16 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
     target = folder / "picture.png"
     if not loaded.scene.bodies:
         square = (SIZE[0], SIZE[0])
-        return [(told, read_picture(export_picture(recording, target, None, square, colour))) for told, colour in PANEL]
-    ways = [(told, style, (*settings, *_fine(loaded, style))) for told, style, settings in WORN]
+        return [
+            (label, read_picture(export_picture(recording, target, None, square, colour))) for label, colour in PANEL
+        ]
+    ways = [(label, style, (*settings, *_fine(loaded, style))) for label, style, settings in WORN]
     if loaded.scene.name in CLOSE:
-        told, style, settings = WORN[1]
-        ways.append((f"{told}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
+        label, style, settings = WORN[1]
+        ways.append((f"{label}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
     return [
-        (told, read_picture(export_yarn_picture(recording, target, style, None, SIZE, settings)))
-        for told, style, settings in ways
+        (label, read_picture(export_yarn_picture(recording, target, style, None, SIZE, settings)))
+        for label, style, settings in ways
     ]
 
 

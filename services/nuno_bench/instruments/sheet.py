@@ -92,11 +92,11 @@ class Sheet:
 
 @dataclass(frozen=True)
 class How:
-    """quick: coarser and fewer specimens; executor: where drapes are computed; told: is given what is done, in words"""
+    """quick: coarser and fewer specimens; executor: where drapes are computed; say: takes what is done, in words"""
 
     quick: bool
     executor: Executor
-    told: Callable[[str], None]
+    say: Callable[[str], None]
 
 
 def measures(fabric: object) -> Mapping[str, Any]:
@@ -113,7 +113,7 @@ def test(fabric: object, wanted: list[str], how: How, measured: Mapping[str, flo
     """
     given, sheet = measures(fabric), Sheet([], {}, {}, measured)
     for number, name in enumerate(wanted, 1):
-        how.told(f"test {number} of {len(wanted)}: {name}")
+        how.say(f"test {number} of {len(wanted)}: {name}")
         TESTS[name](sheet, fabric, given, how)
     return sheet
 
@@ -208,7 +208,7 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> 
         if isinstance(one, Lost):
             raise RunFailed(f"drapemeter: {one}")
         found[start] = one
-        how.told(f"drape {len(found)} of {len(starts)} is at rest")
+        how.say(f"drape {len(found)} of {len(starts)} is at rest")
     sheet.drapes = {start: found[start] for start in starts}
     by = f"ISO 9073-9, {200.0 * radius:g} cm on {200.0 * support:g} cm"
     for what, unit, read in (("drape coefficient", "%", lambda one: 100.0 * one.coefficient),

@@ -49,9 +49,9 @@ class Scene:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    told = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
+    scenes = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
     parser.add_argument(
-        "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{told} (default: %(default)s)"
+        "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{scenes} (default: %(default)s)"
     )
     names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
     parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
@@ -157,10 +157,10 @@ def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
         lacking.setdefault(kind.package, []).append(kind.name)
         if only:
             extras.require(f"{only} needs", kind.package, "--only")
-    told = [f"left out, {', '.join(names)}: {extras.missing(package)}" for package, names in lacking.items()]
-    for text in told:
+    texts = [f"left out, {', '.join(names)}: {extras.missing(package)}" for package, names in lacking.items()]
+    for text in texts:
         print(text, file=sys.stderr)
-    return told
+    return texts
 
 
 SCENES = {

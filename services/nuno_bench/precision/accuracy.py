@@ -136,8 +136,8 @@ def measure_scene(
     dyed = scene_file.read(path).solver is None
     chosen = [f"dye.solver={solver}" if dyed else f"solver={solver}", f"duration={duration}"]
     problem = pose(scene_file.read(path, chosen))
-    told = partial(print, f"{problem.loaded.scene.name}:", file=sys.stderr)
-    compared, horizon = refer(problem, budget, told)
+    say = partial(print, f"{problem.loaded.scene.name}:", file=sys.stderr)
+    compared, horizon = refer(problem, budget, say)
     frames = promised_frames(horizon)
     return [_level(problem, compared, frames, path, [*chosen, f"accuracy={level}"]) for level in levels]
 

@@ -99,23 +99,23 @@ def _own(text: str | None, known: Collection[str]) -> list[str]:
 
 def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
-    told = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
+    say = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
     others, path = machine.Others(), args.out / f"precision-{loaded.scene.name}.jsonl"
     text = json.dumps(loaded.data, sort_keys=True, default=str)
     digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     kept = Kept(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume)
-    told(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
+    say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
          f"from {path}")  # fmt: skip
     problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, _own(args.solvers, registry.installed(problem.group)))
     solvers, own = add_own(problem, solvers)
-    sweep = start_sweep(problem, solvers, told)
+    sweep = start_sweep(problem, solvers, say)
     sweep.omitted[:0] = omitted
-    reference, horizon = refer(problem, args.budget, told)
+    reference, horizon = refer(problem, args.budget, say)
     scales = problem.scales(reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
-    run_sweep(sweep, runner, solvers, kept, args.budget, told)
+    run_sweep(sweep, runner, solvers, kept, args.budget, say)
     disturbed = "" if horizon.fades else f"; disturbance {DISTURBANCE:g} of the size"
     about = machine.about(
         others,

@@ -68,18 +68,18 @@ def no_reference(problem: Any, value: str, limit: str | None = None) -> BadInput
     return BadInput(problem_text, problem.loaded.file, value=value, limit=limit, remedy=remedy)
 
 
-def make_reference(problem: Problem, most_seconds: float, told: Callable[[str], None]) -> Reference:
+def make_reference(problem: Problem, most_seconds: float, say: Callable[[str], None]) -> Reference:
     """The scene's reference; each run of it may take `most_seconds`. Raises BadInput where none ends in that time."""
     found, first = list[tuple[Run, float]](), 0
     for name in (PRIMARY, CHECK):
-        told(f"reference: {name}")
+        say(f"reference: {name}")
         try:
             found.append(_tightest(problem, name, first, most_seconds))
         except BadInput as refused:
             if found:
                 raise
-            told(f"{name} does not end in time ({refused.value})")
-            return stepped_reference(problem, most_seconds, told)
+            say(f"{name} does not end in time ({refused.value})")
+            return stepped_reference(problem, most_seconds, say)
         first = TOLERANCES.index(found[0][1])
     (run, tolerance), (check, checked) = found
 
@@ -114,7 +114,7 @@ def tight(problem: Problem, name: str, tolerance: float, most_seconds: float, di
     return simulate(problem, plugin, plugin.Config(tolerance=tolerance), 1, disturbance, most_seconds)
 
 
-def stepped_reference(problem: Problem, most_seconds: float, told: Callable[[str], None]) -> Reference:
+def stepped_reference(problem: Problem, most_seconds: float, say: Callable[[str], None]) -> Reference:
     """A reference by fixed steps; each run of it is estimated at `most_seconds` at most.
 
     Where cloth lands and slips, forces jump, and an adaptive method creeps from one jump to the next. Two methods of
@@ -140,7 +140,7 @@ def stepped_reference(problem: Problem, most_seconds: float, told: Callable[[str
             taken = FINER[-1] * stable * problem.frames * a_step
             why = f"{FINER[-1]} times the steps of {name} take {taken:.3g} s"
             raise no_reference(problem, why, f"{most_seconds:g} s")
-        told(f"reference: {name}, {finer} steps for one that is stable")
+        say(f"reference: {name}, {finer} steps for one that is stable")
         runs.append((run(name, finer * stable), finer * stable))
         made.append(f"{name} at 1/{finer} of its stable step")
     (first, steps), (check, _) = runs
@@ -188,14 +188,14 @@ def disturb(problem: Problem) -> Float:
     return result
 
 
-def refer(problem: AnyProblem, budget: float, told: Callable[[str], None]) -> tuple[Compared, Horizon]:
+def refer(problem: AnyProblem, budget: float, say: Callable[[str], None]) -> tuple[Compared, Horizon]:
     """The reference, each run of which may take `budget` [s], and how long it can be predicted. Raises BadInput."""
     if isinstance(problem, DyeProblem):
-        of_dye = make_dye_reference(problem, budget, told)
+        of_dye = make_dye_reference(problem, budget, say)
         t = of_dye.run.series.t
         return of_dye, Horizon(len(t), float(t[-1]), True, 0.0, np.zeros(len(t)), fades=True)
-    reference = make_reference(problem, budget, told)
-    told("predictable time: the disturbed twin")
+    reference = make_reference(problem, budget, say)
+    say("predictable time: the disturbed twin")
     return reference, find_horizon(problem, reference)
 
 
@@ -210,7 +210,7 @@ def find_horizon(problem: Problem, reference: Reference) -> Horizon:
     return Horizon(frames, float(t[frames - 1]), frames == len(t), float(apart[frames - 1] / DISTURBANCE), apart)
 
 
-def make_dye_reference(problem: DyeProblem, most_seconds: float, told: Callable[[str], None]) -> Compared:
+def make_dye_reference(problem: DyeProblem, most_seconds: float, say: Callable[[str], None]) -> Compared:
     """The explicit scheme, extrapolated; its runs may take `most_seconds`, and those that check it as long again.
 
     The scheme's error is of first order in the step, so that 2 u(h / 2) - u(h) takes it away (Richardson 1911); what is
@@ -228,19 +228,19 @@ def make_dye_reference(problem: DyeProblem, most_seconds: float, told: Callable[
         why = f"{3 * DYE_FINER[-1]} times the stable steps take {taken:.3g} s"
         raise no_reference(problem, why, f"{most_seconds:g} s")
     finer = fitting[0]
-    told(f"reference: {SCHEME}, {finer} and {2 * finer} steps for one that is stable")
+    say(f"reference: {SCHEME}, {finer} and {2 * finer} steps for one that is stable")
     half, coarse, fine = (_run_dye(problem, plugin, n * stable) for n in (finer // 2, finer, 2 * finer))
     run = extrapolate(coarse, fine)
     how = f"{SCHEME} at 1/{finer} and 1/{2 * finer} of its stable step, extrapolated"
     others = [name for name in sorted(registry.installed(problem.group)) if name != SCHEME]
-    found = [_check_dye(problem, name, stable * finer, most_seconds, told) for name in others]
+    found = [_check_dye(problem, name, stable * finer, most_seconds, say) for name in others]
     checks = [one for one in found if one] or [(extrapolate(half, coarse), "the same at twice the step")]
     check, said = min(checks, key=lambda pair: float(np.abs(pair[0].series.x - run.series.x).max()))
     return Compared(run, check, f"{how}, checked by {said}", coarse.seconds + fine.seconds + check.seconds)
 
 
 def _check_dye(
-    problem: DyeProblem, name: str, steps: int, most_seconds: float, told: Callable[[str], None]
+    problem: DyeProblem, name: str, steps: int, most_seconds: float, say: Callable[[str], None]
 ) -> tuple[Run, str] | None:
     """Another solver's run at as fine a step as time allows, and its words; None where it has none."""
     plugin = registry.load(problem.group, name)
@@ -250,7 +250,7 @@ def _check_dye(
         for count in counts:
             each = problem.first_call(plugin, config, count, 2)[1] / 2
             if count * problem.frames * each <= most_seconds:
-                told(f"reference: {name}, {count} steps a frame")
+                say(f"reference: {name}, {count} steps a frame")
                 run = problem.run(plugin, config, count, 2.0 * most_seconds)
                 return (run, f"{name} at {count} steps a frame") if run.status == "ok" else None
     except (BadInput, ValueError):

@@ -80,12 +80,12 @@ def main(args: argparse.Namespace) -> int:
     print(figures.text(), end="\n\n")
     for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), said):
         print(text)
-    told = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
+    noted = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
     changes = record.compare(before, results) if against else []
-    since = record.told(changes, load) if against else []
+    since = record.describe_changes(changes, load) if against else []
     for part in since:
         print(part if isinstance(part, str) else f"\n{part.text()}\n")
-    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Since", since), ("Notes", [told])]
+    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Since", since), ("Notes", [noted])]
     data = {"results": [vars(one) | {"verdict": one.verdict} for one in results]}
     report = page.Report("Speed", LEAD, sections, about, data, [said, figures])
     report.write(args.html, args.json, args.docs, section)

@@ -67,19 +67,19 @@ def first_step(environment: dict[str, str]) -> float:
     """Seconds until the progress of a run of one frame shows that frame. Raises RunFailed."""
     with tempfile.TemporaryDirectory() as folder:
         options = ("--no-view", "--record", f"{folder}/start.mcap", "--set", f"duration={FRAME}")
-        began, seen, told = time.perf_counter(), 0.0, []
+        began, seen, lines = time.perf_counter(), 0.0, []
         child = subprocess.Popen(
             [*NUNO, "hanging-sheet", *options], env=os.environ | environment,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         assert child.stderr is not None
         for line in child.stderr:
-            told.append(line)
+            lines.append(line)
             match = STEPPED.match(line)
             if match and float(match[1]) > 0.0 and not seen:
                 seen = time.perf_counter() - began
         if child.wait(PATIENCE) != 0 or not seen:
-            raise RunFailed(f"hanging-sheet showed no step: {''.join(told[-3:])}")
+            raise RunFailed(f"hanging-sheet showed no step: {''.join(lines[-3:])}")
     return seen
 
 

@@ -103,13 +103,13 @@ def _rows(args: argparse.Namespace, path: Path) -> Path:
 
 def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Executor) -> Mapped:
     """One scene."""
-    told = partial(print, f"{path.stem}:", file=sys.stderr)
+    say = partial(print, f"{path.stem}:", file=sys.stderr)
     others, base = machine.Others(), args.out / f"stability-{path.stem}"
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": list(solvers), "versions": versions()}
     kept = Kept(_rows(args, path), identity, args.resume)
-    told(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
-    points, lost = measure_all(settings, solvers, kept, args.budget, where, told)
+    say(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
+    points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
     found = Mapped(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {summary(found)}")
     print(counts(points).text())

@@ -225,7 +225,7 @@ def measure_all(
     kept: Kept,
     budget: float,
     executor: Executor,
-    told: Callable[[str], None],
+    say: Callable[[str], None],
 ) -> tuple[list[Point], list[str]]:
     """All points, in the order of the settings and solvers, and what was left out.
 
@@ -235,14 +235,14 @@ def measure_all(
     known = {(point.axis, point.value, point.solver) for point in points}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
-        told("compiling, where that has not been done")
+        say("compiling, where that has not been done")
         compile_all(settings[0], solvers)
     deadline = time.monotonic() + budget
     most = 0.5 * executor.width * budget / max(1, sum(map(len, wanted.values())))
     # Taken when it can be started: clocks of other machines would make nothing of a deadline.
     tasks = (Task(s, names, most, deadline - time.monotonic()) for s, names in wanted.items() if names)
     for task, found in executor.run(measure_setting, tasks):
-        told(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
+        say(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
         if isinstance(found, BadInput | Lost):
             why = found.problem if isinstance(found, BadInput) else found.reason
             omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")

@@ -99,8 +99,8 @@ class Sweep:
         lines = self.lines()
         own = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE]
         others = [name for name in (lines[0] if lines else ()) if name not in (*own, DIGEST, WHY)]
-        told = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
-        return page.Table(list(map(heading, told)), [[_cell(line[name]) for name in told] for line in lines])
+        shown = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
+        return page.Table(list(map(heading, shown)), [[_cell(line[name]) for name in shown] for line in lines])
 
     def report(self, about: Mapping[str, str]) -> page.Report:
         """Its page, JSON and CSV."""
@@ -181,7 +181,7 @@ class Place:
     where: Executor
     folder: Path | None
     resume: bool
-    told: Callable[[str], None]
+    say: Callable[[str], None]
 
 
 def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
@@ -211,7 +211,7 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
         if kept is not None:
             kept.add({"number": point.number, "row": found[point.number]})
         why = f", {row[WHY]}" if WHY in row else ""
-        place.told(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
+        place.say(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
     rows = [found[i] for i in range(len(texts))]
     return Sweep(scene.scene.name, over, rows, place.folder, place.where.where, others)
 

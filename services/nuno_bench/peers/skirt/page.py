@@ -142,7 +142,7 @@ def lead(found: Found) -> str:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    table, told = settings(found), lead(found)
+    table, intro = settings(found), lead(found)
     ends = {f"{point.kind}, {point.setting}": point.score.frames[-1] for point in found.nearest() if point.score}
     sections: Sections = [
         ("", [" ".join(verdicts(found))]),
@@ -150,7 +150,7 @@ def report(found: Found, about: Mapping[str, str]) -> Report:
         ("All settings", [table, Figure(draw([error_over_time(found)], height=4.0), CAPTION)]),
     ]
     title, points = "A skirt on a dancer in other engines", [_without_frames(point) for point in found.points]
-    return compose(found, title, told, sections, [told, table, JUDGED], about, points=points,
+    return compose(found, title, intro, sections, [intro, table, JUDGED], about, points=points,
                    size_m=found.skirt.size, begin_s=found.skirt.begin)  # fmt: skip
 
 

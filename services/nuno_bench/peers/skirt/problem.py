@@ -34,7 +34,7 @@ what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, 
 DIVERGED = 10.0
 """How many times as long as at rest a spring is in what is no cloth any more."""
 DURATION = 0.25
-"""What is simulated unless told [s]: 15 frames, of which the first begin alike in every engine."""
+"""What is simulated by default [s]: 15 frames, of which the first begin alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 """Places along an edge that are looked at."""
 CONVERGED, FINE = "leapfrog", (640, 320)
