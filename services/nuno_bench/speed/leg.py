@@ -16,11 +16,12 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno_bench import extras
+from nuno_bench.problem.piles import build_model
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import measure, watch_compiler
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh
-from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.fabric import Float, Int, State
 from nuno_schemas.operation import Surface
 from nuno_schemas.yarn_picture import Worn
 
@@ -172,9 +173,7 @@ def over_leg(x: Float, rows: int, columns: int) -> Float:
 
 def stocking(points: int = NET) -> tuple[Worn, int]:
     """A stocking of plain knit on the leg, z up, as curves; and how many links it has."""
-    knit = registry.load("nuno.models", "knit")
-    config = knit.Config.model_validate({"form": "tube", "wales": points // 2, "courses": points - 1})
-    fabric: Fabric = knit.build(config, SceneFiles(Path(), ()), 0)
+    fabric = build_model("knit", {"form": "tube", "wales": points // 2, "courses": points - 1})
     x, faces = leg(AROUND)
     x = np.ascontiguousarray(x[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
     on = over_leg(x, points, points)

@@ -14,7 +14,7 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene import scene_file
-from nuno_bench.problem.observe import Problem, Run, Series, make_problem, simulate
+from nuno_bench.problem.observe import Problem, Run, Series, lengths_at_rest, make_problem, simulate
 from nuno_bench.problem.reference import PRIMARY, tight
 from nuno_bench.report.result import reason_of
 from nuno_bench.sweep.executor import Executor, Lost
@@ -115,11 +115,8 @@ def stiffen(fabric: Fabric, factor: float) -> Fabric:
 
 def shortest(fabric: Fabric) -> float:
     """Length of the shortest spring or side of a membrane's triangle at rest [m]; 0 where there is none."""
-    rest = np.concatenate([
-        np.zeros(0) if fabric.springs is None else fabric.springs.rest,
-        np.zeros(0) if fabric.membrane is None else fabric.membrane.sides().reshape(-1),
-    ])  # fmt: skip
-    return float(rest[rest > 0.0].min(initial=math.inf)) if (rest > 0.0).any() else 0.0
+    rest = lengths_at_rest(fabric)[1]
+    return float(rest[rest > 0.0].min()) if (rest > 0.0).any() else 0.0
 
 
 def run(problem: Problem, plugin: Any, config: Any, steps: int, most: float = math.inf) -> Run:

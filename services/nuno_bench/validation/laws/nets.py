@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import registry
-from nuno.scene.files import SceneFiles
+from nuno_bench.problem.piles import build_model
 from nuno_bench.validation.laws.base import DOWN, NONE, Found, G, Laws, Run, fit_order, make_fabric
 from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM, order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
@@ -157,9 +155,8 @@ def measure_rotation(plugin: Any) -> Found:
 @cache
 def _crumpled() -> Fabric:
     """A sheet of denim, 6 x 6, with springs and hinges, crumpled a little."""
-    plugin = registry.load("nuno.models", "sheet")
-    config = plugin.Config(resolution=(6, 6), size=(0.1, 0.1), fabric={"preset": "denim", "damping_ratio": 0})
-    piece: Fabric = plugin.build(config, SceneFiles(Path(), ()), 0)
+    fabric = {"preset": "denim", "damping_ratio": 0}
+    piece = build_model("sheet", {"resolution": (6, 6), "size": (0.1, 0.1), "fabric": fabric})
     x = piece.position + 2e-3 * np.random.default_rng(5).standard_normal(piece.position.shape)
     return make_fabric(x, piece.springs, piece.mass, hinges=piece.hinges)
 

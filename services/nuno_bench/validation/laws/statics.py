@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno import registry
-from nuno.scene.files import SceneFiles
 from nuno_bench.instruments import buckling
+from nuno_bench.problem.piles import build_model
 from nuno_bench.validation.laws.base import (
     ACCURATE,
     DOWN,
@@ -126,21 +124,22 @@ def strip(gamma: float, elements: int) -> tuple[System, float]:
     """
     density, length, rows = 0.2, 0.2, elements + 2
     step, rigidity = length / (rows - 1.5), density * G * length**3 / gamma
-    plugin = registry.load("nuno.models", "sheet")
-    fabric = {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
-    config = plugin.Config(size=(step, step * (rows - 1)), resolution=(2, rows), plane="xz", fabric=fabric)
-    piece = plugin.build(config, SceneFiles(Path(), ()), 0)
+    size, fabric = (step, step * (rows - 1)), stiff(density, rigidity)
+    piece = build_model("sheet", {"size": size, "resolution": (2, rows), "plane": "xz", "fabric": fabric})
     cloth = make_fabric(piece.position, piece.springs, piece.mass, np.arange(piece.number) < 4, hinges=piece.hinges)
     bending, swinging = 3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length)
     return System(cloth, DOWN, 1.4 * math.hypot(bending, swinging)), length
 
 
+def stiff(density: float, rigidity: float, **more: float) -> dict[str, float]:
+    """Cloth of a mass per area [kg/m^2] and a plate rigidity [N m], hardly stretchable, without damping."""
+    alike = {"bend_warp": rigidity, "bend_weft": rigidity, "damping_ratio": 0.0}
+    return {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, **alike, **more}
+
+
 def swatch(**fields: Any) -> Fabric:
     """A specimen of irregular triangles; its fabric is given in SI."""
-    plugin = registry.load("nuno.models", "swatch")
-    built: Fabric = plugin.build(plugin.Config(**fields), SceneFiles(Path(), ()), 1)
-    return built
+    return build_model("swatch", fields, seed=1)
 
 
 @laws("mesh cantilever", "theta'' = -Gamma (1 - s) cos theta")
@@ -148,9 +147,8 @@ def measure_mesh_cantilever(plugin: Any) -> Found:
     """A heavy strip of irregular triangles, 24 edges long, drops as the elastica does at w L^3 / B = 10, settled."""
     gamma, length, density, edges = 10.0, 0.2, 0.2, 24
     edge, rigidity = length / edges, density * G * length**3 / gamma
-    fabric = {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
-    cloth = swatch(size=(length + 3.0 * edge, 2.0 * edge), hold=3.0 * edge, edge=edge, fabric=fabric)
+    size = length + 3.0 * edge, 2.0 * edge
+    cloth = swatch(size=size, hold=3.0 * edge, edge=edge, fabric=stiff(density, rigidity))
     end = cloth.position[:, 0] > length - 1e-9
     damping = 1.4 * math.hypot(3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length))
     run, expected = Run(plugin, System(cloth, DOWN, damping), ACCURATE), DROP[10]
@@ -162,8 +160,7 @@ def measure_mesh_cantilever(plugin: Any) -> Found:
 def measure_crease(plugin: Any) -> Found:
     """A piece of irregular triangles that was rolled up, and is let go of, keeps the curvature 2HB / 2B."""
     side, edge, most, rigidity, width = 0.01, 1e-3, 100.0, 1e-5, 6e-4
-    fabric = {"density": 0.2, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity, "hysteresis_warp": width, "hysteresis_weft": width}
+    fabric = stiff(0.2, rigidity, hysteresis_warp=width, hysteresis_weft=width)
     cloth = swatch(size=(side, side), edge=edge, fabric=fabric)
     flat = cloth.position.copy()
     middle = np.argsort(np.abs(flat[:, 0] - 0.5 * side))[: len(flat) // 2]
