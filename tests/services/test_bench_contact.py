@@ -18,13 +18,12 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.contact import command, run
 from nuno_bench.contact import command as page
-from nuno_bench.contact.run import Passed, run_pile
+from nuno_bench.contact.run import Oracle, Passed, run_pile
 from nuno_bench.problem import piles
-from nuno_bench.problem.oracle import Oracle
 from nuno_bench.problem.piles import irregular_square
 from nuno_bench.problem.random_scenes import BODIES, SOLVERS, random_pile
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.storage import Kept
 
 SHORT = 0.1
 """Duration of a scene [s]."""

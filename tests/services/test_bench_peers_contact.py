@@ -13,8 +13,18 @@ import pytest
 from nuno.cli import main
 from nuno_bench.peers import command as peers
 from nuno_bench.peers.contact import page
-from nuno_bench.peers.contact.problem import SIDES, Pile, Seen, five_sheets, look
-from nuno_bench.peers.contact.queries import CROSSED, MOTION, PAIRS, own_answers, their_answers
+from nuno_bench.peers.contact.problem import (
+    CROSSED,
+    MOTION,
+    PAIRS,
+    SIDES,
+    Pile,
+    Seen,
+    five_sheets,
+    look,
+    own_answers,
+    their_answers,
+)
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.table import Kind
 

@@ -30,8 +30,7 @@ from nuno_bench.stability.sweep import (
     stiffen,
 )
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import pack
+from nuno_bench.sweep.storage import Kept, pack
 from nuno_schemas.errors import BadInput
 
 SCENE = """\

@@ -22,9 +22,8 @@ from line_net import write_net
 from nuno.cli import main
 from nuno_bench.stability import sweep as stability_sweep
 from nuno_bench.sweep.executor import Executor, Lost, Processes
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import pack, unpacked
 from nuno_bench.sweep.places import Cluster
+from nuno_bench.sweep.storage import Kept, pack, unpacked
 from nuno_bench.validation import suite as validate
 from nuno_schemas.errors import BadInput, RunFailed
 

@@ -16,7 +16,7 @@ from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
 from nuno_bench.sweep import places
 from nuno_bench.sweep.executor import Executor, Lost, versions
-from nuno_bench.sweep.kept import Kept, require
+from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 FOLDER, KEPT = "contact", "contact.jsonl"
@@ -56,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
     extras.require("cloth is looked at by", "ipctk")
     page.check_section(args.docs, "contact")
     if args.resume:
-        require([args.out / KEPT])
+        require_kept([args.out / KEPT])
     others, seeds = machine.Others(), args.seeds or list(range(1, args.count + 1))
     kept = Kept(args.out / KEPT, {"duration": args.duration, "versions": versions()}, args.resume)
     with places.opened(args) as where:

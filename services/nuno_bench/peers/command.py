@@ -14,8 +14,7 @@ from typing import Any
 from nuno_bench import extras, machine, options
 from nuno_bench.peers import page as sheet_page
 from nuno_bench.peers.contact import page as contact_page
-from nuno_bench.peers.contact.problem import five_sheets, look
-from nuno_bench.peers.contact.queries import ask
+from nuno_bench.peers.contact.problem import ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import Point, S, measure
 from nuno_bench.peers.python import Nuno, PileSolver, stiff_sheet

@@ -27,7 +27,7 @@ from nuno_bench.problem.observe import Problem
 from nuno_bench.problem.reference import DISTURBANCE, refer
 from nuno_bench.report import page, plots
 from nuno_bench.sweep.executor import versions
-from nuno_bench.sweep.kept import Kept, require
+from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 
@@ -88,7 +88,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     for name in names:
         page.check_section(args.docs, f"precision {name}")
     if args.resume:
-        require([args.out / f"precision-{name}.jsonl" for name in names])
+        require_kept([args.out / f"precision-{name}.jsonl" for name in names])
     return loaded
 
 

@@ -13,7 +13,7 @@ from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.reference import Compared
 from nuno_bench.report.result import reason_of
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput, RunFailed
 
 FIRST_STEPS = 20

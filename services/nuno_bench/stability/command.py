@@ -35,7 +35,7 @@ from nuno_bench.stability.sweep import (
 )
 from nuno_bench.sweep import places
 from nuno_bench.sweep.executor import Executor, versions
-from nuno_bench.sweep.kept import Kept, require
+from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
@@ -85,7 +85,7 @@ def main(args: argparse.Namespace) -> int:
     names, installed = options.names_of(args.solvers), sorted(registry.installed(Problem.group))
     options.require_known(names, installed, "solver", "--solvers")
     if args.resume:
-        require([_rows(args, path) for path in paths])
+        require_kept([_rows(args, path) for path in paths])
     with places.opened(args) as where:
         for path in paths:
             tabs |= panels_by_tab(_map(args, path, names or installed, where))

@@ -18,8 +18,7 @@ from nuno_bench.problem.observe import Problem, Run, Series, lengths_at_rest, ma
 from nuno_bench.problem.reference import PRIMARY, tight
 from nuno_bench.report.result import reason_of
 from nuno_bench.sweep.executor import Executor, Lost
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import Packed, pack, unpacked
+from nuno_bench.sweep.storage import Kept, Packed, pack, unpacked
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
 

@@ -30,9 +30,8 @@ from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.result import number
 from nuno_bench.sweep.executor import Executor, Lost, versions
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import Packed, pack_loaded, unpacked
 from nuno_bench.sweep.places import chosen
+from nuno_bench.sweep.storage import Kept, Packed, pack_loaded, unpacked
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:

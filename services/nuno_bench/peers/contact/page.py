@@ -6,8 +6,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SIDES, STRETCH, THICKNESS, Seen
-from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
+from nuno_bench.peers.contact.problem import (
+    ASKED,
+    BEND,
+    DENSITY,
+    EVERY,
+    FIRST,
+    FRICTION,
+    SHEAR,
+    SIDES,
+    STRETCH,
+    THICKNESS,
+    Answer,
+    Seen,
+)
 from nuno_bench.peers.page import Measured, against, compose
 from nuno_bench.peers.process import Point, fastest, times_ours
 from nuno_bench.report.page import Part, Report, Sections, Table

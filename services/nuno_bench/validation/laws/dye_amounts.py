@@ -8,12 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import Found, Laws, bisect, relative
-from nuno_bench.validation.laws.dye import D0, GROUP, POROSITY, RATE, SIZE, DyeRun, make_cells
+from nuno_bench.validation.laws.base import (
+    D0,
+    DYE_SOLVERS,
+    POROSITY,
+    RATE,
+    SIZE,
+    DyeRun,
+    Found,
+    Laws,
+    bisect,
+    make_cells,
+    relative,
+)
 from nuno_schemas.dye import Cells, Dye, Isotherm
 from nuno_schemas.fabric import Float
 
-laws = Laws(GROUP)
+laws = Laws(DYE_SOLVERS)
 TAKEN = 0.02
 """D_ab / D0 of what adsorbs."""
 ADSORB = TAKEN * D0 / SIZE**2
