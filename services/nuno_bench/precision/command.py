@@ -17,10 +17,9 @@ from nuno.viewer.require import require as require_viewer
 from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.precision import page as shown
-from nuno_bench.precision.own import add_own
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import judge, measure_errors
-from nuno_bench.precision.settings import choose_solvers
+from nuno_bench.precision.settings import add_own, choose_solvers
 from nuno_bench.precision.sweep import Runner, run_sweep, start_sweep
 from nuno_bench.problem.dye import DyeProblem, pose
 from nuno_bench.problem.observe import Problem
