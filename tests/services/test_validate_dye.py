@@ -11,13 +11,14 @@ import pytest
 
 from nuno import registry
 from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import dye_amounts
-from nuno_bench.validation.laws.base import DYE_SOLVERS, Outcome, make_cells
+from nuno_bench.validation.laws import dye
+from nuno_bench.validation.laws.base import Outcome
+from nuno_bench.validation.laws.dye import GROUP, make_cells
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
 
-CASES = [case for case in validate.CASES if case.group == DYE_SOLVERS]
+CASES = [case for case in validate.CASES if case.group == GROUP]
 
 
 def check(case: str, plugin: Any) -> Outcome:
@@ -26,8 +27,8 @@ def check(case: str, plugin: Any) -> Outcome:
 
 @pytest.mark.full
 def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can_pose_each() -> None:
-    part = validate.Part("dye", tuple(CASES), tuple(sorted(registry.installed(DYE_SOLVERS))))
-    found = [validate.check(case, registry.load(DYE_SOLVERS, name)) for name in part.solvers for case in part.cases]
+    part = validate.Part("dye", tuple(CASES), tuple(sorted(registry.installed(GROUP))))
+    found = [validate.check(case, registry.load(GROUP, name)) for name in part.solvers for case in part.cases]
     assert {(one.case, one.solver): one.reason for one in found if one.verdict == "failed"} == {}
     posed = validate.count_posed(part, found)
     assert set(posed) == {case.name for case in CASES} and min(posed.values()) >= 3
@@ -144,11 +145,11 @@ def test_who_breaks_a_law_is_found_out(kind: type[Changed], case: str) -> None:
     assert check(case, kind()).verdict == "failed"
 
 
-@pytest.mark.parametrize("law", dye_amounts.LAWS)
+@pytest.mark.parametrize("law", dye.LAWS)
 def test_an_isotherm_that_is_a_hundredth_off_is_found_out(law: str) -> None:
-    isotherm, limit = dye_amounts.LAWS[law]
-    assert dye_amounts.measure_rest(Explicit(), isotherm, limit).error < 1e-3
-    wrong = dye_amounts.measure_rest(Explicit(), isotherm, lambda phi: 1.01 * limit(phi))
+    isotherm, limit = dye.LAWS[law]
+    assert dye.measure_rest(Explicit(), isotherm, limit).error < 1e-3
+    wrong = dye.measure_rest(Explicit(), isotherm, lambda phi: 1.01 * limit(phi))
     assert wrong.error > wrong.allowed
 
 
@@ -165,9 +166,9 @@ def test_who_refuses_plain_diffusion_breaks_its_law() -> None:
 
 
 def test_other_packages_solvers_are_held_to_the_laws_of_dye_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    known, ours = registry.entry_points, EntryPoint("changed", f"{__name__}:Changed", DYE_SOLVERS)
+    known, ours = registry.entry_points, EntryPoint("changed", f"{__name__}:Changed", GROUP)
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: [*known(group=group), *([ours] if group == DYE_SOLVERS else [])]
+        registry, "entry_points", lambda group: [*known(group=group), *([ours] if group == GROUP else [])]
     )
     (part,) = validate.choose_parts([], ["changed"])
     assert part.solvers == ("changed",) and list(part.cases) == CASES

@@ -21,32 +21,13 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
-from nuno_bench.stability.sweep import (
-    ACCURATE,
-    CLASSES,
-    EXACT,
-    LOST,
-    ROUGHNESS,
-    RUNAWAY,
-    Mapped,
-    Point,
-    measure_all,
-    settings_of,
-)
+from nuno_bench.stability.sweep import CLASSES, HOW, Mapped, Point, measure_all, settings_of
 from nuno_bench.sweep import places
 from nuno_bench.sweep.executor import Executor, versions
 from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
-HOW = (
-    f"A point is a few frames from a start whose vertices stand up to {ROUGHNESS:g} of the shortest spring off their "
-    "places, so that every mode takes part. It is held against an adaptive run at a tight tolerance. It is exact up to "
-    f"a distance of {EXACT:g} of how far that run moves, and accurate up to {ACCURATE:g}, unless its energy is off by "
-    f"more than that of the motion. Beyond, it is damped away where {LOST:.0%} of that energy is missing, diverged "
-    f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver "
-    "itself declined, or did not converge. A scene's own run refuses steps above the line."
-)
 AXES = {
     "stiffness": "stiffness, as a multiple of the scene's",
     "mesh": "shortest spring [mm]",

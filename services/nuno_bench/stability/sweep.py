@@ -42,6 +42,14 @@ RUNAWAY = 100.0
 ROUGHNESS = 1e-6
 """Vertices start this part of the shortest spring off their places, so that every mode takes part;
 little enough for stiff ones to carry no energy that counts."""
+HOW = (
+    f"A point is a few frames from a start whose vertices stand up to {ROUGHNESS:g} of the shortest spring off their "
+    "places, so that every mode takes part. It is held against an adaptive run at a tight tolerance. It is exact up to "
+    f"a distance of {EXACT:g} of how far that run moves, and accurate up to {ACCURATE:g}, unless its energy is off by "
+    f"more than that of the motion. Beyond, it is damped away where {LOST:.0%} of that energy is missing, diverged "
+    f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver "
+    "itself declined, or did not converge. A scene's own run refuses steps above the line."
+)
 TIGHT = 1e-8
 """Tolerance of the reference."""
 LONGEST = 0.1

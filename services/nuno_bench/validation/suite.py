@@ -13,12 +13,12 @@ from nuno import registry
 from nuno.words import roughly
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
-from nuno_bench.validation.laws import contacts, dye_amounts, dye_spread, nets, oscillator, statics
+from nuno_bench.validation.laws import contacts, dye, dye_spread, nets, oscillator, statics
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = tuple(
-    case for module in (oscillator, nets, statics, contacts, dye_spread, dye_amounts) for case in module.laws
+    case for module in (oscillator, nets, statics, contacts, dye_spread, dye) for case in module.laws
 )
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """What the solvers of each group solve."""

@@ -48,6 +48,12 @@ OVERRIDES = (
     *(f"objects.{i}.model.resolution=[{side}, {side}]" for i, side in enumerate(SIDES)),
 )
 """What makes the shipped scene into one that every engine can hold: no air, no floor, one isotropic cloth."""
+LEAD = (
+    f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
+    f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
+    f"tension, {SHEAR:g} N/m in shear, {1e6 * BEND:g} uN m in bending, no air, {1e3 * THICKNESS:g} mm of thickness and "
+    f"a friction of {FRICTION:g}, each in a process of its own, on the processor."
+)
 PAIRS, MOTION, CROSSED = "pairs nearer than the thickness", "the way to the next frame", "edges through triangles"
 ASKED = {
     PAIRS: ("make a list and find what touches", "NormalCollisions.build"),
@@ -57,6 +63,11 @@ ASKED = {
 """Of each question what of ours answers it, and what of ipctk."""
 FIRST, EVERY = 10, 5
 """Which frames are asked about: by the first of them the lowest square is on the ball."""
+ASKING = (
+    f"The same questions about every {EVERY}th frame of our first run, from the {FIRST}th on, on average a frame: "
+    "repeats in turns, in one process, with all cores. Our list is made for many steps of a solver: it holds more than "
+    "the pairs that are near. ipctk's are by its own defaults."
+)
 Question = Callable[[Float, Float], object]
 """Asks about a frame and the next, both (n, 3) [m]."""
 

@@ -8,23 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import (
-    D0,
-    DYE_SOLVERS,
-    POROSITY,
-    RATE,
-    DyeRun,
-    Found,
-    Laws,
-    fit_order,
-    make_cells,
-    relative,
-)
+from nuno_bench.validation.laws.base import Found, Laws, fit_order, relative
+from nuno_bench.validation.laws.dye import D0, GROUP, POROSITY, RATE, DyeRun, make_cells
 from nuno_schemas.dye import Dye
 from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Float
 
-laws = Laws(DYE_SOLVERS)
+laws = Laws(GROUP)
 SPREAD = 50.0
 """D t / size^2 of the point source at its end along x: a standard deviation of ten cells."""
 SOURCE = "M / (4 pi t sqrt(Dx Dy)) exp(-x^2 / 4 Dx t - y^2 / 4 Dy t)"
