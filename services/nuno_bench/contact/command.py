@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno_bench import extras, machine, options
+from nuno_bench import machine, options
 from nuno_bench.contact.run import Passed, run_pile
 from nuno_bench.problem.random_scenes import random_pile
 from nuno_bench.report import page
@@ -53,7 +53,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the scenes, print tables; 1 where cloth passed through cloth, or a scene could not be run."""
     if any(seed < 0 for seed in args.seeds):
         raise BadInput("a seed is not negative", field="SEED", value=min(args.seeds), limit="0 and more")
-    extras.require("cloth is looked at by", "ipctk")
+    options.require_package("cloth is looked at by", "ipctk")
     page.check_section(args.docs, "contact")
     if args.resume:
         require_kept([args.out / KEPT])

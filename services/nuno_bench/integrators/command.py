@@ -46,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
     )
-    options.add_repeats(parser, 3, "runs of each variant that are timed; with one, claims about time stay undecided")
+    what = "runs of each variant that are timed; with one, claims about time stay undecided (default: %(default)s)"
+    options.add_count(parser, "--repeats", what, 3)
     options.add_shared(parser, "--set", "--out", "--docs")
 
 

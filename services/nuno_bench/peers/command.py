@@ -11,7 +11,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-from nuno_bench import extras, machine, options
+from nuno_bench import machine, options
 from nuno_bench.peers import page as sheet_page
 from nuno_bench.peers.contact import page as contact_page
 from nuno_bench.peers.contact.problem import ask, five_sheets, look
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
     parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
-    options.add_repeats(parser, 3, "runs at each setting")
+    options.add_count(parser, "--repeats", "runs at each setting (default: %(default)s)", 3)
     options.add_seconds(parser, "--duration", DURATION, "simulated time, of the skirt alone")
     limit = "wall time of a setting, start and all; no repeats after a third of it"
     options.add_seconds(parser, "--limit", 200.0, limit)
@@ -126,7 +126,7 @@ def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namesp
 
 
 def require_oracle() -> None:
-    extras.require("cloth is looked at by", "ipctk")
+    options.require_package("cloth is looked at by", "ipctk")
 
 
 def groups(kinds: Sequence[Kind]) -> dict[str, list[Kind]]:
@@ -155,8 +155,8 @@ def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
     for kind in (kind for kind in kinds if kind.missing):
         lacking.setdefault(kind.package, []).append(kind.name)
         if only:
-            extras.require(f"{only} needs", kind.package, "--only")
-    texts = [f"left out, {', '.join(names)}: {extras.missing(package)}" for package, names in lacking.items()]
+            options.require_package(f"{only} needs", kind.package, "--only")
+    texts = [f"left out, {', '.join(names)}: {options.missing_package(package)}" for package, names in lacking.items()]
     for text in texts:
         print(text, file=sys.stderr)
     return texts

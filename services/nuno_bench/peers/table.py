@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nuno_bench import extras
+from nuno_bench import options
 from nuno_bench.peers.problem import RATE
 
 Setting = Mapping[str, float | str]
@@ -45,7 +45,7 @@ class Kind:
 
     @property
     def missing(self) -> bool:
-        return bool(self.package and extras.missing(self.package))
+        return bool(self.package and options.missing_package(self.package))
 
 
 def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Kind:

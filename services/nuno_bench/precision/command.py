@@ -32,7 +32,7 @@ from nuno_schemas.errors import BadInput
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
-    options.add_repeats(parser, 3, "timed runs of each point")
+    options.add_count(parser, "--repeats", "timed runs of each point (default: %(default)s)", 3)
     budget = "for a scene's sweep; finer points that would exceed it are left out"
     options.add_seconds(parser, "--budget", 120.0, budget)
     parser.add_argument("--duration", metavar="TIME", help="simulated time, instead of the scene's")

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from nuno_bench import extras, machine, options
+from nuno_bench import machine, options
 from nuno_bench.report import page
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import Result, number, table
@@ -52,7 +52,7 @@ OF_LIMIT = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
-    options.add_repeats(parser, 7, "samples of each figure")
+    options.add_count(parser, "--repeats", "samples of each figure (default: %(default)s)", 7)
     options.add_shared(parser, "--json", "--html", "--docs")
     for name, what in (("--save", "append this run to"), ("--against", "tell what is slower or faster than in")):
         what += " a record of speed (default: the repository's)"
@@ -106,7 +106,7 @@ def _record(given: Path | Literal[True] | None, field: str) -> Path | None:
 
 def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
     """Cases whose peers are not installed, and how they are; said before anything runs."""
-    lacking = {name: ", ".join(filter(None, map(extras.missing, PEERS.get(name, ())))) for name in cases}
+    lacking = {name: ", ".join(filter(None, map(options.missing_package, PEERS.get(name, ())))) for name in cases}
     said = {f"{name} has fewer peers": text for name, text in lacking.items() if text}
     for what, text in said.items():
         print(f"{what}: {text}", file=sys.stderr)

@@ -15,7 +15,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
-from nuno_bench import extras
+from nuno_bench import options
 from nuno_bench.problem.piles import build_model
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import measure, watch_compiler
@@ -91,7 +91,7 @@ def closest(repeats: int) -> list[Result]:
         results += [
             timed(f"{name} triangles, {peer}", call=make(x, faces, fewer), work=1e-6 * len(fewer), note=what)
             for peer, (package, make, what) in PEERS.items()
-            if not extras.missing(package)
+            if not options.missing_package(package)
         ]
     return results
 
