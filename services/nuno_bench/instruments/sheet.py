@@ -13,7 +13,8 @@ from scipy.optimize import brentq
 
 from nuno import registry
 from nuno_bench.instruments import buckling, drape, loops
-from nuno_bench.instruments.rig import GRAVITY, mount
+from nuno_bench.instruments.rig import mount
+from nuno_bench.problem.piles import G
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
@@ -163,7 +164,7 @@ def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
     for name, rigidity in strips.items():
         if rigidity == 0.0:
             continue
-        length = (rigidity / (given["density"] * GRAVITY)) ** (1.0 / 3.0)
+        length = (rigidity / (given["density"] * G)) ** (1.0 / 3.0)
         edges = STRIP // 2 if how.quick else STRIP
         found = bending_length(overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
         sheet.rows.append(Row(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))

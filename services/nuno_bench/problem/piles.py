@@ -21,6 +21,7 @@ from nuno_schemas.system import System
 
 G = 9.81
 DOWN = np.array([0.0, -G, 0.0])
+"""Gravity [m/s^2], as scenes have it."""
 CLOTH = "jacket"
 THICKNESS = 1e-3
 """Of the contact, unless it is given another [m]."""

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from nuno.cloth.yarns import structural_edges
 from nuno_bench.machine import cores
-from nuno_bench.problem.piles import build_model, irregular_square, write_obj
+from nuno_bench.problem.piles import DOWN, build_model, irregular_square, write_obj
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.system import System
 
-GRAVITY = np.array([0.0, -9.81, 0.0])
 DAMPING = 1e-5
 FABRIC = {"density": 0.3, "structural": 8.0, "shear": 2.5, "bending": 0.4}
 """Soft cloth set by hand, [N s/m], [kg/m^2] and [N/m]: 12 springs a vertex, no hinges."""
@@ -64,7 +63,7 @@ def system_of(fabric: Fabric) -> tuple[System, State]:
     """The fabric under gravity on all cores, and its start, slightly rough."""
     edge = float(np.median(structural_edges(fabric)[1]))
     x = fabric.position + np.random.default_rng(1).normal(scale=ROUGHNESS * edge, size=fabric.position.shape)
-    return System(fabric, GRAVITY, threads=cores()), State(np.ascontiguousarray(x), fabric.velocity.copy())
+    return System(fabric, DOWN, threads=cores()), State(np.ascontiguousarray(x), fabric.velocity.copy())
 
 
 def net_arrays(fabric: Fabric, varied: bool) -> dict[str, NDArray[Any]]:

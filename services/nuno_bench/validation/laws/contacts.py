@@ -12,12 +12,12 @@ from nuno import registry
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno_bench.problem import piles
+from nuno_bench.problem.piles import G
 from nuno_bench.validation.laws.base import (
     ACCURATE,
     EXACT,
     NONE,
     Found,
-    G,
     Laws,
     Run,
     Unsupported,

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from nuno_bench.instruments import buckling
-from nuno_bench.problem.piles import build_model
+from nuno_bench.problem.piles import DOWN, G, build_model
 from nuno_bench.validation.laws.base import (
     ACCURATE,
-    DOWN,
     NONE,
     Found,
-    G,
     Laws,
     Run,
     Unsupported,
