@@ -37,20 +37,20 @@ BAR, AIM = 3.5, 5.0
 FEWER = 10
 """Peers are asked for so many times fewer points."""
 BARS = {"stocking-150": 15.0, "stocking-300": 90.0}
-"""Seconds, on two cores."""
+"""Seconds of a fit, on two cores."""
 FITTED_LEGS = {"13,728": ("bodies.leg.collider.resolution=48",), "51,840": ()}
 """Triangles of a coarse leg, and of the one that scenes have."""
 MOST = 3
 """Samples: fits take long, and always the same steps."""
 AROUND = 96
-"""Vertices round the leg."""
+"""Vertices round the leg of a picture."""
 NET = 300
-"""Of the stocking, along and round the leg."""
+"""Points of its stocking, along and round the leg."""
 CURVE = 4
 """Pieces of a curve to a link."""
 SIDE, SAMPLES = 1024, 4
 SLOWEST = 10.0
-"""Seconds, on two cores."""
+"""Seconds of a picture, on two cores."""
 CUT = 0.06
 """Share of the leg's rings that the stocking leaves free at either end."""
 RADIUS = 1.5e-4
