@@ -1,8 +1,9 @@
-"""Options that several measurements have, and the checks of what is given for them."""
+"""Options that several measurements have, and the checks of what is given for them and of what is installed."""
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -23,6 +24,9 @@ SHARED: dict[str, dict[str, Any]] = {
     "--rrd": {"type": Path, "metavar": "FILE", "help": "write the series as a rerun file, too"},
     "--docs": {"type": Path, "metavar": "FILE", "help": "put tables and pictures into this Markdown page's sections"},
 }  # fmt: skip
+INSTALL = {"matplotlib": "nuno[bench]"}
+INSTALL |= dict.fromkeys(("mujoco", "newton", "ipctk", "rtree", "igl"), "nuno[peers]")
+"""What pip takes for packages that measurements use beside those of nuno itself, where it is not their own name."""
 
 
 def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -40,10 +44,6 @@ def add_count(parser: argparse.ArgumentParser, name: str, what: str, default: in
         return given
 
     parser.add_argument(name, type=count, default=default, metavar="N", help=what)
-
-
-def add_repeats(parser: argparse.ArgumentParser, default: int, what: str) -> None:
-    add_count(parser, "--repeats", f"{what} (default: %(default)s)", default)
 
 
 def add_seconds(parser: argparse.ArgumentParser, name: str, default: float, what: str) -> None:
@@ -68,3 +68,16 @@ def require_known(names: Sequence[str], known: Collection[str], what: str, field
     for name in names:
         if name not in known:
             raise BadInput(f"no such {what}", field=field, value=name, remedy=nearest(name, known))
+
+
+def missing_package(package: str) -> str:
+    """That it is not installed, and how it is; empty where it is."""
+    there = importlib.util.find_spec(package) is not None
+    return "" if there else f"{package} is not installed (pip install '{INSTALL.get(package, package)}')"
+
+
+def require_package(what: str, package: str, field: str | None = None) -> None:
+    """Raises BadInput where `what`, in words, needs a package that is not installed."""
+    if missing_package(package):
+        remedy = f"pip install '{INSTALL.get(package, package)}'"
+        raise BadInput(f"{what} {package}, which is not installed", field=field, remedy=remedy)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import DOWN, pile, sheet
 from nuno_contact.offset.meeting import Meeting
 from nuno_schemas.fabric import Fabric, Float, Memory, State

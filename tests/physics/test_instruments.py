@@ -11,11 +11,12 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import cantilever, drape, loops, sheet
+from nuno_bench.instruments import drape, loops, sheet
+from nuno_bench.instruments import sheet as cantilever
 from nuno_bench.instruments.command import find_fabric
 from nuno_bench.instruments.rig import mount
 from nuno_bench.sweep.executor import Executor, Processes
-from nuno_bench.validation.laws import specimens, statics
+from nuno_bench.validation.laws import statics
 from nuno_schemas.errors import BadInput, RunFailed
 
 DENSITY, RIGIDITY = 0.2, 1e-5
@@ -92,10 +93,10 @@ def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, mo
 
 
 @pytest.mark.quick(layout=["irregular"])
-@pytest.mark.parametrize("poisson", specimens.POISSON.values(), ids=specimens.POISSON)
+@pytest.mark.parametrize("poisson", statics.POISSON.values(), ids=statics.POISSON)
 @pytest.mark.parametrize("layout", ["aligned", "crossed", "irregular"])
 def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout: str) -> None:
-    found = specimens.measure_buckling(SOLVER, poisson, layout)
+    found = statics.measure_buckling(SOLVER, poisson, layout)
     assert found.error <= found.allowed
 
 
@@ -169,12 +170,13 @@ def test_drapes_are_the_same_one_after_another_and_at_once(monkeypatch: pytest.M
 @pytest.mark.parametrize("rigidity", [None, 1e-4])
 def test_drapes_depend_on_weight_over_rigidity_alone(rigidity: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """And a rigidity that does not follow the size is found out."""
+    swatch = statics.swatch
 
     def cut(fabric: dict[str, float], **fields: Any) -> Any:
-        return statics.swatch(fabric=fabric | ({"bend_warp": rigidity} if rigidity else {}), **fields)
+        return swatch(fabric=fabric | ({"bend_warp": rigidity} if rigidity else {}), **fields)
 
-    monkeypatch.setattr(specimens, "swatch", cut)
-    found = specimens.measure_drape(SOLVER)
+    monkeypatch.setattr(statics, "swatch", cut)
+    found = statics.measure_drape(SOLVER)
     assert (found.error <= found.allowed) == (rigidity is None)
 
 

@@ -13,7 +13,7 @@ from sheets import sheet
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import pile
 from nuno_contact.offset.brake import SWEEPS, brake
 from nuno_contact.offset.places import CLOSE, LISTED, NEAR

@@ -16,7 +16,7 @@ from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.collision.surfaces import surface
 from nuno.wire.arrays import BadMessage
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
 from nuno_contact.offset.begin import begin_apart
 from nuno_contact.offset.bodies import CATCH_UP, PLACED, STANDS, pose_solids, set_solid_poses
 from nuno_contact.offset.hold import hold_apart

@@ -11,7 +11,7 @@ from nuno.cli import parser_of
 from nuno.scene import scene_file
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import dye as dye_gallery
-from nuno_bench.gallery.dye_measures import Dyed, mottle, spread_radius, streaks
+from nuno_bench.gallery.dye import Dyed, mottle, spread_radius, streaks
 from nuno_bench.gallery.kind import Shown, compare
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput

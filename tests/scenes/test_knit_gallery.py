@@ -15,7 +15,7 @@ from nuno.scene import shipped
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import knit as knit_gallery
 from nuno_bench.gallery.kind import EFFECT, Difference, Shown, compare
-from nuno_bench.gallery.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
+from nuno_bench.gallery.knit import Knitted, density_at, stretch, unevenness, zigzag
 from nuno_schemas.errors import BadInput
 
 WALES, COURSES, WIDE, HIGH = 5, 9, 0.02, 0.01

@@ -17,9 +17,8 @@ from nuno_bench.problem.observe import advance_all
 from nuno_bench.report import page, plots
 from nuno_bench.report.result import Result, number
 from nuno_bench.speed import command as speed
-from nuno_bench.speed import timing
-from nuno_bench.speed.steps import meshes
-from nuno_bench.speed.steps.meshes import net, sheet
+from nuno_bench.speed import meshes, timing
+from nuno_bench.speed.meshes import net, sheet
 from nuno_bench.speed.timing import watch_compiler
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State

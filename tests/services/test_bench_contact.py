@@ -16,14 +16,13 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.contact import command, page, run
-from nuno_bench.contact.run import Passed, run_pile
+from nuno_bench.contact import command, run
+from nuno_bench.contact.run import Oracle, Passed, run_pile
 from nuno_bench.problem import piles
-from nuno_bench.problem.irregular import irregular_square
-from nuno_bench.problem.oracle import Oracle
-from nuno_bench.problem.random_piles import BODIES, SOLVERS, random_pile
+from nuno_bench.problem.piles import irregular_square
+from nuno_bench.problem.random_scenes import BODIES, SOLVERS, random_pile
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.storage import Kept
 
 SHORT = 0.1
 """Duration of a scene [s]."""
@@ -49,7 +48,7 @@ def test_scenes_follow_from_their_seeds_and_are_of_all_kinds(tmp_path: Path) -> 
         path = random_pile(seed, 0.5, tmp_path)
         again = json.loads(path.read_text())
         assert texts[-1] == again | {"duration": 0.1}
-        found = run.describe(seed, again)
+        found = run.made_of(seed, again)
         solvers.add(found.solver)
         bodies.add(found.body)
         assert 2 <= len(scene_file.read(path).models) <= 3
@@ -133,8 +132,8 @@ def test_both_checks_see_an_edge_through_a_triangle() -> None:
     ],
 )
 def test_verdicts_follow_from_what_was_seen(found: Passed, verdict: str, bad: bool) -> None:
-    assert (found.verdict, page.is_bad(found)) == (verdict, bad)
-    assert bool(page.line(found)) == (verdict != "clean")
+    assert (found.verdict, command.is_bad(found)) == (verdict, bad)
+    assert bool(command.describe(found)) == (verdict != "clean")
     assert command.keep([Passed(1)], 0.1, Path("nowhere")) is None
 
 
@@ -153,7 +152,7 @@ def test_scenes_that_are_counted_are_all_in_the_tables() -> None:
         Passed(1, "rk4", "box", ("denim",), ("quads",), vertices=10, frames=5, vertex_steps=1000, cut=1),
         Passed(2, "xpbd", "box", ("denim", "springs"), ("quads",), frames=5, crossed=[4], own=[4], vertex_steps=1000),
     ]
-    by_solver, by_body, _, by_fabric = page.tables(found)
+    by_solver, by_body, _, by_fabric = command.count_tables(found)
     assert [row[:4] for row in by_solver.rows] == [
         ["rk4", "1", "5", "0"],
         ["xpbd", "1", "5", "1"],
@@ -162,7 +161,7 @@ def test_scenes_that_are_counted_are_all_in_the_tables() -> None:
     assert [row[1] for row in by_body.rows] == ["2", "2"]
     assert [row[0] for row in by_fabric.rows] == ["denim", "springs", "all"]
     assert by_solver.rows[0][5] == "0.1 %"
-    assert "cloth passes through cloth in 1 by ipctk and in 1 by our own check; 1 scenes went wrong" in page.summary(
+    assert "cloth passes through cloth in 1 by ipctk and in 1 by our own check; 1 scenes went wrong" in command.summary(
         found
     )
 

@@ -10,8 +10,8 @@ from nuno.cli import main
 from nuno_bench.report.page import marks
 from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed
-from nuno_bench.speed.leg import fit as fit_speed
-from nuno_bench.speed.leg.fit import fit
+from nuno_bench.speed import leg as fit_speed
+from nuno_bench.speed.leg import fit
 
 SMALL = ("objects.stocking.model.wales=10", "objects.stocking.model.courses=19", "bodies.leg.collider.resolution=16")
 

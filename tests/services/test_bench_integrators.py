@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from nuno.scene import scene_file, shipped
-from nuno_bench.integrators import findings
-from nuno_bench.integrators.command import report
+from nuno_bench.integrators.command import compare_with_paper, report
 from nuno_bench.integrators.experiment import SERIES, SPLIT, Trace, run_variant
 
 SMALL = ("duration=0.2", "objects.0.model.columns=12", "objects.0.model.rows=5")
@@ -30,7 +29,7 @@ def trace(integrator: str, split: bool = True, depth: float = 1e-3, grow: float 
 
 
 def verdicts(*traces: Trace) -> dict[str, str]:
-    return {found.claim.split(",")[0][:24]: found.verdict for found in findings.compare(traces)}
+    return {found.claim.split(",")[0][:24]: found.verdict for found in compare_with_paper(traces)}
 
 
 def test_verdicts_follow_from_the_runs() -> None:
@@ -51,7 +50,7 @@ def test_bones_are_compared_method_by_method() -> None:
 def slower(ours: tuple[float, ...], theirs: tuple[float, ...]) -> str:
     """Whether the paper's "Runge-Kutta is slower" holds, for times of each round, and the words."""
     runs = [replace(trace(name), seconds=times) for name, times in (("symplectic_euler", theirs), ("rk4", ours))]
-    found = next(one for one in findings.compare(runs) if "slower" in one.claim)
+    found = next(one for one in compare_with_paper(runs) if "slower" in one.claim)
     return found.verdict
 
 
@@ -101,7 +100,7 @@ def test_files_hold_every_frame(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     traces = [trace("symplectic_euler"), trace("euler", grow=1e6), trace("euler", split=False, grow=1e6)]
     traces += [trace("symplectic_euler", split=False)]
-    found = findings.compare(traces)
+    found = compare_with_paper(traces)
     report("small", traces, {"command": "nuno"}).write_beside(tmp_path / "out" / "small")
     with (tmp_path / "out" / "small.csv").open() as stream:
         rows = list(csv.DictReader(stream))

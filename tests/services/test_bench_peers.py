@@ -22,11 +22,11 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
-from nuno_bench.peers.choose import choose
+from nuno_bench.peers.command import choose
 from nuno_bench.peers.problem import Score, Sheet, judge
 from nuno_bench.peers.process import Point, measure
 from nuno_bench.peers.python import NumPy, stiff_sheet
-from nuno_bench.peers.table import KINDS, Kind
+from nuno_bench.peers.table import SHEET_KINDS, Kind
 from nuno_schemas.fabric import Float, State
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)
@@ -222,16 +222,16 @@ def test_no_repeats_and_no_time_are_refused(option: str, value: str, capsys: pyt
 
 
 def test_names_choose_engines_or_one_way_of_theirs() -> None:
-    assert [kind.name for kind in choose(KINDS, "mujoco,newton-vbd")] == [
+    assert [kind.name for kind in choose(SHEET_KINDS, "mujoco,newton-vbd")] == [
         "mujoco-edges",
         "mujoco-tendons",
         "newton-vbd",
     ]
-    assert choose(KINDS, "") == list(KINDS)
+    assert choose(SHEET_KINDS, "") == list(SHEET_KINDS)
 
 
 def test_every_setting_has_a_label_of_its_own() -> None:
-    for kind in KINDS:
+    for kind in SHEET_KINDS:
         assert len(kind.settings) >= 1 and all(kind.settings), kind.name
-    sizes = {kind.name: len(kind.settings) for kind in KINDS}
+    sizes = {kind.name: len(kind.settings) for kind in SHEET_KINDS}
     assert (sizes["newton-vbd"], sizes["scipy"], sizes["nuno-tr_bdf2"]) == (4, 3, 3)

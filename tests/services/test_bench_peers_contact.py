@@ -13,8 +13,18 @@ import pytest
 from nuno.cli import main
 from nuno_bench.peers import command as peers
 from nuno_bench.peers.contact import page
-from nuno_bench.peers.contact.problem import SIDES, Pile, Seen, five_sheets, look
-from nuno_bench.peers.contact.queries import CROSSED, MOTION, PAIRS, own_answers, their_answers
+from nuno_bench.peers.contact.problem import (
+    CROSSED,
+    MOTION,
+    PAIRS,
+    SIDES,
+    Pile,
+    Seen,
+    five_sheets,
+    look,
+    own_answers,
+    their_answers,
+)
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.table import Kind
 
@@ -65,15 +75,15 @@ def test_ipctk_and_ours_answer_alike() -> None:
     ("module", "made", "setting", "steps", "kept"),
     [
         pytest.param(
-            "ours",
-            "Solver",
+            "python",
+            "PileSolver",
             {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"},
             60,
             1.0,
             marks=pytest.mark.full,
         ),
-        pytest.param("newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
-        pytest.param("newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
+        pytest.param("contact.newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
+        pytest.param("contact.newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
     ],
 )
 def test_cloth_falls_freely_until_it_meets_anything(
@@ -83,10 +93,10 @@ def test_cloth_falls_freely_until_it_meets_anything(
 
     Velocities are differences of positions in single precision, whose rounding by 3e-8 m adds up to 1.4e-5 m in 30.
     """
-    if module != "ours":
-        pytest.importorskip(module, reason=f"the peer engine {module} is not installed")
+    if module != "python":
+        pytest.importorskip("newton", reason="the peer engine newton is not installed")
     pile, h = five_sheets(), 1 / 60 / steps
-    frames = getattr(importlib.import_module(f"nuno_bench.peers.contact.{module}"), made)(pile, **setting).advance(0.05)
+    frames = getattr(importlib.import_module(f"nuno_bench.peers.{module}"), made)(pile, **setting).advance(0.05)
     assert len(frames) == 3
     v, fallen = np.zeros(3), np.zeros(3)
     for x in frames:

@@ -15,9 +15,8 @@ from nuno_bench.peers import command as peers
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.skirt import problem
 from nuno_bench.peers.skirt.newton import _from_z, lay_flat
-from nuno_bench.peers.skirt.ours import Solver
 from nuno_bench.peers.skirt.page import Found, settings
-from nuno_bench.peers.skirt.problem import Skirt, hula_skirt, look
+from nuno_bench.peers.skirt.problem import Skirt, SkirtSolver, hula_skirt, look
 from nuno_bench.peers.table import Kind
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import RunFailed
@@ -107,7 +106,7 @@ def test_our_solver_goes_on_as_if_it_had_not_been_stopped() -> None:
     hundredth of the thickness. Without the velocities cloth would be some 10 mm off.
     """
     start, later = hula_skirt(2 / 60, 4 / 60), hula_skirt(1 / 60, 6 / 60)
-    frames = Solver(start, "plugin: respa, dt: auto").advance(2 / 60)
+    frames = SkirtSolver(start, "plugin: respa, dt: auto").advance(2 / 60)
     np.testing.assert_allclose(frames[-1], later.x, rtol=0, atol=0.02 * start.thickness)
     for i, x in enumerate(frames):
         np.testing.assert_allclose(start.waist(*start.places(i, 1.0)), x[start.pinned], rtol=0, atol=1e-12)

@@ -14,8 +14,8 @@ from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno_bench.precision.findings import fit_order, judge
 from nuno_bench.precision.page import Findings, report
+from nuno_bench.precision.point import fit_order, judge
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import MORE, Runner
 from nuno_bench.problem.observe import POSITIONS, Problem, simulate
@@ -202,7 +202,7 @@ def test_a_reference_that_disagrees_with_itself_fails(
         )
         return Reference(sure.run, coarse, "made to disagree", 0.0, sure.twin)  # fmt: skip
 
-    monkeypatch.setattr("nuno_bench.problem.horizon.make_reference", unsure)
+    monkeypatch.setattr("nuno_bench.problem.reference.make_reference", unsure)
     path = write_net(tmp_path)
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4,dopri5", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()

@@ -16,7 +16,7 @@ from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import Point
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import Runner, Sweep, run_sweep
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"

@@ -14,9 +14,8 @@ from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
 from nuno_bench import machine
-from nuno_bench.precision.findings import fit_order
 from nuno_bench.precision.page import Findings, orders
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.point import Point, fit_order
 from nuno_bench.problem.dye import AMOUNTS
 from nuno_bench.problem.observe import POSITIONS
 from nuno_bench.report.result import number

@@ -21,10 +21,8 @@ from scenes import BALL, write_scene
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
 from nuno_bench.precision.command import _own
-from nuno_bench.precision.errors import Error, measure_errors
-from nuno_bench.precision.findings import choice_rows, judge
 from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
-from nuno_bench.precision.point import POINT, Point
+from nuno_bench.precision.point import POINT, Error, Point, choice_rows, judge, measure_errors
 from nuno_bench.problem.dye import DyeProblem
 from nuno_bench.problem.observe import POSITIONS, Problem
 

@@ -76,7 +76,7 @@ def test_a_record_is_read_as_it_was_written_and_what_was_there_is_kept(tmp_path:
     saved = {"case": "case", "what": "a step", "unit": "s", "median": 1.1, "least": 1.0, "greatest": 1.2}
     assert first["results"] == [saved | {"samples": list(BEFORE)}]
     for then, load in ((disturbed, 0.0), (quiet, disturbed.load)):
-        said = record.told(record.compare([then], [timed()]), load)[-2:]
+        said = record.describe_changes(record.compare([then], [timed()]), load)[-2:]
         assert ["DISTURBED" in str(text) for text in said] == [then is disturbed, then is quiet]
 
 

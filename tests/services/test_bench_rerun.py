@@ -10,9 +10,8 @@ from rrd import columns
 
 from nuno.viewer.layout import entity
 from nuno_bench.report.plots import Curve, Panel
-from nuno_bench.stability.case import Point
-from nuno_bench.stability.page import tabs
-from nuno_bench.stability.sweep import Mapped
+from nuno_bench.stability.command import panels_by_tab
+from nuno_bench.stability.sweep import Mapped, Point
 
 
 def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
@@ -44,7 +43,7 @@ def mapped() -> Mapped:
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:
-    (panel,) = tabs(mapped())["small, stiffness"]
+    (panel,) = panels_by_tab(mapped())["small, stiffness"]
     found = drawn(tmp_path / "maps.rrd", "small, stiffness", panel)
     for i, name in enumerate(("diverged", "drifting", "exact", "left out")):
         assert found[name] == pytest.approx(np.array([[1.0, 10.0**-i], [10.0, 10.0**-i]]), rel=1e-4)

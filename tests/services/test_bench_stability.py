@@ -15,12 +15,22 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench.problem.observe import Series
-from nuno_bench.stability import page as stability_page
-from nuno_bench.stability.case import Point, Setting, classify, make_reference, pose, stiffen
-from nuno_bench.stability.sweep import measure_all, measure_row, mesh_overrides, settings_of, step_counts
+from nuno_bench.stability import command as stability_page
+from nuno_bench.stability.sweep import (
+    Point,
+    Setting,
+    classify,
+    make_reference,
+    measure_all,
+    measure_row,
+    mesh_overrides,
+    pose,
+    settings_of,
+    step_counts,
+    stiffen,
+)
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import pack
+from nuno_bench.sweep.storage import Kept, pack
 from nuno_schemas.errors import BadInput
 
 SCENE = """\

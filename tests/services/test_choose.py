@@ -21,10 +21,9 @@ from nuno.scene import scene_file
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
 from nuno_bench.precision.accuracy import promised_frames
-from nuno_bench.problem.horizon import find_horizon
 from nuno_bench.problem.observe import make_problem, simulate
 from nuno_bench.problem.random_scenes import random_scene
-from nuno_bench.problem.reference import make_reference
+from nuno_bench.problem.reference import find_horizon, make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.solver import Accuracy

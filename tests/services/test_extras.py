@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from nuno.cli import main
-from nuno_bench.peers.choose import choose, leave_out
-from nuno_bench.peers.table import KINDS
+from nuno_bench.peers.command import choose, leave_out
+from nuno_bench.peers.table import SHEET_KINDS
 from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed
 
@@ -54,7 +54,7 @@ def test_a_named_peer_that_is_missing_is_refused(monkeypatch: pytest.MonkeyPatch
 
 
 def test_peers_that_are_missing_are_named_before_anything_is_measured(bare: None, capsys: Any) -> None:
-    told = leave_out(choose(KINDS, None), None)
+    told = leave_out(choose(SHEET_KINDS, None), None)
     assert capsys.readouterr().err.splitlines() == told
     assert "(pip install 'nuno[peers]')" in told[0]
     assert [("mujoco-edges" in text, "newton-vbd" in text) for text in told] == [(True, False), (False, True)]

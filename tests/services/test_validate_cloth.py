@@ -9,13 +9,13 @@ import pytest
 from nuno import registry
 from nuno_bench.problem import piles
 from nuno_bench.validation import suite
-from nuno_bench.validation.laws import meetings
+from nuno_bench.validation.laws import contacts
 from nuno_bench.validation.laws.base import Outcome
 from nuno_schemas.system import System
 
 pytestmark = pytest.mark.full
 
-CASES = {case.name: case for case in meetings.laws}
+CASES = {case.name: case for case in contacts.laws}
 SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from nuno import registry
 from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import dye_amounts
+from nuno_bench.validation.laws import dye
 from nuno_bench.validation.laws.base import Outcome
 from nuno_bench.validation.laws.dye import GROUP, make_cells
 from nuno_dye.solvers.explicit import Explicit
@@ -145,11 +145,11 @@ def test_who_breaks_a_law_is_found_out(kind: type[Changed], case: str) -> None:
     assert check(case, kind()).verdict == "failed"
 
 
-@pytest.mark.parametrize("law", dye_amounts.LAWS)
+@pytest.mark.parametrize("law", dye.LAWS)
 def test_an_isotherm_that_is_a_hundredth_off_is_found_out(law: str) -> None:
-    isotherm, limit = dye_amounts.LAWS[law]
-    assert dye_amounts.measure_rest(Explicit(), isotherm, limit).error < 1e-3
-    wrong = dye_amounts.measure_rest(Explicit(), isotherm, lambda phi: 1.01 * limit(phi))
+    isotherm, limit = dye.LAWS[law]
+    assert dye.measure_rest(Explicit(), isotherm, limit).error < 1e-3
+    wrong = dye.measure_rest(Explicit(), isotherm, lambda phi: 1.01 * limit(phi))
     assert wrong.error > wrong.allowed
 
 

@@ -14,8 +14,9 @@ import nuno
 from nuno.cli import main, parser_of
 from nuno.fit.read import read_fits
 from nuno.scene import scene_file
-from nuno_bench.gallery import sewn, worn
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
+from nuno_bench.gallery import command as worn
+from nuno_bench.gallery import sewn
 
 BODY = ["--body", "column.obj"]
 
@@ -59,7 +60,7 @@ def test_each_pattern_is_put_on_as_by_nuno_sew(here: Path) -> None:
     _, parser = parser_of("gallery")
     given = parser.parse_args(["sewn", "--patterns", "tube.json", "other.json", *BODY, *flags])
     (here / "scenes").mkdir()
-    scenes = worn.write_scenes(given, here / "scenes")
+    scenes = worn.write_pattern_scenes(given, here / "scenes")
     assert list(scenes) == ["tube", "other"]
     assert scenes["tube"].read_text() == (here / "tube.yaml").read_text().replace("column.obj", "body.obj")
     loaded = scene_file.read(scenes["other"])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nuno_bench.gallery.kind import Shown, compare
-from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND
-from nuno_bench.gallery.wrinkle_measures import Drawn
+from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn
 from nuno_schemas.fabric import Float, Int
 
 STEP = 0.005

@@ -4,21 +4,41 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from nuno_bench import extras, machine, options
-from nuno_bench.contact import page as shown
+import numpy as np
+
+from nuno_bench import machine, options
 from nuno_bench.contact.run import Passed, run_pile
-from nuno_bench.problem.random_piles import random_pile
+from nuno_bench.problem.random_scenes import random_pile
 from nuno_bench.report import page
+from nuno_bench.report.page import Report, Sections, Table
 from nuno_bench.sweep import places
 from nuno_bench.sweep.executor import Executor, Lost, versions
-from nuno_bench.sweep.kept import Kept, require
+from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 FOLDER, KEPT = "contact", "contact.jsonl"
 """Of --out: into the first go scenes that went wrong, into the second what is finished, line by line."""
+HEADINGS = ("scenes", "frames", "crossed", "own check", "cut short", "most", "left out", "ended early", "wrong")
+CAPTION = (
+    "Crossed: frames in which an edge goes through a triangle, by ipctk; own check: the same by the collision "
+    "service's routine. Cut short: share of the steps of free vertices, and the most of a scene. Left out: scenes in "
+    "which a list had no place for a pair. Ended early: scenes whose solver gave up, with a message. Wrong: scenes in "
+    "which cloth passed through cloth, the checks disagree, or which crashed or were refused. A scene of several "
+    "fabrics or cloths is counted with each."
+)
+LEAD = (
+    "Random scenes by a seed: two or three pieces of random cloth fly at each other and at a body, under random wind, "
+    "friction, thickness, solver and frame rate. Every frame is looked at by ipctk, and by our own check."
+)
+BY: Mapping[str, Callable[[Passed], Sequence[str]]] = {
+    "solver": lambda one: (one.solver,),
+    "body": lambda one: (one.body,),
+    "cloth": lambda one: one.cloths,
+    "fabric": lambda one: one.fabrics,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,25 +53,25 @@ def main(args: argparse.Namespace) -> int:
     """Run the scenes, print tables; 1 where cloth passed through cloth, or a scene could not be run."""
     if any(seed < 0 for seed in args.seeds):
         raise BadInput("a seed is not negative", field="SEED", value=min(args.seeds), limit="0 and more")
-    extras.require("cloth is looked at by", "ipctk")
+    options.require_package("cloth is looked at by", "ipctk")
     page.check_section(args.docs, "contact")
     if args.resume:
-        require([args.out / KEPT])
+        require_kept([args.out / KEPT])
     others, seeds = machine.Others(), args.seeds or list(range(1, args.count + 1))
     kept = Kept(args.out / KEPT, {"duration": args.duration, "versions": versions()}, args.resume)
     with places.opened(args) as where:
         found = run_all(seeds, args.duration, kept, where, lambda text: print(text, file=sys.stderr))
-    for table in shown.tables(found):
+    for table in count_tables(found):
         print(table.text(), end="\n\n")
-    print("\n".join([*map(shown.line, found), shown.summary(found)]).lstrip())
+    print("\n".join([*map(describe, found), summary(found)]).lstrip())
     folder = keep(found, args.duration, args.out / FOLDER)
     about = machine.about(others) | ({"scenes that went wrong": str(folder)} if folder else {})
-    shown.report(found, args.duration, about).write_beside(args.out / "contact", args.docs, "contact")
-    return int(any(shown.is_bad(one) for one in found))
+    report(found, args.duration, about).write_beside(args.out / "contact", args.docs, "contact")
+    return int(any(is_bad(one) for one in found))
 
 
 def run_all(
-    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, told: Callable[[str], None]
+    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, say: Callable[[str], None]
 ) -> list[Passed]:
     """What came of the scenes of all seeds, in their order; those that are kept are not run again."""
     found = {one.seed: one for one in (Passed(**line) for line in kept.lines)}
@@ -61,7 +81,7 @@ def run_all(
             one = Passed(seed, status="crashed", message=str(one))
         found[seed] = one
         kept.add(vars(one))
-        told(f"{len(found)} of {len(seeds)}: {shown.line(one) or f'seed {seed}, {one.solver}: clean'}")
+        say(f"{len(found)} of {len(seeds)}: {describe(one) or f'seed {seed}, {one.solver}: clean'}")
     return [found[seed] for seed in dict.fromkeys(seeds)]
 
 
@@ -72,3 +92,97 @@ def keep(found: Sequence[Passed], duration: float, folder: Path) -> Path | None:
         (own := folder / str(one.seed)).mkdir(parents=True, exist_ok=True)
         random_pile(one.seed, duration, own)
     return folder if wrong else None
+
+
+def is_bad(one: Passed) -> bool:
+    """Whether a scene shows a fault; a solver that gives up and says so is none."""
+    return one.verdict not in ("clean", "failed")
+
+
+def percent(value: float) -> str:
+    return f"{100.0 * value:.2g} %"
+
+
+def counts_of(group: Sequence[Passed]) -> list[str]:
+    """Of some scenes, under HEADINGS."""
+    steps = sum(one.vertex_steps for one in group)
+    return [
+        str(len(group)), f"{sum(one.frames for one in group):,}", str(sum(len(one.crossed) for one in group)),
+        str(sum(len(one.own) for one in group)), percent(sum(one.cut for one in group) / max(1, steps)),
+        percent(max(one.share for one in group)), str(sum(one.left_out > 0 for one in group)),
+        str(sum(one.verdict == "failed" for one in group)), str(sum(map(is_bad, group))),
+    ]  # fmt: skip
+
+
+def count_table(found: Sequence[Passed], by: str, caption: str = "") -> Table:
+    """A row for each of a kind, most scenes first, and one of all."""
+    named = BY[by]
+    names = sorted({name for one in found for name in named(one)})
+    groups = {name: [one for one in found if name in named(one)] for name in names}
+    rows = [[name, *counts_of(group)] for name, group in groups.items()]
+    return Table((by, *HEADINGS), [*rows, ["all", *counts_of(found)]], caption)
+
+
+def count_tables(found: Sequence[Passed]) -> list[Table]:
+    return [count_table(found, by, CAPTION if i == 0 else "") for i, by in enumerate(BY)]
+
+
+def describe(one: Passed) -> str:
+    """What is to be said of a scene that was not clean; empty of one that was."""
+    if one.verdict == "clean":
+        return ""
+    frames = (
+        f"frames {listed(one.crossed)} by ipctk, {listed(one.own)} by our own check" if one.crossed + one.own else ""
+    )
+    said = ", ".join(filter(None, [frames, one.message]))
+    return f"{one.verdict}: seed {one.seed}, {one.solver}, {one.body}, after {one.frames} frames: {said}"
+
+
+def listed(frames: Iterable[int], most: int = 5) -> str:
+    """The first few numbers."""
+    numbers = list(frames)
+    return ", ".join([*map(str, numbers[:most]), *["..."] * (len(numbers) > most)]) or "none"
+
+
+def summary(found: Sequence[Passed]) -> str:
+    """The counts in a sentence."""
+    frames, crossed = sum(one.frames for one in found), sum(len(one.crossed) for one in found)
+    own, cut = sum(len(one.own) for one in found), [one.share for one in found]
+    wrong, early = sum(map(is_bad, found)), sum(one.verdict == "failed" for one in found)
+    met = sum(one.touching > 0 for one in found)
+    return (
+        f"{len(found)} scenes, in {met} of which cloth met cloth, {frames:,} frames: cloth passes through cloth in "
+        f"{crossed} by ipctk and in {own} by our own check; {wrong} scenes went wrong, {early} ended early; "
+        f"steps cut short: median {percent(float(np.median(cut)))} of a scene, most {percent(max(cut))}"
+    )
+
+
+def scene_table(found: Iterable[Passed]) -> Table:
+    """A line a scene."""
+    rows = [
+        [str(one.seed), one.solver, one.body, ", ".join(one.cloths), ", ".join(one.fabrics), f"{one.rate:g}",
+         str(one.vertices), str(one.frames), str(len(one.crossed)), percent(one.share), str(one.held),
+         str(one.left_out), str(one.touching), f"{one.seconds:.1f}", one.verdict]
+        for one in found
+    ]  # fmt: skip
+    heads = ("seed", "solver", "body", "cloth", "fabric", "frames/s", "vertices", "frames", "crossed", "cut short",
+             "held", "left out", "touching", "time [s]", "verdict")  # fmt: skip
+    return Table(heads, rows, "Every scene; held: steps of held vertices that were cut short.")
+
+
+def report(found: Sequence[Passed], duration: float, about: Mapping[str, str]) -> Report:
+    """The page."""
+    unclean = Table(
+        ("verdict", "seed", "solver", "body", "frame", "why"),
+        [[one.verdict, str(one.seed), one.solver, one.body, str(one.frames), describe(one).partition("frames: ")[2]]
+         for one in found if one.verdict != "clean"],
+        "Scenes that were not clean.", prose=True,
+    )  # fmt: skip
+    said = f"{summary(found)}."
+    parts, each = count_tables(found), scene_table(found)
+    sections: Sections = [
+        ("", [said]), ("Scenes that were not clean", [unclean]), ("Counts", parts), ("Every scene", [each]),
+    ]  # fmt: skip
+    rows = [dict(zip(each.headings, cells, strict=True)) for cells in each.rows]
+    data = {"duration": duration, "scenes": [vars(one) | {"verdict": one.verdict} for one in found]}
+    return Report("Cloth meets cloth", LEAD, sections, about, data, [said, *parts, unclean], rows)

@@ -13,9 +13,9 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.problem.oracle import Oracle
-from nuno_bench.problem.random_piles import CLOTHS, random_pile
+from nuno_bench.problem.random_scenes import CLOTHS, random_pile
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
 
 Verdict = Literal["clean", "crossed", "disagrees", "failed", "refused", "crashed"]
 
@@ -74,7 +74,7 @@ def run_pile(task: tuple[int, float]) -> Passed:
         found = Passed(seed)
         try:
             path = random_pile(seed, duration, Path(folder))
-            found = describe(seed, scene_file.read(path).data)
+            found = made_of(seed, scene_file.read(path).data)
             simulation = Simulation.with_bodies(scene_file.read(path), 1)
         except BadInput as error:
             return replace(found, status="refused", message=" ".join(str(error).split()))
@@ -84,7 +84,7 @@ def run_pile(task: tuple[int, float]) -> Passed:
     return replace(found, seconds=time.perf_counter() - begun)
 
 
-def describe(seed: int, scene: dict[str, Any]) -> Passed:
+def made_of(seed: int, scene: dict[str, Any]) -> Passed:
     """What a scene is made of, by its data."""
     models = [part["model"] for part in scene["objects"]]
     bodies = scene.get("bodies", [])
@@ -120,3 +120,21 @@ def watch(simulation: Simulation, found: Passed) -> Passed:
         vertex_steps=number * steps, cut=counts.get("cut_short", 0), held=counts.get("held_cut_short", 0),
         left_out=counts.get("pairs_left_out", 0), touching=most, status=status, message=message,
     )  # fmt: skip
+
+
+class Oracle:
+    """Whether cloth passes through cloth, as ipc-toolkit sees it, by none of our own code.
+
+    Of a mesh x (n, 3) [m] of triangles (f, 3); the last `body` vertices are a body's, which may pass through itself.
+    """
+
+    def __init__(self, x: Float, faces: Int, body: int = 0) -> None:
+        import ipctk
+
+        self._ipctk, self._mesh = ipctk, ipctk.CollisionMesh(x, mesh_of(faces).edges, faces)
+        if body:
+            self._mesh.can_collide = ipctk.make_static_obstacle_filter(len(x) - body)
+
+    def crossed(self, x: Float) -> bool:
+        """Whether an edge goes through a triangle that it shares no vertex with, of vertices at x (n, 3) [m]."""
+        return bool(self._ipctk.has_intersections(self._mesh, x))

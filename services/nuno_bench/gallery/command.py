@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 import time
@@ -11,10 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from nuno.ahead import Pace, run_seconds
+from nuno.begin.worn import Garment, describe_worn, name_garments
+from nuno.cli.common import add_flags
 from nuno.scene import scene_file
 from nuno.words import roughly
 from nuno_bench import machine, options
-from nuno_bench.gallery import contact, dye, knit, sewn, worn, wrinkle
+from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed
 from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
@@ -23,6 +26,7 @@ KINDS: dict[str, Kind] = {
     "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
 }  # fmt: skip
 ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
+NEEDED = "--patterns, --body"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,17 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
     options.add_shared(parser, "--docs")
-    worn.add_arguments(parser)
+    add_pattern_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
-    worn.check(args)
+    check_patterns(args)
     kind, section = KINDS[args.kind], f"gallery {args.kind}"
     page.check_section(args.docs, section)
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         if args.patterns:
-            own = worn.write_scenes(args, Path(folder))
+            own = write_pattern_scenes(args, Path(folder))
             kind = replace(kind, scenes=lambda: own, lead=f"Patterns that were put on {args.body.name}, one by one.")
         return show(kind, args, section)
 
@@ -125,3 +129,43 @@ def _pictures(kind: Kind, shown: Sequence[Shown]) -> list[page.Image]:
             caption = f"{one.name}{', ' if label else ''}{label}. {'' if i else one.description}".strip()
             found.append((label == kind.apart != "", page.Image(embed(picture), caption)))
     return [image for _, image in sorted(found, key=lambda each: each[0])]
+
+
+def add_pattern_arguments(parser: argparse.ArgumentParser) -> None:
+    """Those of which patterns on which body."""
+    own = parser.add_argument_group("sewn: patterns of one's own, instead of those that come with nuno")
+    own.add_argument("--patterns", nargs="+", type=Path, default=[], metavar="PATTERN", help="as for nuno sew")
+    add_flags(own, {
+        "--body": ("FILE", "the body that wears each of them, by itself", Path),
+        "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
+        "--fabric": ("NAME", "a preset (default: interlock)", str),
+    })  # fmt: skip
+    parser.set_defaults(edge="2 cm", fabric="interlock")
+
+
+def check_patterns(args: argparse.Namespace) -> None:
+    """Raises BadInput for patterns without a body, a body without patterns, files that are not there or of one name."""
+    if bool(args.patterns) != (args.body is not None):
+        raise BadInput("patterns and a body belong together", field=NEEDED, remedy="give both, or none of them")
+    if args.patterns and args.kind != "sewn":
+        remedy = "nuno gallery sewn --patterns PATTERN... --body BODY"
+        raise BadInput("patterns are sewn", field="--patterns", value=args.kind, remedy=remedy)
+    for file in (*args.patterns, *([args.body] if args.body else [])):
+        if not file.is_file():
+            raise BadInput("no such file", field=NEEDED, value=str(file))
+    names = [pattern.stem for pattern in args.patterns]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise BadInput("two patterns have one name", field="--patterns", value=twice[0], remedy="rename one")
+
+
+def write_pattern_scenes(args: argparse.Namespace, folder: Path) -> dict[str, Path]:
+    """A scene for each pattern, in a folder with copies of what they need, by name."""
+    found = {}
+    body = shutil.copy(args.body, folder / f"body{args.body.suffix}")
+    for pattern in args.patterns:
+        shutil.copy(pattern, folder)
+        garments = [Garment(name_garments([pattern.stem])[0], pattern.name, args.fabric)]
+        found[pattern.stem] = folder / f"{pattern.stem}.yaml"
+        text = describe_worn(pattern.stem, garments, args.edge, Path(body).name)
+        found[pattern.stem].write_text(text, encoding="utf-8")
+    return found

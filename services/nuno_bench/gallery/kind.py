@@ -145,6 +145,8 @@ def compare(differences: Sequence[Difference], shown: Mapping[str, Shown]) -> li
         if all(scene in shown for scene, _ in sides):
             more, less = (shown[scene].measured.get(measure, math.nan) for scene, measure in sides)
             ratio = math.nan if not more > 0.0 or math.isnan(less) else more / less if less > 0.0 else math.inf
-            told = [f"{scene}, {measure}: {number(x)}" for (scene, measure), x in zip(sides, (more, less), strict=True)]
-            rows.append([says, *told, number(ratio), "bar met" if ratio >= EFFECT else "missed"])
+            texts = [
+                f"{scene}, {measure}: {number(x)}" for (scene, measure), x in zip(sides, (more, less), strict=True)
+            ]
+            rows.append([says, *texts, number(ratio), "bar met" if ratio >= EFFECT else "missed"])
     return rows

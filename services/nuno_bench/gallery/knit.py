@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno.cloth.pressure import named_heights
 from nuno.exports.cloth import read_frame, read_pieces
@@ -18,9 +19,13 @@ from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
-from nuno_bench.gallery.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
 from nuno_schemas.dye_picture import Picture
+from nuno_schemas.fabric import Float, Int
 
+BAND = 0.02
+"""Height of the band around a place that is averaged over [m], as the report's pressure has it."""
+RIM = 0.3
+"""Share of a panel's columns at either side that is left out: its edges are held, or curl."""
 SIZE = (480, 640)
 """Pixels of a picture of a knit on a body; those of a panel are as wide as they are high."""
 WALES = 75
@@ -104,14 +109,16 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
     target = folder / "picture.png"
     if not loaded.scene.bodies:
         square = (SIZE[0], SIZE[0])
-        return [(told, read_picture(export_picture(recording, target, None, square, colour))) for told, colour in PANEL]
-    ways = [(told, style, (*settings, *_fine(loaded, style))) for told, style, settings in WORN]
+        return [
+            (label, read_picture(export_picture(recording, target, None, square, colour))) for label, colour in PANEL
+        ]
+    ways = [(label, style, (*settings, *_fine(loaded, style))) for label, style, settings in WORN]
     if loaded.scene.name in CLOSE:
-        told, style, settings = WORN[1]
-        ways.append((f"{told}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
+        label, style, settings = WORN[1]
+        ways.append((f"{label}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
     return [
-        (told, read_picture(export_yarn_picture(recording, target, style, None, SIZE, settings)))
-        for told, style, settings in ways
+        (label, read_picture(export_yarn_picture(recording, target, style, None, SIZE, settings)))
+        for label, style, settings in ways
     ]
 
 
@@ -123,6 +130,70 @@ def _fine(loaded: Loaded, style: str) -> tuple[str, ...]:
     if style == "yarns":
         return (f"view.yarns.radius={RADIUS * WALES / wales:g}",)
     return (f"view.yarns.width={WALES / wales:g}",) if style == "lines" and wales > WALES else ()
+
+
+class Knitted(NamedTuple):
+    """A knit of rows of points, from the bottom, and its links.
+
+    x (rows, columns, 3) [m]; edges (e, 2) of points row by row, rest (e,) [m], kind (e,) of `names`, -1 for none;
+    a ring's last column is joined to its first.
+    """
+
+    x: Float
+    edges: Int
+    rest: Float
+    kind: NDArray[np.int8]
+    names: tuple[str, ...]
+    ring: bool
+
+
+def stretch(knit: Knitted) -> dict[str, float]:
+    """Mean |d| / L - 1 of the arcs and of the legs of each yarn that has any, e.g. of `nylon arcs`."""
+    points = knit.x.reshape(-1, 3)
+    length = np.linalg.norm(points[knit.edges[:, 1]] - points[knit.edges[:, 0]], axis=1)
+    own, leg = length / knit.rest - 1.0, np.diff(knit.edges, axis=1)[:, 0] == knit.x.shape[1]
+    found = {}
+    for index, name in enumerate(knit.names):
+        for part, there in (("arcs", ~leg), ("legs", leg)):
+            mine = there & (knit.kind == index)
+            if mine.any():
+                found[f"{name} {part}"] = float(own[mine].mean())
+    return found
+
+
+def zigzag(knit: Knitted) -> float:
+    """How far the middle wales run to and fro: mean second difference to the side along a column, in rest lengths."""
+    return float(np.abs(np.diff(_middle(knit)[..., 0], n=2, axis=0)).mean() / knit.rest.mean())
+
+
+def unevenness(knit: Knitted) -> float:
+    """Height of the most open course over that of the least, between the first and the last row, in the middle."""
+    heights = np.diff(_middle(knit)[1:-1, :, 1], axis=0).mean(axis=1)
+    return float(heights.max() / heights.min())
+
+
+def density_at(knit: Knitted, height: float) -> float:
+    """Stitches over area [1/m^2] in the band around a height [m]; NaN where the knit is not."""
+    area, level = _cells(knit)
+    there = np.abs(level - height) <= 0.5 * BAND
+    return float(0.5 * there.sum() / area[there].sum()) if there.any() else float("nan")
+
+
+def _middle(knit: Knitted) -> Float:
+    """(rows, columns in the middle, 3)."""
+    side = int(RIM * knit.x.shape[1])
+    return knit.x[:, side : knit.x.shape[1] - side]
+
+
+def _cells(knit: Knitted) -> tuple[Float, Float]:
+    """(courses, cells) area [m^2] of each cell, half the cross product of its diagonals, and height of its middle."""
+    right = np.roll(knit.x, -1, axis=1)
+    if not knit.ring:
+        right = right[:, :-1]
+    left = knit.x[:, : right.shape[1]]
+    a, b, c, d = left[:-1], right[:-1], right[1:], left[1:]
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=-1)
+    return np.asarray(area), np.asarray(0.25 * (a + b + c + d)[..., 1])
 
 
 KIND = Kind(

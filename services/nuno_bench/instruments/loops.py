@@ -42,18 +42,17 @@ class Loop:
 
 def stretch(fabric: object, angle: float, **model: Any) -> float:
     """Stiffness [N/m] along a strip whose warp makes an angle [rad] with it, its width held."""
-    rig = mount("cantilever", fabric, size=[0.05, 0.05], hold=None, edge=5e-3, angle=angle, **model)
-    return _stiffness(rig, np.array([[1.0, 0.0], [0.0, 0.0]]))
+    return _stiffness(np.array([[1.0, 0.0], [0.0, 0.0]]), fabric, angle, **model)
 
 
 def shear(fabric: object, angle: float, **model: Any) -> float:
     """Stiffness against shear [N/m]."""
-    rig = mount("cantilever", fabric, size=[0.05, 0.05], hold=None, edge=5e-3, angle=angle, **model)
-    return _stiffness(rig, np.array([[0.0, 1.0], [0.0, 0.0]]))
+    return _stiffness(np.array([[0.0, 1.0], [0.0, 0.0]]), fabric, angle, **model)
 
 
-def _stiffness(rig: Rig, gradient: Float) -> float:
+def _stiffness(gradient: Float, fabric: object, angle: float, **model: Any) -> float:
     """Work per area and squared strain, twice, of a displacement with this gradient in the strip's plane."""
+    rig = mount("cantilever", fabric, size=[0.05, 0.05], hold=None, edge=5e-3, angle=angle, **model)
     x, area = rig.fabric.position, float(rig.fabric.mass.sum()) / density(rig)
     way = np.zeros_like(x)
     way[:, [0, 2]] = x[:, [0, 2]] @ gradient.T

@@ -12,12 +12,11 @@ import numpy as np
 from nuno.cloth import build
 from nuno.scene import scene_file, shipped
 from nuno_bench.problem.observe import Problem, make_problem
+from nuno_bench.problem.piles import G
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import System
 
-GRAVITY = 9.81
-"""As scenes have it [m/s^2]."""
 MOST = 400
 """Frames until then."""
 ELASTIC = ("springs", "hinges", "membrane", "bending", "bending_friction")
@@ -111,5 +110,5 @@ def mount(scene: str, fabric: object, solver: str | None = None, **model: object
     loaded = scene_file.read(shipped.find(f"instruments/{scene}"), overrides)
     problem = make_problem(loaded, threads=1)
     rig = Rig(problem, problem.system, build.start_state(problem.fabric), Memory())
-    rig.load(GRAVITY)
+    rig.load(G)
     return rig

@@ -5,20 +5,37 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from nuno import registry
-from nuno_bench.instruments import buckling, cantilever, drape, loops, rig
+from nuno_bench.instruments import buckling, drape, loops
+from nuno_bench.instruments.rig import mount
+from nuno_bench.problem.piles import G
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Float
 
 DIRECTIONS = {"warp": 0.0, "weft": 0.5 * math.pi, "bias": 0.25 * math.pi}
 """Angle of the warp to the specimen's length [rad]."""
 STRIP = 32
 """Edges along a cantilever's free length."""
+SLOPE = math.radians(41.5)
+"""Of a cantilever: how far it can be pushed over an edge before it bends down to this is its overhang."""
+ENOUGH = 1e-4
+"""Length is found to this share of it. Friction scatters the slope, that of limp cloth by 0.5 %."""
+FIRST = 0.01
+"""Share of the guess by which another length is tried at least."""
+STILL = 1e-5
+HELD = 4
+"""Edges of the strip that the clamp holds."""
+WIDE = 4
+"""Edges across it. ASTM's strip is 2.5 cm wide; narrow ones spare time, and bend the same where no Poisson's ratio
+makes them curl.
+"""
 NARROW, SLIM = 120, 2
 """Edges along and across a strip that tips over: a sixtieth as wide as long, for the closed form is of narrow ones."""
 LONG, STIFF = 0.2, 2400.0
@@ -76,17 +93,17 @@ class Sheet:
 
 @dataclass(frozen=True)
 class How:
-    """quick: coarser and fewer specimens; executor: where drapes are computed; told: is given what is done, in words"""
+    """quick: coarser and fewer specimens; executor: where drapes are computed; say: takes what is done, in words"""
 
     quick: bool
     executor: Executor
-    told: Callable[[str], None]
+    say: Callable[[str], None]
 
 
 def measures(fabric: object) -> Mapping[str, Any]:
     """What a fabric is described by, in SI. Raises BadInput."""
     plugin = registry.load("nuno.models", "swatch")
-    loaded = rig.mount("cantilever", fabric).problem.loaded
+    loaded = mount("cantilever", fabric).problem.loaded
     found: Mapping[str, Any] = plugin.measures(loaded.models[0].config)
     return found
 
@@ -97,13 +114,13 @@ def test(fabric: object, wanted: list[str], how: How, measured: Mapping[str, flo
     """
     given, sheet = measures(fabric), Sheet([], {}, {}, measured)
     for number, name in enumerate(wanted, 1):
-        how.told(f"test {number} of {len(wanted)}: {name}")
+        how.say(f"test {number} of {len(wanted)}: {name}")
         TESTS[name](sheet, fabric, given, how)
     return sheet
 
 
 def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
-    found = loops.density(rig.mount("cantilever", fabric))
+    found = loops.density(mount("cantilever", fabric))
     sheet.rows.append(Row("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
 
 
@@ -147,9 +164,9 @@ def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
     for name, rigidity in strips.items():
         if rigidity == 0.0:
             continue
-        length = (rigidity / (given["density"] * rig.GRAVITY)) ** (1.0 / 3.0)
+        length = (rigidity / (given["density"] * G)) ** (1.0 / 3.0)
         edges = STRIP // 2 if how.quick else STRIP
-        found = cantilever.bending_length(cantilever.overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
+        found = bending_length(overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
         sheet.rows.append(Row(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))
 
 
@@ -192,7 +209,7 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> 
         if isinstance(one, Lost):
             raise RunFailed(f"drapemeter: {one}")
         found[start] = one
-        how.told(f"drape {len(found)} of {len(starts)} is at rest")
+        how.say(f"drape {len(found)} of {len(starts)} is at rest")
     sheet.drapes = {start: found[start] for start in starts}
     by = f"ISO 9073-9, {200.0 * radius:g} cm on {200.0 * support:g} cm"
     for what, unit, read in (("drape coefficient", "%", lambda one: 100.0 * one.coefficient),
@@ -221,6 +238,44 @@ def _spread(what: str, standard: str, values: list[float], unit: str, known: flo
     """Their mean, from the least to the greatest, and what is known of it by measurement."""
     spread = min(values), max(values)
     return Row(what, standard, float(np.mean(values)), unit, known, spread, not math.isnan(known))
+
+
+def hang(fabric: object, length: float, edges: int, angle: float = 0.0, **model: Any) -> tuple[Float, Float]:
+    """(n, 3) a strip of so many edges along its free length [m] at its start and at rest [m]; `angle` of its warp."""
+    edge = length / edges
+    size = [length + HELD * edge, WIDE * edge]
+    rig = mount("cantilever", fabric, size=size, hold=HELD * edge, edge=edge, angle=angle, **model)
+    return rig.fabric.position, rig.rest(STILL)
+
+
+def steepness(start: Float, x: Float) -> float:
+    """Height over width of a strip at x (n, 3) [m], from its clamp to the middle of its end."""
+    end = start[:, 0] > start[:, 0].max() - 1e-9
+    return float(-x[end, 1].mean() / x[end, 0].mean())
+
+
+def overhang(fabric: object, guess: float, edges: int, angle: float = 0.0, **model: Any) -> float:
+    """Length [m] of the strip whose end is SLOPE below its clamp, looked for from a guess of it: the slope's tangent
+    grows about with the third power of the length. It is found between a longer and a shorter one, so that slopes that
+    friction scatters have one, too. Raises RunFailed where there is none.
+    """
+
+    @cache
+    def off(log: float) -> float:
+        return math.log(steepness(*hang(fabric, math.exp(log), edges, angle, **model)) / math.tan(SLOPE))
+
+    start = math.log(guess)
+    reach = math.copysign(max(abs(off(start)) / 2.0, FIRST), -off(start))
+    for _ in range(4):
+        if off(start) * off(start + reach) <= 0.0:
+            return math.exp(brentq(off, start, start + reach, xtol=ENOUGH))
+        reach *= 2.0
+    raise RunFailed(f"cantilever: no length is found at which its end hangs {math.degrees(SLOPE):g} degrees below")
+
+
+def bending_length(overhang: float) -> float:
+    """Peirce's length [m] of a strip of this overhang: half of it, which is the elastica's to 1e-4."""
+    return 0.5 * overhang
 
 
 TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], How], None]] = {

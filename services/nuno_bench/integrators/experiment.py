@@ -108,7 +108,7 @@ class Trace:
 
 
 def run_experiment(
-    path: Path, overrides: Sequence[str], integrators: Sequence[str], repeats: int, told: Callable[[str], None]
+    path: Path, overrides: Sequence[str], integrators: Sequence[str], repeats: int, say: Callable[[str], None]
 ) -> list[Trace]:
     """All integrators with split and unsplit bones. Raises BadInput for a scene that cannot be run.
 
@@ -123,10 +123,10 @@ def run_experiment(
     ]
     traces: list[Trace] = []
     for variant, loaded in zip(variants, scenes, strict=True):
-        told(f"{variant[0]}, {'split' if variant[1] else 'unsplit'} bones")
+        say(f"{variant[0]}, {'split' if variant[1] else 'unsplit'} bones")
         traces.append(run_variant(loaded, *variant))
     for turn in range(1, repeats):
-        told(f"times, round {turn + 1} of {repeats}")
+        say(f"times, round {turn + 1} of {repeats}")
         for i, (variant, loaded) in enumerate(zip(variants, scenes, strict=True)):
             again = run_variant(loaded, *variant, measured=False)
             traces[i] = replace(traces[i], seconds=traces[i].seconds + again.seconds)

@@ -11,23 +11,17 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-from nuno_bench import extras, machine, options
+from nuno_bench import machine, options
 from nuno_bench.peers import page as sheet_page
-from nuno_bench.peers.choose import choose, groups, leave_out
 from nuno_bench.peers.contact import page as contact_page
-from nuno_bench.peers.contact import table as contact_table
-from nuno_bench.peers.contact.ours import Solver
-from nuno_bench.peers.contact.problem import five_sheets, look
-from nuno_bench.peers.contact.queries import ask
+from nuno_bench.peers.contact.problem import ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import Point, S, measure
-from nuno_bench.peers.python import Nuno, stiff_sheet
+from nuno_bench.peers.python import Nuno, PileSolver, stiff_sheet
 from nuno_bench.peers.skirt import page as skirt_page
-from nuno_bench.peers.skirt import table as skirt_table
-from nuno_bench.peers.skirt.ours import converge
-from nuno_bench.peers.skirt.problem import DURATION, hula_skirt
+from nuno_bench.peers.skirt.problem import DURATION, converge, hula_skirt
 from nuno_bench.peers.skirt.problem import look as look_at_skirt
-from nuno_bench.peers.table import KINDS, Kind
+from nuno_bench.peers.table import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -54,13 +48,13 @@ class Scene:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    told = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
+    scenes = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
     parser.add_argument(
-        "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{told} (default: %(default)s)"
+        "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{scenes} (default: %(default)s)"
     )
     names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
     parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
-    options.add_repeats(parser, 3, "runs at each setting")
+    options.add_count(parser, "--repeats", "runs at each setting (default: %(default)s)", 3)
     options.add_seconds(parser, "--duration", DURATION, "simulated time, of the skirt alone")
     limit = "wall time of a setting, start and all; no repeats after a third of it"
     options.add_seconds(parser, "--limit", 200.0, limit)
@@ -118,7 +112,7 @@ def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Name
     answers = []
     if any(kind.name == "ipctk" for kind in kinds):
         print("questions to ipctk ...", file=sys.stderr)
-        answers = ask(pile, Solver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
+        answers = ask(pile, PileSolver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
     return contact_page.Found(kinds, points, left_out, answers)
 
 
@@ -132,14 +126,47 @@ def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namesp
 
 
 def require_oracle() -> None:
-    extras.require("cloth is looked at by", "ipctk")
+    options.require_package("cloth is looked at by", "ipctk")
+
+
+def groups(kinds: Sequence[Kind]) -> dict[str, list[Kind]]:
+    """What a name of --only may stand for: an engine as a whole, or one way of its."""
+    found: dict[str, list[Kind]] = {}
+    for kind in kinds:
+        if (engine := kind.name.partition("-")[0]) != kind.name:
+            found.setdefault(engine, []).append(kind)
+    return found | {kind.name: [kind] for kind in kinds}
+
+
+def choose(kinds: Sequence[Kind], only: str | None) -> list[Kind]:
+    """Kinds by their names, or by the engine's. Raises BadInput for any other name."""
+    known, names = groups(kinds), options.names_of(only)
+    options.require_known(names, known, "peer", "--only")
+    chosen = [kind for name in names for kind in known[name]]
+    return [kind for kind in kinds if not names or kind in chosen]
+
+
+def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
+    """Which are not installed and how they are, a sentence for each package, said before anything runs.
+
+    Raises BadInput where the user asked for one by name.
+    """
+    lacking: dict[str, list[str]] = {}
+    for kind in (kind for kind in kinds if kind.missing):
+        lacking.setdefault(kind.package, []).append(kind.name)
+        if only:
+            options.require_package(f"{only} needs", kind.package, "--only")
+    texts = [f"left out, {', '.join(names)}: {options.missing_package(package)}" for package, names in lacking.items()]
+    for text in texts:
+        print(text, file=sys.stderr)
+    return texts
 
 
 SCENES = {
-    "sheet": Scene("the stiff sheet, its error beside time", "peers", KINDS, plots.require_matplotlib, measure_sheet,
-                   sheet_page),
-    "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", contact_table.KINDS,
+    "sheet": Scene("the stiff sheet, its error beside time", "peers", SHEET_KINDS, plots.require_matplotlib,
+                   measure_sheet, sheet_page),
+    "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", PILE_KINDS,
                      require_oracle, measure_contact, contact_page),
-    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", skirt_table.KINDS,
+    "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", SKIRT_KINDS,
                    plots.require_matplotlib, measure_skirt, skirt_page),
 }  # fmt: skip

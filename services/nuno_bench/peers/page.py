@@ -87,8 +87,8 @@ def tables(found: Found) -> list[Table]:
 
 def notes(points: Sequence[Point[Any]]) -> Table:
     """Why a point failed, and what an engine says of its run."""
-    told = [[point.kind, point.setting, point.failure or point.remark] for point in points]
-    rows = [row for row in told if row[-1]]
+    noted = [[point.kind, point.setting, point.failure or point.remark] for point in points]
+    rows = [row for row in noted if row[-1]]
     return Table(("peer", "setting", "note"), rows, "Failures, and what engines say.", prose=True)
 
 

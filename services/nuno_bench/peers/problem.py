@@ -13,6 +13,8 @@ from nuno_schemas.fabric import Float
 SCENE = "stiff-sheet"
 SECONDS = 1.0
 """What is simulated [s]."""
+RATE = 60
+"""Published frames a second."""
 REFERENCE = "plugin: dop853, tolerance: 1e-8, dt: auto"
 """The solver of the converged run."""
 CENTRE, STRAIN = 6e-3, 0.2

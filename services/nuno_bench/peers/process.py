@@ -83,10 +83,10 @@ def measure(
     child = context.Process(target=work, args=(theirs, *asked), daemon=True)
     child.start()
     theirs.close()
-    told, failure, deadline = list[dict[str, Any]](), f"not done after {limit:g} s", time.monotonic() + limit
+    messages, failure, deadline = list[dict[str, Any]](), f"not done after {limit:g} s", time.monotonic() + limit
     try:
         while ours.poll(max(0.0, deadline - time.monotonic())):
-            told.append(ours.recv())
+            messages.append(ours.recv())
     except EOFError:
         child.join()
         code = child.exitcode or 0
@@ -95,9 +95,9 @@ def measure(
     finally:
         child.kill()
         child.join()
-    failure = next((line["failure"] for line in told if "failure" in line), failure)
-    start = next((line["start"] for line in told if "start" in line), None)
-    done = [line for line in told if "seconds" in line]
+    failure = next((line["failure"] for line in messages if "failure" in line), failure)
+    start = next((line["start"] for line in messages if "start" in line), None)
+    done = [line for line in messages if "seconds" in line]
     if not done:
         return Point(kind.name, name, start, failure=failure)
     # What broke while it repeated itself has been measured all the same.

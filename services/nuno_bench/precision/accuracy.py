@@ -26,10 +26,9 @@ from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
 from nuno_bench import machine, options
 from nuno_bench.problem.dye import AnyProblem, DyeProblem, pose
-from nuno_bench.problem.horizon import DISTURBANCE, Horizon, refer
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.random_scenes import random_scene
-from nuno_bench.problem.reference import Compared
+from nuno_bench.problem.reference import DISTURBANCE, Compared, Horizon, refer
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Table
 from nuno_schemas.errors import BadInput
@@ -137,8 +136,8 @@ def measure_scene(
     dyed = scene_file.read(path).solver is None
     chosen = [f"dye.solver={solver}" if dyed else f"solver={solver}", f"duration={duration}"]
     problem = pose(scene_file.read(path, chosen))
-    told = partial(print, f"{problem.loaded.scene.name}:", file=sys.stderr)
-    compared, horizon = refer(problem, budget, told)
+    say = partial(print, f"{problem.loaded.scene.name}:", file=sys.stderr)
+    compared, horizon = refer(problem, budget, say)
     frames = promised_frames(horizon)
     return [_level(problem, compared, frames, path, [*chosen, f"accuracy={level}"]) for level in levels]
 

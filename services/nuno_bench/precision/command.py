@@ -17,24 +17,22 @@ from nuno.viewer.require import require as require_viewer
 from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.precision import page as shown
-from nuno_bench.precision.errors import measure_errors
-from nuno_bench.precision.findings import judge
-from nuno_bench.precision.own import add_own
 from nuno_bench.precision.page import Findings
-from nuno_bench.precision.settings import choose_solvers
+from nuno_bench.precision.point import judge, measure_errors
+from nuno_bench.precision.settings import add_own, choose_solvers
 from nuno_bench.precision.sweep import Runner, run_sweep, start_sweep
 from nuno_bench.problem.dye import DyeProblem, pose
-from nuno_bench.problem.horizon import DISTURBANCE, refer
 from nuno_bench.problem.observe import Problem
+from nuno_bench.problem.reference import DISTURBANCE, refer
 from nuno_bench.report import page, plots
 from nuno_bench.sweep.executor import versions
-from nuno_bench.sweep.kept import Kept, require
+from nuno_bench.sweep.storage import Kept, require_kept
 from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
-    options.add_repeats(parser, 3, "timed runs of each point")
+    options.add_count(parser, "--repeats", "timed runs of each point (default: %(default)s)", 3)
     budget = "for a scene's sweep; finer points that would exceed it are left out"
     options.add_seconds(parser, "--budget", 120.0, budget)
     parser.add_argument("--duration", metavar="TIME", help="simulated time, instead of the scene's")
@@ -89,7 +87,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     for name in names:
         page.check_section(args.docs, f"precision {name}")
     if args.resume:
-        require([args.out / f"precision-{name}.jsonl" for name in names])
+        require_kept([args.out / f"precision-{name}.jsonl" for name in names])
     return loaded
 
 
@@ -100,23 +98,23 @@ def _own(text: str | None, known: Collection[str]) -> list[str]:
 
 def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
-    told = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
+    say = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
     others, path = machine.Others(), args.out / f"precision-{loaded.scene.name}.jsonl"
     text = json.dumps(loaded.data, sort_keys=True, default=str)
     digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     kept = Kept(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume)
-    told(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
+    say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
          f"from {path}")  # fmt: skip
     problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, _own(args.solvers, registry.installed(problem.group)))
     solvers, own = add_own(problem, solvers)
-    sweep = start_sweep(problem, solvers, told)
+    sweep = start_sweep(problem, solvers, say)
     sweep.omitted[:0] = omitted
-    reference, horizon = refer(problem, args.budget, told)
+    reference, horizon = refer(problem, args.budget, say)
     scales = problem.scales(reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
-    run_sweep(sweep, runner, solvers, kept, args.budget, told)
+    run_sweep(sweep, runner, solvers, kept, args.budget, say)
     disturbed = "" if horizon.fades else f"; disturbance {DISTURBANCE:g} of the size"
     about = machine.about(
         others,

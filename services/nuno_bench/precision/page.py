@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.precision.errors import Error
-from nuno_bench.precision.findings import (
+from nuno_bench.precision.point import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
+    Error,
+    Point,
     by_solver,
     choice_rows,
     fit_order,
     judge,
 )
-from nuno_bench.precision.own import Own, describe
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.settings import Own
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AnyProblem
-from nuno_bench.problem.horizon import LOST, Horizon
+from nuno_bench.problem.reference import LOST, Horizon
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 from nuno_bench.report.result import number, spread_of
@@ -92,7 +92,41 @@ class Findings:
     def own_sentence(self) -> str:
         """What the scene as it is costs and delivers, and what it would with a step twice as large."""
         name = self.quantities[0]
-        return describe(self.own, self.sweep, name, self.floors[name].l2)
+        return describe_own(self.own, self.sweep, name, self.floors[name].l2)
+
+
+def describe_own(own: Own, sweep: Sweep, quantity: str, floor: float) -> str:
+    """What the scene's own step costs and delivers in a quantity, and one twice as large, in one sentence."""
+    if not own.setting:
+        return f"This scene as it is ({own.solver}) has no point: {own.why}."
+    found = {point.key: point for point in sweep.points}
+    first, second = (found.get((own.solver, label)) for label in (own.setting, own.coarser))
+    said = f"This scene as it is ({own.solver}, {own.setting}): {_result(first, own.setting, own, sweep, quantity)}"
+    if not own.coarser:
+        return f"{said}; {own.larger}."
+    said += f"; with {own.larger} ({own.coarser}): {_result(second, own.coarser, own, sweep, quantity, first)}."
+    errors = [error for point in (first, second) if point and (error := point.error(quantity)) is not None]
+    if any(error <= ABOVE * floor for error in errors):
+        said += f" Errors below {ABOVE * floor:.1e} are not known: the references themselves are {floor:.1e} apart."
+    return said
+
+
+def _result(point: Point | None, setting: str, own: Own, sweep: Sweep, quantity: str, base: Point | None = None) -> str:
+    """Error and run time of a point, with what multiples of the base point's they are; or why it has none."""
+    if point is None:
+        reasons = (one.reason for one in sweep.omitted if one.solver == own.solver and one.setting in ("", setting))
+        return f"not run, {next(reasons, 'no reason is known')}"
+    if not point.done:
+        return f"{point.outcome} ({point.message})" if point.message else point.outcome
+    error, before = point.error(quantity), base.error(quantity) if base else None
+    parts = [f"error in {quantity} {error:.2e}{_times(error, before)}"] if error is not None else []
+    if point.seconds:
+        parts.append(f"run time {number(point.median)} s{_times(point.median, base.median if base else None)}")
+    return ", ".join(parts)
+
+
+def _times(value: float, base: float | None) -> str:
+    return f" ({number(value / base)} times)" if base and math.isfinite(base) else ""
 
 
 def choices(found: Findings) -> Table:

@@ -30,6 +30,8 @@ RESIDUAL = ", residual "
 """What stands before it in a label."""
 LEFT_OUT = {"rk4_printed": "repeats the slips of the skirt paper, which change the motion it converges to"}
 """Solvers that are tried only where they are named."""
+LOOSER = 10.0
+"""Times an adaptive solver's own tolerance: it chooses its steps, so that twice its step cannot be asked for."""
 
 
 @dataclass(frozen=True)
@@ -186,3 +188,68 @@ def _oscillation(limit: StepLimit) -> float:
     of explicit Euler, failure is cheaper to show there.
     """
     return 1.8 / limit.omega if limit.omega > 0.0 and limit.dt * limit.omega < 0.2 else 0.0
+
+
+@dataclass(frozen=True)
+class Own:
+    """Which points of a sweep are the scene as it is, and the same with a step twice as large.
+
+    setting  label of the scene's own point; empty where `why` says that there is none
+    larger   how the other differs, in words: "a step twice as large"
+    coarser  label of that point; empty where `larger` says why it is not run
+    """
+
+    solver: str
+    setting: str = ""
+    why: str = ""
+    larger: str = ""
+    coarser: str = ""
+
+    @property
+    def loose(self) -> frozenset[tuple[str, str]]:
+        """Keys of points whose error is not that of their step alone: the scene's residual stays as it is."""
+        return frozenset((self.solver, label) for label in (self.setting, self.coarser) if RESIDUAL in label)
+
+
+def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver], Own]:
+    """The solvers, the scene's own with its two settings among the others; they are run before all others."""
+    name = problem.preset[0]
+    found = next((solver for solver in solvers if solver.name == name), None)
+    if found is None:
+        return list(solvers), Own(name, why="it is not among the solvers that are swept")
+    try:
+        steps = problem.own_steps(found.limit)
+    except BadInput as error:
+        return list(solvers), Own(name, why=error.problem)
+    own, coarser, larger = _tolerances(found, steps) if found.kind == "adaptive" else _steps(problem, found, steps)
+    chosen = [replace(one, first=True) for one in (own, coarser) if one is not None]
+    labels = {one.label for one in chosen}
+    others = [one for one in found.settings if one.label not in labels]
+    settings = tuple(sorted([*chosen, *others], key=lambda one: -one.finer))
+    swept = [replace(one, settings=settings) if one is found else one for one in solvers]
+    return swept, Own(name, own.label, "", larger, coarser.label if coarser else "")
+
+
+def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
+    """Its tolerance and a looser one, with the longest step that the scene allows."""
+    tolerance = float(solver.config(Setting("", 1)).model_dump()["tolerance"])
+    own, said = at_tolerance(solver.plugin, tolerance, steps), f"{LOOSER:g} times the tolerance"
+    if LOOSER * tolerance > 1.0:
+        return own, None, f"{said} is above 1, which no tolerance may be"
+    return own, at_tolerance(solver.plugin, LOOSER * tolerance, steps), said
+
+
+def _steps(problem: AnyProblem, solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
+    """Its steps a frame and half as many, rounded up, with the scene's own residual."""
+    residual = float(solver.config(Setting("", steps)).model_dump()["residual"]) if has_residual(solver) else None
+    own, said = at_steps(problem.frame, solver, steps, residual), "a step twice as large"
+    if steps == 1:
+        return own, None, f"{said} is longer than a frame, which it must divide"
+    fewer = math.ceil(steps / 2)
+    if steps % 2:
+        said = f"a step {number(steps / fewer)} times as large (whole steps make a frame)"
+    coarser = at_steps(problem.frame, solver, fewer, residual)
+    if coarser.beyond:
+        limits = f"{1e3 * coarser.finer:.4g} ms; at most {1e3 * solver.limit.dt:.4g} ms are stable"
+        return own, None, f"{said} is above the stability limit ({limits})"
+    return own, coarser, said

@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 from nuno.words import duration, roughly
-from nuno_bench.precision.errors import RAN_AWAY, errors_over_frames, measure_errors, ran_away
-from nuno_bench.precision.point import DONE, POINT, Point
+from nuno_bench.precision.point import DONE, POINT, RAN_AWAY, Point, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.reference import Compared
 from nuno_bench.report.result import reason_of
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput, RunFailed
 
 FIRST_STEPS = 20
@@ -88,21 +87,21 @@ class Runner:
         return "ran away", f"at {lost:.3g} s its {leading} are {RAN_AWAY:g} times their scale from the reference"
 
 
-def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
+def start_sweep(problem: AnyProblem, solvers: list[Solver], say: Callable[[str], None]) -> Sweep:
     """Call every solver once, which compiles it or loads it; one that refuses the scene, or fails, is left out.
 
     To be done before anything else runs, the reference too, or its solvers would seem to need no compiling.
     """
     sweep = Sweep()
     for solver in solvers:
-        told(f"{solver.name}: first call")
+        say(f"{solver.name}: first call")
         setting = min(solver.settings, key=lambda one: (one.beyond, one.work))
         taken = min(setting.steps, FIRST_STEPS)
         try:
             config = solver.config(setting)
             first, seconds = problem.first_call(solver.plugin, config, setting.steps, taken)
         except (BadInput, RunFailed) as error:
-            told(f"{solver.name} is left out: {error}")
+            say(f"{solver.name} is left out: {error}")
             sweep.omitted.append(Omission(solver.name, "", reason_of(error)))
             continue
         sweep.first_calls[solver.name] = first
@@ -111,7 +110,7 @@ def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str]
 
 
 def run_sweep(
-    sweep: Sweep, runner: Runner, solvers: list[Solver], kept: Kept, budget: float, told: Callable[[str], None]
+    sweep: Sweep, runner: Runner, solvers: list[Solver], kept: Kept, budget: float, say: Callable[[str], None]
 ) -> None:
     """Run the settings of all solvers that could be started: always the one that is estimated cheapest next.
 
@@ -128,7 +127,7 @@ def run_sweep(
     }
     share = budget / (REPEATED * max(1, len(costs)))
     once = sum(setting.work * costs[name] for name, ones in waiting.items() for _, setting in ones)
-    told(f"points: {roughly(min(once, budget))} by the solvers' first calls, at most {duration(budget)} with repeats")
+    say(f"points: {roughly(min(once, budget))} by the solvers' first calls, at most {duration(budget)} with repeats")
 
     def estimate(name: str) -> tuple[bool, float]:
         setting = waiting[name][0][1]
@@ -145,7 +144,7 @@ def run_sweep(
                 reason = f"estimated at {once:.2g} s, and {left:.2g} s of the budget were left"
                 sweep.omitted.append(Omission(name, setting.label, reason))
                 continue
-            told(f"{name}, {setting.label} ({left:.0f} s left)")
+            say(f"{name}, {setting.label} ({left:.0f} s left)")
             most = max(1.0, min(1.5 * left, max(MISJUDGED * once, budget / len(costs))))
             point = runner.measure(solver, setting, min(share, left), most)
             kept.add(asdict(point))

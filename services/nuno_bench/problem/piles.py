@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,18 +15,27 @@ import numpy as np
 from nuno import registry
 from nuno.cloth.join import join_fabrics
 from nuno.scene.files import SceneFiles
-from nuno_bench.problem.irregular import irregular_square, write_obj
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.system import System
 
 G = 9.81
 DOWN = np.array([0.0, -G, 0.0])
+"""Gravity [m/s^2], as scenes have it."""
 CLOTH = "jacket"
 THICKNESS = 1e-3
 """Of the contact, unless it is given another [m]."""
 REST = 1.01 * THICKNESS
 """How far apart pieces begin that are to lie on each other [m]."""
+STRAY = 0.3
+"""Vertices inside are this part of a spacing off the grid at most, along each axis."""
+
+
+def build_model(name: str, fields: Mapping[str, Any], folder: Path | None = None, seed: int = 0) -> Fabric:
+    """The cloth of a model of this name, as its fields in a scene say, with files from a folder."""
+    plugin = registry.load("nuno.models", name)
+    fabric: Fabric = plugin.build(plugin.Config.model_validate(fields), SceneFiles(folder or Path(), ()), seed)
+    return fabric
 
 
 def sheet(
@@ -38,26 +48,17 @@ def sheet(
     irregular: bool = False,
 ) -> Fabric:
     """A level square of cloth, its middle at a place, moving at v: of quads, or of triangles in no order."""
-    fabric = _irregular(side, size) if irregular else _grid(side, size)
+    level = {"size": [size, size], "resolution": [side, side], "plane": "xz", "fabric": CLOTH}
+    fabric = _irregular(side, size) if irregular else build_model("sheet", level)
     x = fabric.position - fabric.position.mean(axis=0) + (np.zeros(3) if at is None else at)
     moving = np.zeros_like(x) + (np.zeros(3) if v is None else v)
     return replace(fabric, name=name, position=x, velocity=moving, pinned=np.full(len(x), pinned))
 
 
-def _grid(side: int, size: float) -> Fabric:
-    plugin = registry.load("nuno.models", "sheet")
-    config = {"size": [size, size], "resolution": [side, side], "plane": "xz", "fabric": CLOTH}
-    fabric: Fabric = plugin.build(plugin.Config.model_validate(config), SceneFiles(Path(), ()), 0)
-    return fabric
-
-
 def _irregular(side: int, size: float) -> Fabric:
-    plugin = registry.load("nuno.models", "mesh")
     with TemporaryDirectory(prefix="nuno-") as folder:
         write_obj(Path(folder) / "sheet.obj", *irregular_square(side, size, side))
-        config = {"file": "sheet.obj", "warp": [1, 0, 0], "fabric": CLOTH}
-        fabric: Fabric = plugin.build(plugin.Config.model_validate(config), SceneFiles(Path(folder), ()), 0)
-    return fabric
+        return build_model("mesh", {"file": "sheet.obj", "warp": [1, 0, 0], "fabric": CLOTH}, Path(folder))
 
 
 def pile(
@@ -113,3 +114,27 @@ def swinging(irregular: bool = False) -> list[Fabric]:
     for piece in pieces:
         piece.pinned[:8] = True
     return pieces
+
+
+def irregular_square(side: int, size: float, seed: int) -> tuple[Float, Int]:
+    """(n, 3) vertices [m] of a square of so many vertices a side, its middle at the origin and its outside up, and its
+    Delaunay triangles (f, 3): edges of 0.4 to about 2 spacings.
+    """
+    from scipy.spatial import Delaunay  # half a second to import
+
+    rng, spacing = np.random.default_rng(seed), size / (side - 1)
+    across = spacing * np.arange(side) - 0.5 * size
+    grid = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1)
+    grid[1:-1, 1:-1] += spacing * rng.uniform(-STRAY, STRAY, (side - 2, side - 2, 2))
+    flat = grid.reshape(-1, 2)
+    faces = Delaunay(flat).simplices.astype(np.int32)
+    (ax, ay), (bx, by) = ((flat[faces[:, k]] - flat[faces[:, 0]]).T for k in (1, 2))
+    faces = np.where((ax * by < ay * bx)[:, None], faces, faces[:, ::-1])
+    return np.ascontiguousarray(np.insert(flat, 1, 0.0, axis=1)), np.ascontiguousarray(faces)
+
+
+def write_obj(path: Path, x: Float, faces: Int) -> None:
+    """Vertices (n, 3), with all their digits, and triangles (f, 3)."""
+    lines = [f"v {a!r} {b!r} {c!r}" for a, b, c in x.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_bench import extras
+from nuno_bench import options
 
 COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
@@ -70,7 +70,7 @@ class Panel:
 
 def require_matplotlib() -> None:
     """Raises BadInput where figures cannot be drawn."""
-    extras.require("pages with figures need", "matplotlib")
+    options.require_package("pages with figures need", "matplotlib")
 
 
 def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from nuno_bench import extras, machine, options
+from nuno_bench import machine, options
 from nuno_bench.report import page
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import Result, number, table
@@ -18,21 +18,21 @@ from nuno_bench.speed import record
 from nuno_schemas.errors import BadInput
 
 CASES = {
-    "grid-256": "steps.explicit:grid_256",
-    "net-256": "steps.explicit:net_256",
-    "sheet-32": "steps.explicit:sheet_32",
-    "membrane": "steps.explicit:membrane",
-    "numbering": "steps.explicit:numbering",
-    "stiff": "steps.stiff:stiff_sheet",
-    "stiffness": "steps.stiff:stiffness",
-    "closest": "leg.closest:closest",
-    "fit": "leg.fit:fits",
-    "sdf": "leg.closest:sdf",
+    "grid-256": "steps:grid_256",
+    "net-256": "steps:net_256",
+    "sheet-32": "steps:sheet_32",
+    "membrane": "steps:membrane",
+    "numbering": "steps:numbering",
+    "stiff": "steps:stiff_sheet",
+    "stiffness": "steps:stiffness",
+    "closest": "leg:closest",
+    "fit": "leg:fits",
+    "sdf": "leg:sdf",
     "contact": "contact:contact",
     "wrinkle": "wrinkle:wrinkle",
-    "render": "leg.render:render",
+    "render": "leg:render",
     "dye": "dye:dye",
-    "pipeline": "pipeline:pipeline",
+    "pipeline": "processes:pipeline",
     "live": "live:live",
     "studio": "studio:studio",
     "start": "processes:start",
@@ -52,7 +52,7 @@ OF_LIMIT = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
-    options.add_repeats(parser, 7, "samples of each figure")
+    options.add_count(parser, "--repeats", "samples of each figure (default: %(default)s)", 7)
     options.add_shared(parser, "--json", "--html", "--docs")
     for name, what in (("--save", "append this run to"), ("--against", "tell what is slower or faster than in")):
         what += " a record of speed (default: the repository's)"
@@ -80,12 +80,12 @@ def main(args: argparse.Namespace) -> int:
     print(figures.text(), end="\n\n")
     for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), said):
         print(text)
-    told = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
+    noted = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
     changes = record.compare(before, results) if against else []
-    since = record.told(changes, load) if against else []
+    since = record.describe_changes(changes, load) if against else []
     for part in since:
         print(part if isinstance(part, str) else f"\n{part.text()}\n")
-    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Since", since), ("Notes", [told])]
+    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Since", since), ("Notes", [noted])]
     data = {"results": [vars(one) | {"verdict": one.verdict} for one in results]}
     report = page.Report("Speed", LEAD, sections, about, data, [said, figures])
     report.write(args.html, args.json, args.docs, section)
@@ -106,7 +106,7 @@ def _record(given: Path | Literal[True] | None, field: str) -> Path | None:
 
 def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
     """Cases whose peers are not installed, and how they are; said before anything runs."""
-    lacking = {name: ", ".join(filter(None, map(extras.missing, PEERS.get(name, ())))) for name in cases}
+    lacking = {name: ", ".join(filter(None, map(options.missing_package, PEERS.get(name, ())))) for name in cases}
     said = {f"{name} has fewer peers": text for name, text in lacking.items() if text}
     for what, text in said.items():
         print(f"{what}: {text}", file=sys.stderr)

@@ -71,11 +71,11 @@ def measure() -> dict[str, float]:
         arrived.join()
     if ended.state != "done":
         raise RunFailed(f"{ended.state}: {ended.error}")
-    told = ended.services["collision"]["followed"][BODY]
+    followed = ended.services["collision"]["followed"][BODY]
     first = {number: at for at, number in sorted(arrived.ages(), reverse=True)}
     ages = [(at - sent[number]) * RATE for number, at in first.items()]
     return {
-        "lost": float(len(sent) - told["heard"]),
+        "lost": float(len(sent) - followed["heard"]),
         "missing": float(arrived.skipped),
         "late": float(ended.summary["clock"]["late"]),
         "median": float(np.median(ages)),
@@ -98,7 +98,7 @@ def send_poses(run: str, endpoint: str, connection: Connection) -> None:
 
 
 def height_of(number: int) -> float:
-    """By how much the hips are raised with the pose of a number [m]: too little to be seen, and told to the bit."""
+    """By how much the hips are raised with the pose of a number [m]: too little to be seen, and exact to the bit."""
     return 1e-6 * number
 
 

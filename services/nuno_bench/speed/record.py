@@ -168,7 +168,7 @@ def _key(result: Result) -> tuple[str, str, str]:
     return result.case, result.what, result.unit
 
 
-def told(changes: Sequence[Change], load: float) -> list[Table | str]:
+def describe_changes(changes: Sequence[Change], load: float) -> list[Table | str]:
     """Their table, how many have changed, the records that they were held against, and what disturbed either."""
     verdicts = [change.verdict for change in changes]
     counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(verdicts))

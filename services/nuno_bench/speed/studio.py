@@ -122,8 +122,8 @@ def _served() -> Iterator[tuple[Desk, Server]]:
 def _measure(desk: Desk, watch: Watch) -> tuple[float, float]:
     """Run the scene while somebody looks: wall time of its steps [s], and frames a second that were taken."""
     now = desk.act({"do": "run", "scene": SCENE, "text": shipped.find(SCENE).read_text(encoding="utf-8")})
-    told = watch(str(now["run"]))
-    return _ended(desk), _rate(*told())
+    frames_taken = watch(str(now["run"]))
+    return _ended(desk), _rate(*frames_taken())
 
 
 def _rate(count: int, seconds: float) -> float:
@@ -154,12 +154,12 @@ def _client(server: Server) -> Watch:
         process = multiprocessing.get_context("spawn").Process(target=take_frames, args=arguments)
         process.start()
 
-        def told() -> tuple[int, float]:
+        def frames_taken() -> tuple[int, float]:
             count, seconds = receiver.recv()
             process.join()
             return count, seconds
 
-        return told
+        return frames_taken
 
     return watch
 

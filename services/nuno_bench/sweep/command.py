@@ -12,7 +12,7 @@ from nuno.exports.camera import SIDES
 from nuno.scene import yaml_lines
 from nuno_bench import options
 from nuno_bench.sweep import grid, places
-from nuno_bench.sweep.kept import require
+from nuno_bench.sweep.storage import require_kept
 from nuno_schemas.errors import BadInput
 
 
@@ -40,7 +40,7 @@ def main(args: argparse.Namespace) -> int:
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
-        require([folder / grid.KEPT])
+        require_kept([folder / grid.KEPT])
     with places.opened(args) as where:
         place = grid.Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
         try:

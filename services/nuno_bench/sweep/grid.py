@@ -30,9 +30,8 @@ from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.result import number
 from nuno_bench.sweep.executor import Executor, Lost, versions
-from nuno_bench.sweep.kept import Kept
-from nuno_bench.sweep.packed import Packed, pack_loaded, unpacked
 from nuno_bench.sweep.places import chosen
+from nuno_bench.sweep.storage import Kept, Packed, pack_loaded, unpacked
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:
@@ -99,8 +98,8 @@ class Sweep:
         lines = self.lines()
         own = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE]
         others = [name for name in (lines[0] if lines else ()) if name not in (*own, DIGEST, WHY)]
-        told = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
-        return page.Table(list(map(heading, told)), [[_cell(line[name]) for name in told] for line in lines])
+        shown = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
+        return page.Table(list(map(heading, shown)), [[_cell(line[name]) for name in shown] for line in lines])
 
     def report(self, about: Mapping[str, str]) -> page.Report:
         """Its page, JSON and CSV."""
@@ -181,7 +180,7 @@ class Place:
     where: Executor
     folder: Path | None
     resume: bool
-    told: Callable[[str], None]
+    say: Callable[[str], None]
 
 
 def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
@@ -211,7 +210,7 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
         if kept is not None:
             kept.add({"number": point.number, "row": found[point.number]})
         why = f", {row[WHY]}" if WHY in row else ""
-        place.told(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
+        place.say(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
     rows = [found[i] for i in range(len(texts))]
     return Sweep(scene.scene.name, over, rows, place.folder, place.where.where, others)
 

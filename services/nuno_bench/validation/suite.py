@@ -13,29 +13,17 @@ from nuno import registry
 from nuno.words import roughly
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
-from nuno_bench.validation.laws import (
-    contacts,
-    dye_amounts,
-    dye_fast,
-    dye_spread,
-    meetings,
-    nets,
-    oscillator,
-    specimens,
-    statics,
-)
+from nuno_bench.validation.laws import contacts, dye, dye_spread, nets, oscillator, statics
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = tuple(
-    case
-    for module in (oscillator, nets, statics, specimens, contacts, meetings, dye_spread, dye_fast, dye_amounts)
-    for case in module.laws
+    case for module in (oscillator, nets, statics, contacts, dye_spread, dye) for case in module.laws
 )
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """What the solvers of each group solve."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
-"""Solvers that are there to show what a mistake does: what they fail is told, but is no failure of the suite."""
+"""Solvers that are there to show what a mistake does: what they fail is reported, but is no failure of the suite."""
 SAY_EVERY = 5.0
 """How often it is said how much is left [s]."""
 
@@ -108,7 +96,7 @@ def check_named(task: tuple[str, str]) -> Outcome:
     return check(found, registry.load(found.group, solver))
 
 
-def check_all(parts: Sequence[Part], executor: Executor, told: Callable[[str], None]) -> list[Outcome]:
+def check_all(parts: Sequence[Part], executor: Executor, say: Callable[[str], None]) -> list[Outcome]:
     """Every case with every solver of its part, in this order.
 
     They are taken in an order drawn at random: the mean of those that are done is then that of those that are left,
@@ -116,7 +104,7 @@ def check_all(parts: Sequence[Part], executor: Executor, told: Callable[[str], N
     """
     every = [(case.name, name) for part in parts for case in part.cases for name in part.solvers]
     drawn, found = random.Random(len(every)).sample(every, len(every)), dict[tuple[str, str], Outcome]()
-    told(f"{len(every)} checks; the first of them tell how long all take")
+    say(f"{len(every)} checks; the first of them tell how long all take")
     begin, said = time.monotonic(), 0.0
     for key, outcome in executor.run(check_named, drawn):
         if isinstance(outcome, BadInput | Lost):
@@ -125,7 +113,7 @@ def check_all(parts: Sequence[Part], executor: Executor, told: Callable[[str], N
         spent, done, left = time.monotonic() - begin, len(found), len(every) - len(found)
         if spent >= said + SAY_EVERY and done >= 2 * executor.width and left:
             said = spent
-            told(f"{done} of {len(every)}, {roughly(spent / done * left)} left")
+            say(f"{done} of {len(every)}, {roughly(spent / done * left)} left")
     return [found[key] for key in every]
 
 

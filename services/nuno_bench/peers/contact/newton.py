@@ -10,34 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.peers.contact.problem import (
-    BEND,
-    CENTRE,
-    DENSITY,
-    FRICTION,
-    RADIUS,
-    RATE,
-    RUB,
-    SHEAR,
-    STRETCH,
-    THICKNESS,
-    Pile,
-)
-from nuno_bench.peers.newton_cloth import Newton
+from nuno_bench.peers.contact import problem
+from nuno_bench.peers.contact.problem import Pile
+from nuno_bench.peers.newton import Cloth
+from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
 
 DIAGONAL = 0.5
 """Of the stiffness of folds along rows, so that triangles whose diagonals alternate bend alike in all directions."""
 
 
-class _Newton(Newton):
+class _Pile(Cloth):
     def _pose(self, builder: Any, pile: Pile) -> None:
-        mesh = self.mesh(pile.x, pile.faces, DENSITY, THICKNESS)
+        mesh = self.mesh(pile.x, pile.faces, problem.DENSITY, problem.THICKNESS)
         self._build(builder, pile, mesh)
         builder.particle_mass[:] = pile.mass.tolist()
         builder.edge_bending_properties[:] = [(k, 0.0) for k in self._folds(*folds(builder)).tolist()]
-        place = self.warp.transform(self.warp.vec3(*CENTRE), self.warp.quat_identity())
-        builder.add_shape_sphere(-1, xform=place, radius=RADIUS, cfg=self.rough(RUB, FRICTION))
+        place = self.warp.transform(self.warp.vec3(*problem.CENTRE), self.warp.quat_identity())
+        builder.add_shape_sphere(-1, xform=place, radius=problem.RADIUS, cfg=self.rough(problem.RUB, problem.FRICTION))
 
     @abstractmethod
     def _build(self, builder: Any, pile: Pile, mesh: dict[str, Any]) -> None:
@@ -49,29 +39,30 @@ class _Newton(Newton):
 
     @property
     def friction(self) -> float:
-        return FRICTION
+        return problem.FRICTION
 
     def _step_frame(self) -> None:
         self.solver.rebuild_bvh(self.now)
         for _ in range(self.substeps):
+            self.now.clear_forces()
             self.step(1.0 / RATE / self.substeps)
 
 
-class VBD(_Newton):
+class VBD(_Pile):
     """Triangles by vertex block descent, with self-contact.
 
     A frame is a graph of kernels, as in the examples; its steps are even in number, so that it ends where it began.
     """
 
     def _build(self, builder: Any, pile: Pile, mesh: dict[str, Any]) -> None:
-        builder.add_cloth_mesh(**mesh, tri_ke=SHEAR, tri_ka=SHEAR, tri_kd=0.0)
+        builder.add_cloth_mesh(**mesh, tri_ke=problem.SHEAR, tri_ka=problem.SHEAR, tri_kd=0.0)
         builder.color(include_bending=True)
 
     def _folds(self, length: Float, area: Float, share: Float) -> Float:
-        return share * BEND * length / area  # times the length is the stiffness
+        return share * problem.BEND * length / area  # times the length is the stiffness
 
     def _solver(self) -> Any:
-        return self.vbd(THICKNESS)
+        return self.vbd(problem.THICKNESS)
 
     def reset(self) -> None:
         super().reset()
@@ -83,7 +74,7 @@ class VBD(_Newton):
         self.warp.capture_launch(self.graph)
 
 
-class Style3D(_Newton):
+class Style3D(_Pile):
     """Triangles by projective dynamics, with its own self-contact, which reaches as far as ours or as it is built."""
 
     def __init__(self, pile: Pile, substeps: int, iterations: int, own_reach: bool = False) -> None:
@@ -94,14 +85,14 @@ class Style3D(_Newton):
         from newton.solvers import style3d
 
         self.newton.solvers.SolverStyle3D.register_custom_attributes(builder)
-        stretch = self.warp.vec3(STRETCH, STRETCH, SHEAR)
+        stretch = self.warp.vec3(problem.STRETCH, problem.STRETCH, problem.SHEAR)
         style3d.add_cloth_mesh(builder, **mesh, panel_verts=pile.x[:, [2, 0]].tolist(), tri_aniso_ke=stretch)
 
     def _folds(self, length: Float, area: Float, share: Float) -> Float:
-        return share * BEND / 3.0  # times 3 length^2 / area is the stiffness
+        return share * problem.BEND / 3.0  # times 3 length^2 / area is the stiffness
 
     def _solver(self) -> Any:
-        return self.style3d(None if self.own_reach else THICKNESS)
+        return self.style3d(None if self.own_reach else problem.THICKNESS)
 
 
 def folds(builder: Any) -> tuple[Float, Float, Float]:

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SIDES, STRETCH, THICKNESS, Seen
-from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
+from nuno_bench.peers.contact.problem import ASKED, ASKING, LEAD, Answer, Seen
 from nuno_bench.peers.page import Measured, against, compose
 from nuno_bench.peers.process import Point, fastest, times_ours
 from nuno_bench.report.page import Part, Report, Sections, Table
@@ -18,23 +17,12 @@ HEADINGS = (
     "verdict",
 )  # fmt: skip
 QUERIES = ("question", "of ours", "time [ms]", "min - max", "of ipctk", "time [ms]", "min - max", "times ours")
-LEAD = (
-    f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
-    f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
-    f"tension, {SHEAR:g} N/m in shear, {1e6 * BEND:g} uN m in bending, no air, {1e3 * THICKNESS:g} mm of thickness and "
-    f"a friction of {FRICTION:g}, each in a process of its own, on the processor."
-)
 JUDGED = (
     "Crossed: published frames, of 60, in which ipctk finds an edge that goes through a triangle. Stretch: the most of "
     "any edge in any frame. Height: of the centre of mass at the end. Time: the median over the repeats of the "
     "simulated second. Start, from a fresh process to the end of the first frame with all that is compiled, is in no "
     "time. Times ours: over that of our fastest with no more frames crossed; the bar is met where it is above 1. A "
     "setting is not repeated once it has used a third of its limit."
-)
-ASKING = (
-    f"The same questions about every {EVERY}th frame of our first run, from the {FIRST}th on, on average a frame: "
-    "repeats in turns, in one process, with all cores. Our list is made for many steps of a solver: it holds more than "
-    "the pairs that are near. ipctk's are by its own defaults."
 )
 
 

@@ -1,22 +1,30 @@
-"""Five squares of cloth that fall on a ball and on each other, as plain arrays, and how a second of it is judged."""
+"""Five squares of cloth that fall on a ball and on each other, as plain arrays, and how a second of it is judged.
+
+ipc-toolkit has no solver: it is asked the same questions about the same frames as our own code.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
+from nuno_bench.machine import cores
+from nuno_bench.peers.problem import RATE
+from nuno_bench.speed.timing import seconds
+from nuno_contact.offset.places import TOUCHING
 from nuno_schemas.fabric import Float, Int
 
 SCENE = "contact/five-sheets"
 SIDES = (20, 19, 18, 17, 16)
 """Vertices along each side of the squares, which come finer and of jersey in the scene."""
-RATE = 60
-"""Published frames a second."""
 DENSITY, STRETCH, SHEAR, BEND = 0.2, 300.0, 100.0, 1e-5
 """Of the cloth [kg/m^2, N/m with the width held, N/m, N m]. A sheet of springs is isotropic where it is three times as
 stiff in tension as in shear; its two Lame constants are then its shear stiffness, which an engine that knows only
@@ -40,6 +48,28 @@ OVERRIDES = (
     *(f"objects.{i}.model.resolution=[{side}, {side}]" for i, side in enumerate(SIDES)),
 )
 """What makes the shipped scene into one that every engine can hold: no air, no floor, one isotropic cloth."""
+LEAD = (
+    f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
+    f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
+    f"tension, {SHEAR:g} N/m in shear, {1e6 * BEND:g} uN m in bending, no air, {1e3 * THICKNESS:g} mm of thickness and "
+    f"a friction of {FRICTION:g}, each in a process of its own, on the processor."
+)
+PAIRS, MOTION, CROSSED = "pairs nearer than the thickness", "the way to the next frame", "edges through triangles"
+ASKED = {
+    PAIRS: ("make a list and find what touches", "NormalCollisions.build"),
+    MOTION: ("the same, and go until cloth meets", "compute_collision_free_stepsize"),
+    CROSSED: ("the collision service's check", "has_intersections"),
+}
+"""Of each question what of ours answers it, and what of ipctk."""
+FIRST, EVERY = 10, 5
+"""Which frames are asked about: by the first of them the lowest square is on the ball."""
+ASKING = (
+    f"The same questions about every {EVERY}th frame of our first run, from the {FIRST}th on, on average a frame: "
+    "repeats in turns, in one process, with all cores. Our list is made for many steps of a solver: it holds more than "
+    "the pairs that are near. ipctk's are by its own defaults."
+)
+Question = Callable[[Float, Float], object]
+"""Asks about a frame and the next, both (n, 3) [m]."""
 
 
 @dataclass(frozen=True)
@@ -90,3 +120,68 @@ def look(pile: Pile, frames: Float) -> Seen:
 
 def _lengths(x: Float, ends: Int) -> Float:
     return np.asarray(np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a question about a frame takes on average, once a repeat: ours and ipctk's [ms]."""
+
+    question: str
+    ours: tuple[float, ...]
+    theirs: tuple[float, ...]
+
+
+def ask(pile: Pile, frames: Float, repeats: int) -> list[Answer]:
+    """Of a run's positions (frames, n, 3) [m]; of every frame both in turns, so that what slows one slows the other."""
+    asked = list(zip(frames[FIRST - 1 : -1 : EVERY], frames[FIRST::EVERY], strict=True))
+    both = own_answers(pile), their_answers(pile)
+    found = []
+    for name in ASKED:
+        spent = np.zeros((repeats + 1, 2))  # the first compiles
+        for row in spent:
+            for before, after in asked:
+                row += [seconds(partial(each[name], before, after)) for each in both]
+        ours, theirs = (1e3 / len(asked) * spent[1:]).T.tolist()
+        found.append(Answer(name, tuple(ours), tuple(theirs)))
+    return found
+
+
+def own_answers(pile: Pile) -> Mapping[str, Question]:
+    """Those of the solvers' cloth contact, which lists what it needs for many steps, and of the collision service."""
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find(SCENE), OVERRIDES), cores())
+    term = next(term for term in simulation.system.terms if term.name == "cloth_contact")
+    assert isinstance(term.data, tuple)
+    (meeting,) = term.data
+    begin, hold = (type(meeting).kernels.find(role) for role in ("begin", "hold"))
+    mesh = mesh_of(pile.faces)
+
+    def pairs(before: Float, after: Float) -> int:
+        meeting.reference[:] = np.nan
+        begin(meeting, np.ascontiguousarray(before.T), 1.0 / RATE, cores())
+        return int(meeting.number[TOUCHING])
+
+    def motion(before: Float, after: Float) -> bool:
+        pairs(before, after)
+        x, v = np.array(after.T, order="C"), np.array((after - before).T * RATE, order="C")
+        hold(meeting, x, v, 1.0, cores())
+        return bool((x == after.T).all())
+
+    return {PAIRS: pairs, MOTION: motion, CROSSED: lambda before, after: len(find_crossings(before, mesh).edges) > 0}
+
+
+def their_answers(pile: Pile) -> Mapping[str, Question]:
+    """Those of ipctk, with its own defaults."""
+    import ipctk
+
+    mesh = ipctk.CollisionMesh(pile.x, pile.edges, pile.faces)
+
+    def pairs(before: Float, after: Float) -> int:
+        found = ipctk.NormalCollisions()
+        found.build(mesh, before, THICKNESS)
+        return len(found)
+
+    return {
+        PAIRS: pairs,
+        MOTION: lambda before, after: ipctk.compute_collision_free_stepsize(mesh, before, after) >= 1.0,
+        CROSSED: lambda before, after: ipctk.has_intersections(mesh, before),
+    }

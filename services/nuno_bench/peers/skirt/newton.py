@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from nuno.collision.pairs import mesh_of
-from nuno_bench.peers.contact.problem import RATE
-from nuno_bench.peers.newton import colour
-from nuno_bench.peers.newton_cloth import Newton
+from nuno_bench.peers.newton import Cloth, colour
+from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.skirt.problem import Skirt
 from nuno_schemas.fabric import Float
 
 
-class _Newton(Newton):
+class _Skirt(Cloth):
     """Bodies are kinematic, and they and the waist are put in place in every step."""
 
     rebuilds = True
@@ -73,7 +72,6 @@ class _Newton(Newton):
         self.frame = 0
         for state in (self.now, self.next):
             state.particle_q.numpy()[:], state.particle_qd.numpy()[:] = self.posed.x, self.posed.v
-        self.drag = (-self.posed.drag * self.posed.mass * self.posed.free)[:, None].astype(np.float32)
 
     def _step_frame(self) -> None:
         if self.rebuilds:
@@ -86,12 +84,12 @@ class _Newton(Newton):
             self.now.body_q.numpy()[:], self.next.body_q.numpy()[:] = old, new
             self.now.particle_q.numpy()[self.posed.pinned] = self.posed.waist(*after)
             self.now.clear_forces()
-            np.multiply(self.now.particle_qd.numpy(), self.drag, out=self.now.particle_f.numpy())
-            self.collide_and_solve(dt)
+            self.drag()
+            self.step(dt)
         self.frame += 1
 
 
-class XPBD(_Newton):
+class XPBD(_Skirt):
     """Springs and hinges as compliant constraints, corrected all at once; cloth meets cloth as balls at vertices."""
 
     rebuilds = False
@@ -100,7 +98,7 @@ class XPBD(_Newton):
         return self.newton.solvers.SolverXPBD(self.model, iterations=self.iterations)
 
 
-class VBD(_Newton):
+class VBD(_Skirt):
     """Springs and hinges by vertex block descent, with self-contact."""
 
     def _cloth(self, builder: Any, skirt: Skirt) -> None:
@@ -117,7 +115,7 @@ class VBD(_Newton):
         return self.vbd(self.posed.thickness, integrate_with_external_rigid_solver=True)
 
 
-class Style3D(_Newton):
+class Style3D(_Skirt):
     """Triangles by projective dynamics, flat as their springs are long, with its own self-contact."""
 
     def _cloth(self, builder: Any, skirt: Skirt) -> None:

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno_bench.peers.contact.problem import RATE
+from nuno import registry
+from nuno.collision.surfaces import surface
+from nuno.exports.camera import place_camera, z_up
+from nuno.exports.cloth import ShownPiece
+from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
+from nuno.exports.pictures import RENDERER, ROOM
+from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Measured, against, compose, plain
+from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.process import Point, fastest, is_ours, times_ours
-from nuno_bench.peers.skirt.pictures import draw as draw_pictures
 from nuno_bench.peers.skirt.problem import DEEP, SCENE, Seen, Skirt
-from nuno_bench.report.page import Figure, Report, Sections, Table
+from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, Table
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.report.result import number, spread_of
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.drawing import Mesh
+from nuno_schemas.fabric import Float
+from nuno_schemas.view import View
 
 HEADINGS = (
     "peer", "setting", "off [%]", "hem height [mm]", "hem radius [mm]", "stretch [%]", "crossed", "by ipctk",
@@ -33,6 +43,8 @@ JUDGED = (
 )
 CAPTION = "How far engines are off over time, each at the setting that ends nearest; ours are solid."
 SHOWN = "The end of each engine, at its setting that is least off, and of the converged run, from one place."
+SIZE = (480, 480)
+LEGEND = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
 
 
 @dataclass(frozen=True)
@@ -130,15 +142,15 @@ def lead(found: Found) -> str:
 
 def report(found: Found, about: Mapping[str, str]) -> Report:
     """The page, the data and the documentation's section."""
-    table, told = settings(found), lead(found)
+    table, intro = settings(found), lead(found)
     ends = {f"{point.kind}, {point.setting}": point.score.frames[-1] for point in found.nearest() if point.score}
     sections: Sections = [
         ("", [" ".join(verdicts(found))]),
-        ("Where they end", [SHOWN, draw_pictures(found.skirt, ends)]),
+        ("Where they end", [SHOWN, draw_ends(found.skirt, ends)]),
         ("All settings", [table, Figure(draw([error_over_time(found)], height=4.0), CAPTION)]),
     ]
     title, points = "A skirt on a dancer in other engines", [_without_frames(point) for point in found.points]
-    return compose(found, title, told, sections, [told, table, JUDGED], about, points=points,
+    return compose(found, title, intro, sections, [intro, table, JUDGED], about, points=points,
                    size_m=found.skirt.size, begin_s=found.skirt.begin)  # fmt: skip
 
 
@@ -146,3 +158,24 @@ def _without_frames(point: Point[Seen]) -> dict[str, object]:
     """A point for JSON."""
     score = point.score and {name: value for name, value in vars(point.score).items() if name != "frames"}
     return plain(point) | {"score": score}
+
+
+def draw_ends(skirt: Skirt, ends: Mapping[str, Float]) -> Pictures:
+    """Places (n, 3) [m] at the end by what they are, the first of which the camera is fitted to."""
+    renderer = registry.load("nuno.renderers", RENDERER)
+    pairs = skirt.pairs.astype(np.int32)
+    piece = ShownPiece("skirt", 0, len(skirt.mass), skirt.faces, pairs, skirt.rest, None, None, None)
+    shape = surface(skirt.geometry, INSET)
+    points = shape.at(skirt.poses[-1])
+    body = _up(Mesh(points, shape.faces, np.tile(parse_hex(BODY), (len(points), 1)), two_sided=False))
+    cloths = {name: _up(Mesh(x, piece.faces, paint_stretch(piece.stretch(x)))) for name, x in ends.items()}
+    camera = place_camera(View(), list(cloths.values())[:1], SIZE, ROOM)
+    images = []
+    for name, cloth in cloths.items():
+        config = renderer.Config.model_validate({"legend": LEGEND, "ground": float(body.vertices[:, 2].min())})
+        images.append(Image(embed(renderer.render(config, [cloth, body], camera)), name))
+    return Pictures(images)
+
+
+def _up(mesh: Mesh) -> Mesh:
+    return replace(mesh, vertices=z_up(mesh.vertices))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,10 @@ from nuno.collision.distance import penetration
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.peers.contact.problem import RATE
-from nuno_bench.peers.problem import Sheet
-from nuno_bench.peers.python import plain_sheet
-from nuno_bench.problem.oracle import Oracle
+from nuno_bench.contact.run import Oracle
+from nuno_bench.peers.problem import RATE, Sheet
+from nuno_bench.peers.process import Point
+from nuno_bench.peers.python import PileSolver, plain_sheet
 from nuno_cloth.fabrics.material import resolve
 from nuno_contact.motions.rotations import slerp
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
@@ -33,9 +34,11 @@ what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, 
 DIVERGED = 10.0
 """How many times as long as at rest a spring is in what is no cloth any more."""
 DURATION = 0.25
-"""What is simulated unless told [s]: 15 frames, of which the first begin alike in every engine."""
+"""What is simulated by default [s]: 15 frames, of which the first begin alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 """Places along an edge that are looked at."""
+CONVERGED, FINE = "leapfrog", (640, 320)
+"""What the converged run and its check are stepped by, and how often a frame: the explicit limit is near 100."""
 
 
 @dataclass(frozen=True)
@@ -190,3 +193,33 @@ def _in_body(skirt: Skirt, x: Float, edges: Int, poses: Poses) -> tuple[int, int
     points = (1.0 - ALONG) * x[some[:, 0]] + ALONG * x[some[:, 1]]
     depth = penetration(points.reshape(-1, 3), skirt.geometry, poses).reshape(len(ALONG), -1)
     return int((depth.max(axis=0) > DEEP).sum()), int((own > DEEP).sum()), float(own.max(initial=0.0))
+
+
+class SkirtSolver(PileSolver):
+    """The same, from where and how the skirt is."""
+
+    scene, overrides = SCENE, OVERRIDES
+
+    def __init__(self, skirt: Skirt, solver: str) -> None:
+        self.skirt = skirt
+        super().__init__(skirt, solver)
+
+    def reset(self) -> None:
+        super().reset()
+        self.skirt.go_on(self.simulation)
+        self.simulation.present()
+
+
+def converge(skirt: Skirt, seconds: float) -> tuple[Float, list[Point[Seen]]]:
+    """Frames (frames, n, 3) [m] of the converged run; it, and one of half as many steps that checks it, as points.
+
+    Errors mean little below what the two are apart. Raises RuntimeError where one breaks down.
+    """
+    runs, found = list[Float](), list[Point[Seen]]()
+    for name, steps in zip(("converged", "check"), FINE, strict=True):
+        engine, begin = SkirtSolver(skirt, f"plugin: {CONVERGED}, dt: {1.0 / RATE / steps!r}"), time.perf_counter()
+        runs.append(engine.advance(seconds))
+        taken = time.perf_counter() - begin
+        setting = f"{CONVERGED}, {steps} steps a frame"
+        found.append(Point(name, setting, seconds=(taken,), score=look(skirt, runs[-1], runs[0])))
+    return runs[0], found

@@ -15,9 +15,6 @@ from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Springs, State
 from nuno_schemas.system import StepReport, System
 
-G = 9.81
-"""Gravity of all cases [m/s^2]."""
-DOWN = np.array([0.0, -G, 0.0])
 NONE = np.zeros(3)
 MOST_STEPS = 400_000
 """A case that would take a solver more steps than this is not posed to it."""

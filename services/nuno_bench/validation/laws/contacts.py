@@ -1,30 +1,42 @@
-"""Laws of contact: depth at rest, Coulomb friction on an incline and of a belt on a turning cylinder."""
+"""Laws of contact: cloth that lies on bodies, winds round them, and meets cloth, which never passes through."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import mesh_of
+from nuno_bench.problem import piles
+from nuno_bench.problem.piles import G
 from nuno_bench.validation.laws.base import (
     ACCURATE,
+    EXACT,
     NONE,
     Found,
-    G,
     Laws,
     Run,
+    Unsupported,
     chain,
     choose_step,
     make_fabric,
     relative,
 )
+from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import System, Term
 
 laws = Laws()
+ROUNDING = 1e-12
+LONGEST = 2e-4
+"""A contact lasts some ten steps of this at least [s]."""
+LOOKS = 30
+"""How often it is looked at what becomes of a collision."""
 
 
 def body(kind: int, a: Float, b: Float, radius: float, stiffness: float, friction: float) -> Geometry:
@@ -126,6 +138,150 @@ def _turned(t: float, rate: float) -> Poses:
     """The cylinder's pose at time t [s], turning about z at `rate` [rad/s]."""
     angle = rate * t
     return Poses(t, np.array([[math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle)]]), np.zeros((1, 3)))
+
+
+def meshes(name: str, **given: Any) -> dict[str, Mapping[str, Any]]:
+    """A case of cloth, a grid, and the same of a mesh of irregular triangles."""
+    return {f"cloth {name}": {"irregular": False, **given}, f"mesh {name}": {"irregular": True, **given}}
+
+
+def free(system: System) -> Any:
+    """(n,) bool"""
+    return ~system.fabric.pinned
+
+
+@laws(meshes("sticks", share=0.99) | meshes("slides", share=1.01), "Coulomb's law")
+def measure_cloth_incline(plugin: Any, share: float, irregular: bool) -> Found:
+    """A sheet on a sheet comes to rest where tan alpha < mu, and else gains speed: 1 % of tan alpha off either way.
+
+    It lands from a hundredth of the thickness, slides a millimetre as it bounces, and stops within 0.4 s; from then on
+    hardly a hundred-millionth is left of the way that it would slide.
+    """
+    mu = 0.5
+    slope = math.atan(share * mu)
+    run = Run(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
+    steps, dt = choose_step(run, 0.4, LONGEST, 2)
+    run.go(steps, dt)
+    start, before = pace(run)
+    steps, dt = choose_step(run, 0.2, LONGEST, 2)
+    run.go(steps, dt)
+    end, after = pace(run)
+    pull = G * (math.sin(slope) - mu * math.cos(slope))
+    if share < 1.0:
+        # What does not stick sooner or later moves by a good part of g sin alpha t^2 / 2.
+        return Found(end - start, 0.0, abs(end - start) / (0.5 * G * math.sin(slope) * 0.2**2), 1e-6)
+    gained = (after - before) / 0.2
+    return relative(gained, pull, 0.1)
+
+
+@laws(meshes("slide rate"), "Coulomb's law")
+def measure_slide(plugin: Any, irregular: bool) -> Found:
+    """A sheet slides on a sheet with g (sin alpha - mu cos alpha), from triangle to triangle."""
+    mu, slope = 0.2, math.radians(30.0)
+    run = Run(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
+    steps, dt = choose_step(run, 0.06, LONGEST)
+    run.go(steps, dt)
+    before = pace(run)[1]
+    steps, dt = choose_step(run, 0.14, LONGEST)
+    run.go(steps, dt)
+    gained = (pace(run)[1] - before) / 0.14
+    return relative(gained, G * (math.sin(slope) - mu * math.cos(slope)), 1e-2)
+
+
+def pace(run: Run) -> tuple[float, float]:
+    """Mean place [m] and velocity [m/s] along x of the free vertices."""
+    state, own = run.state, free(run.system)
+    return float(state.x[own, 0].mean()), float(state.v[own, 0].mean())
+
+
+@laws(meshes("pile"), "Newton's third law")
+def measure_pile(plugin: Any, irregular: bool) -> Found:
+    """Four sheets at rest on a held one press on it with 4 m g."""
+    system = piles.pile(*piles.stack(irregular), damping=1.0)
+    run = Run(plugin, system, ACCURATE)
+    steps, dt = choose_step(run, 0.02, LONGEST, 8)
+    for _ in range(8):
+        run.go(steps, dt)
+        run.state.v *= 0.5
+    found = plugin.forces(system, run.state, run.memory, None).parts["cloth_contact"]
+    weight = G * float(system.fabric.mass[free(system)].sum())
+    return relative(-float(found[system.fabric.pinned, 1].sum()), weight, 1e-2)
+
+
+@laws(meshes("momentum"), "Newton's third law")
+def measure_momentum(plugin: Any, irregular: bool) -> Found:
+    """Two sheets that collide keep their momentum to rounding, and its moment by solvers of kicks and drifts.
+
+    As a share of the sum of their parts'.
+    """
+    run = Run(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0))
+    mass = run.system.fabric.mass[:, None]
+
+    def parts() -> Float:
+        x, v = run.state.x, run.state.v
+        return np.stack([mass * v, mass * np.cross(x, v)])
+
+    before, kinds = parts(), 2 if plugin.name in KEEPS_ANGULAR_MOMENTUM else 1
+    touched = collide(run, 20, 5e-5)
+    change = np.abs((parts() - before).sum(axis=1)).max(axis=1) / np.abs(before).sum(axis=(1, 2))
+    largest = float(change[:kinds].max())
+    return Found(largest, 0.0, largest if touched else math.nan, ROUNDING)
+
+
+@laws(meshes("bounce"), "no work without force")
+def measure_energy(plugin: Any, irregular: bool) -> Found:
+    """Two sheets that bounce off each other without damping have no more energy afterwards, as a share of it."""
+    run = Run(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0, damping=0.0), ACCURATE)
+    before = run.energy()
+    touched = collide(run, *choose_step(run, 1e-3, 5e-5, LOOKS))
+    after = run.energy()
+    return Found(after, before, max(0.0, after / before - 1.0) if touched else math.nan, 1e-3)
+
+
+def collide(run: Run, steps: int, dt: float) -> bool:
+    """Let two sheets meet and part, looking at them every so many steps; whether they have."""
+    most, now = 0, 0
+    for _ in range(LOOKS):
+        now = int(run.go(steps, dt).counts["cloth_contacts"])
+        most = max(most, now)
+    return most > 0 and now == 0
+
+
+@laws(meshes("apart"), "what never meets feels nothing")
+def measure_apart(plugin: Any, irregular: bool) -> Found:
+    """Two sheets that swing far from each other end in the bits that they have without cloth contact."""
+    if getattr(plugin, "adaptive", False):
+        raise Unsupported("an adaptive method begins each step from new slopes where anything may hold vertices")
+    # Kicks as often without contact as with it, of a method that chooses how often by what forces there are.
+    settings = {**EXACT, "every": 2}
+    both = [Run(plugin, piles.pile(*piles.swinging(irregular), contact=on), settings) for on in (True, False)]
+    for run in both:
+        run.go(300, 5e-5)
+        run.go(300, 5e-5)
+    one, other = (run.both() for run in both)
+    return Found(float(np.abs(one - other).max()), 0.0, float((one.view(np.int64) != other.view(np.int64)).sum()), 0.0)
+
+
+@laws(meshes("heap"), "no edge goes through a triangle")
+def measure_heap(plugin: Any, irregular: bool) -> Found:
+    """Of three sheets that fly at each other at up to 16 m/s none passes through another, which without contact do.
+
+    Counted are the looks at which one does, at steps that take it farther than its thickness.
+    """
+    looks = [heap_looks(plugin, piles.heap(1, irregular), contact) for contact in (True, False)]
+    held, let = looks
+    return Found(float(held), 0.0, float(held) if let > 0 else math.nan, 0.0)
+
+
+def heap_looks(plugin: Any, pieces: list[Fabric], contact: bool) -> int:
+    """At how many of LOOKS a piece of the heap passes through another."""
+    system, crossed = piles.pile(*pieces, contact=contact), 0
+    run, mesh = Run(plugin, system, ACCURATE), mesh_of(system.fabric.faces)
+    steps, dt = choose_step(run, 2e-3, LONGEST, LOOKS)
+    for _ in range(LOOKS):
+        run.go(steps, dt)
+        crossed += len(find_crossings(run.state.x, mesh).edges) > 0
+    return crossed
 
 
 STILL = _turned(0.0, 0.0), _turned(1.0, 0.0)

@@ -1,22 +1,19 @@
-"""Laws of what hangs: a chain's stretch, its curve and its frequencies, and a heavy cantilever strip."""
+"""Laws of what hangs: a chain's stretch, its curve and its frequencies, a heavy strip, a draped disc."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno import registry
-from nuno.scene.files import SceneFiles
+from nuno_bench.instruments import buckling
+from nuno_bench.problem.piles import DOWN, G, build_model
 from nuno_bench.validation.laws.base import (
     ACCURATE,
-    DOWN,
     NONE,
     Found,
-    G,
     Laws,
     Run,
     Unsupported,
@@ -34,6 +31,7 @@ DROP = {1: 0.123471, 10: 0.700200, 100: 0.937524}
 """Drop / length of a heavy cantilever at w L^3 / B, from theta'' = -Gamma (1 - s) cos theta,
 theta(0) = theta'(1) = 0."""
 LOOKS = 12
+POISSON = {"0": 0.0, "0.3": 0.3, "-1/3": -1.0 / 3.0}
 
 
 def settle(run: Run, duration: float, longest: float, measure: Callable[[Float], float], slack: float) -> float:
@@ -124,21 +122,22 @@ def strip(gamma: float, elements: int) -> tuple[System, float]:
     """
     density, length, rows = 0.2, 0.2, elements + 2
     step, rigidity = length / (rows - 1.5), density * G * length**3 / gamma
-    plugin = registry.load("nuno.models", "sheet")
-    fabric = {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
-    config = plugin.Config(size=(step, step * (rows - 1)), resolution=(2, rows), plane="xz", fabric=fabric)
-    piece = plugin.build(config, SceneFiles(Path(), ()), 0)
+    size, fabric = (step, step * (rows - 1)), stiff(density, rigidity)
+    piece = build_model("sheet", {"size": size, "resolution": (2, rows), "plane": "xz", "fabric": fabric})
     cloth = make_fabric(piece.position, piece.springs, piece.mass, np.arange(piece.number) < 4, hinges=piece.hinges)
     bending, swinging = 3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length)
     return System(cloth, DOWN, 1.4 * math.hypot(bending, swinging)), length
 
 
+def stiff(density: float, rigidity: float, **more: float) -> dict[str, float]:
+    """Cloth of a mass per area [kg/m^2] and a plate rigidity [N m], hardly stretchable, without damping."""
+    alike = {"bend_warp": rigidity, "bend_weft": rigidity, "damping_ratio": 0.0}
+    return {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, **alike, **more}
+
+
 def swatch(**fields: Any) -> Fabric:
     """A specimen of irregular triangles; its fabric is given in SI."""
-    plugin = registry.load("nuno.models", "swatch")
-    built: Fabric = plugin.build(plugin.Config(**fields), SceneFiles(Path(), ()), 1)
-    return built
+    return build_model("swatch", fields, seed=1)
 
 
 @laws("mesh cantilever", "theta'' = -Gamma (1 - s) cos theta")
@@ -146,9 +145,8 @@ def measure_mesh_cantilever(plugin: Any) -> Found:
     """A heavy strip of irregular triangles, 24 edges long, drops as the elastica does at w L^3 / B = 10, settled."""
     gamma, length, density, edges = 10.0, 0.2, 0.2, 24
     edge, rigidity = length / edges, density * G * length**3 / gamma
-    fabric = {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
-    cloth = swatch(size=(length + 3.0 * edge, 2.0 * edge), hold=3.0 * edge, edge=edge, fabric=fabric)
+    size = length + 3.0 * edge, 2.0 * edge
+    cloth = swatch(size=size, hold=3.0 * edge, edge=edge, fabric=stiff(density, rigidity))
     end = cloth.position[:, 0] > length - 1e-9
     damping = 1.4 * math.hypot(3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length))
     run, expected = Run(plugin, System(cloth, DOWN, damping), ACCURATE), DROP[10]
@@ -160,8 +158,7 @@ def measure_mesh_cantilever(plugin: Any) -> Found:
 def measure_crease(plugin: Any) -> Found:
     """A piece of irregular triangles that was rolled up, and is let go of, keeps the curvature 2HB / 2B."""
     side, edge, most, rigidity, width = 0.01, 1e-3, 100.0, 1e-5, 6e-4
-    fabric = {"density": 0.2, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
-    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity, "hysteresis_warp": width, "hysteresis_weft": width}
+    fabric = stiff(0.2, rigidity, hysteresis_warp=width, hysteresis_weft=width)
     cloth = swatch(size=(side, side), edge=edge, fabric=fabric)
     flat = cloth.position.copy()
     middle = np.argsort(np.abs(flat[:, 0] - 0.5 * side))[: len(flat) // 2]
@@ -190,3 +187,41 @@ def measure_cantilever(plugin: Any, gamma: int) -> Found:
     run = Run(plugin, system, ACCURATE)
     measured = settle(run, 48.0 / system.damping, 0.02, lambda x: float(-x[-2:, 1].mean()) / length, 1e-3 * expected)
     return relative(measured, expected, 1e-2)
+
+
+@laws({f"lateral buckling {name}": {"poisson": value} for name, value in POISSON.items()}, "zero of Bessel's J -1/6")
+def measure_buckling(plugin: Any, poisson: float, layout: str = "irregular") -> Found:
+    """A narrow strip on its side loses all stiffness against tipping over at w L^3 / B = 12.85 sqrt(2 / (1 + nu)).
+
+    By the forces that the solver reports. The strip is 120 edges long and 2 wide.
+    """
+    density, rigidity = 0.2, 1e-5
+    fabric = {"density": density, "warp": 4e3, "weft": 4e3, "shear": 4e2, "bend_poisson": poisson}
+    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
+    narrow = rigidity * (1.0 - poisson**2)
+    found = buckling.tips_over(fabric, narrow, density, 0.2, 120, 2, solver=plugin.name, layout=layout)
+    return relative(found, buckling.critical(poisson), 3e-2)
+
+
+def sunk(plugin: Any, size: float, weight: float) -> float:
+    """Mean depth of a draped disc's ring over its radius a, with w a^3 / B = 300 and C = 1500 w a.
+
+    It starts in four folds; a and the mass per area are so many times 15 cm and 0.2 kg/m^2.
+    """
+    radius, density = 0.15 * size, 0.2 * weight
+    fabric = dict.fromkeys(("warp", "weft"), 1500.0 * density * G * radius)
+    fabric |= dict.fromkeys(("bend_warp", "bend_weft"), density * G * radius**3 / 300.0)
+    fabric |= {"density": density, "shear": 0.1 * fabric["warp"], "damping_ratio": 0.0}
+    cloth = swatch(radius=radius, hold=0.6 * radius, edge=0.2 * radius, fabric=fabric)
+    free, x = ~cloth.pinned, cloth.position
+    out = (np.hypot(x[:, 0], x[:, 2]) / radius - 0.6) / 0.4
+    x[free, 1] = (0.06 * radius * out * np.cos(4.0 * np.arctan2(x[:, 2], x[:, 0])))[free]
+    swing = math.sqrt(G / radius)
+    run = Run(plugin, System(cloth, DOWN, 2.0 * swing), ACCURATE)
+    return settle(run, 60.0 / swing, 0.1 / swing, lambda x: float(-x[free, 1].mean()) / radius, 1e-5)
+
+
+@laws("drape", "dimensions")
+def measure_drape(plugin: Any) -> Found:
+    """A disc of twice the size and three times the weight with the same w a^3 / B drapes alike, from a start alike."""
+    return relative(sunk(plugin, 2.0, 3.0), sunk(plugin, 1.0, 1.0), 1e-3)

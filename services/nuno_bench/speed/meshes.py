@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import registry
 from nuno.cloth.yarns import structural_edges
-from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
+from nuno_bench.problem.piles import DOWN, build_model, irregular_square, write_obj
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.system import System
 
-GRAVITY = np.array([0.0, -9.81, 0.0])
 DAMPING = 1e-5
 FABRIC = {"density": 0.3, "structural": 8.0, "shear": 2.5, "bending": 0.4}
 """Soft cloth set by hand, [N s/m], [kg/m^2] and [N/m]: 12 springs a vertex, no hinges."""
@@ -37,52 +35,35 @@ def scene_of(model: dict[str, Any]) -> dict[str, Any]:
     return scene | {"solver": solver, "objects": [{"name": "cloth", "model": model}]}
 
 
-def _build(model: dict[str, Any], folder: Path) -> Fabric:
-    plugin = registry.load("nuno.models", model["plugin"])
-    config = plugin.Config.model_validate({key: value for key, value in model.items() if key != "plugin"})
-    fabric: Fabric = plugin.build(config, SceneFiles(folder, ()), 0)
-    return fabric
-
-
 def sheet(columns: int, rows: int, damping: float = 0.0) -> Fabric:
     """The fabric of sheet_scene."""
-    return _build(sheet_scene(columns, rows, damping)["objects"][0]["model"], Path.cwd())
+    model: dict[str, Any] = sheet_scene(columns, rows, damping)["objects"][0]["model"]
+    return build_model(model.pop("plugin"), model)
 
 
 def net(arrays: dict[str, NDArray[Any]]) -> Fabric:
     """The fabric that the net plugin reads from these arrays."""
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "net.npz", allow_pickle=False, **arrays)
-        return _build({"plugin": "net", "file": "net.npz"}, Path(folder))
+        return build_model("net", {"file": "net.npz"}, Path(folder))
 
 
 def mesh(side: int, tension: str, shuffled: bool = False) -> Fabric:
     """A square metre of denim as an irregular mesh of side x side vertices, numbered row by row or at random."""
-    from scipy.spatial import Delaunay  # half a second to import
-
-    ticks = np.linspace(0.0, 1.0, side)
-    points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
-    inside = ((points > 0.0) & (points < 1.0)).all(axis=1)
-    points[inside] += np.random.default_rng(4).uniform(-0.3, 0.3, (int(inside.sum()), 2)) / (side - 1)
-    faces = Delaunay(points).simplices
-    one, other = points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
-    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    faces = np.where(area[:, None] < 0.0, faces[:, ::-1], faces)[np.abs(area) > 1e-9]
+    points, faces = irregular_square(side, 1.0, 4)
     if shuffled:
         order = np.random.default_rng(3).permutation(len(points))
-        points, faces = points[order], np.argsort(order)[faces]
-    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+        points, faces = points[order], np.argsort(order).astype(np.int32)[faces]
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "mesh.obj").write_text("\n".join(lines) + "\n")
-        return _build({"plugin": "mesh", "file": "mesh.obj", "tension": tension}, Path(folder))
+        write_obj(Path(folder) / "mesh.obj", points, faces)
+        return build_model("mesh", {"file": "mesh.obj", "tension": tension}, Path(folder))
 
 
 def system_of(fabric: Fabric) -> tuple[System, State]:
     """The fabric under gravity on all cores, and its start, slightly rough."""
     edge = float(np.median(structural_edges(fabric)[1]))
     x = fabric.position + np.random.default_rng(1).normal(scale=ROUGHNESS * edge, size=fabric.position.shape)
-    return System(fabric, GRAVITY, threads=cores()), State(np.ascontiguousarray(x), fabric.velocity.copy())
+    return System(fabric, DOWN, threads=cores()), State(np.ascontiguousarray(x), fabric.velocity.copy())
 
 
 def net_arrays(fabric: Fabric, varied: bool) -> dict[str, NDArray[Any]]:
