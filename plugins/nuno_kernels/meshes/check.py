@@ -24,9 +24,10 @@ def place_of(x: Float) -> str:
     return f"at [{', '.join(f'{value:.6g}' for value in x)}] m"
 
 
-def check_closed(x: Float, faces: Int) -> None:
+def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
     """Raises BadInput, with the first edge and its place, for a mesh (n, 3), (f, 3) whose surface has a rim, more
-    than two faces at an edge, or neighbours that face opposite ways; and for one that is inside out.
+    than two faces at an edge, or neighbours that face opposite ways; and for one that is inside out. Of a file whose
+    unit is `scale` [m] the place is as it stands there, where a mesh editor shows it.
     """
     numbers, pairs = edge_numbers(faces)
     count = np.bincount(numbers.reshape(-1), minlength=len(pairs))
@@ -40,9 +41,12 @@ def check_closed(x: Float, faces: Int) -> None:
         if bad.any():
             edge = int(np.argmax(bad))
             ends = pairs[edge]
+            value = place_of(x[ends].mean(axis=0))
+            if scale is not None:
+                value = f"{place_of(x[ends].mean(axis=0) / scale)[:-2]} in the file's own axes and unit"
             raise BadInput(
                 f"{problem} ({int(bad.sum())})", field=f"edge {ends[0]}-{ends[1]}",
-                value=place_of(x[ends].mean(axis=0)), limit="a closed surface", remedy=remedy,
+                value=value, limit="a closed surface", remedy=remedy,
             )  # fmt: skip
     if volume(x, faces) <= 0.0:
         raise BadInput("the mesh is inside out", value=f"a volume of {volume(x, faces):.3g} m^3",

@@ -94,8 +94,6 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     problem, value, limit, remedy = words
     if first["type"] != "missing" and first.get("input", "") is None:
         problem, remedy = f"the field is empty, and {problem}", f"write its value; {EMPTY}"
-        if str(place[-1]).isdecimal():
-            remedy = f"write a point for a decimal comma, as in 0.{place[-1]}: in braces a comma parts fields"
     if problem in _NUMBERS and isinstance(value, str):
         remedy = decimal_point(value) or remedy
     if remedy in (None, ADD):
@@ -160,7 +158,9 @@ def _words(error: Any) -> Words:
         return ("the list is too short" if short else "the field is missing"), None, None, ADD
     if kind in ("too_short", "too_long"):
         limit = context.get("min_length", context.get("max_length"))
-        return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
+        whole = kind == "too_long" and all(isinstance(each, int) for each in value)
+        remedy = "write a decimal point, as in 0.3: a comma parts values" if whole else None
+        return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", remedy
     if kind == "union_tag_not_found":
         field = str(context["discriminator"]).strip("'")
         return f"must be a mapping of fields with its {field}", value, None, f"add {field}: ..."

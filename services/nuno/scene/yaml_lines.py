@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import yaml
 
 from nuno_schemas.errors import BadInput
+from nuno_schemas.units import decimal_point
 from nuno_schemas.written import Path as Path
 from nuno_schemas.written import dotted as dotted
 
@@ -22,6 +24,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
 _TRAP = re.compile(r"[-+]?(?:0[0-7_]*[1-7][0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
 """Numbers that are not what they look like: of base 8 and base 60, in YAML 1.1."""
+_CUT = re.compile(r"[-+]?\d+,\d+(?![\d.]).*")
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 
 
@@ -52,6 +55,7 @@ class _Reader:
             if isinstance(node, yaml.MappingNode):
                 return self._mapping(node, path)
             if isinstance(node, yaml.SequenceNode):
+                self._check_commas(node.value, path)
                 return [self.read(child, (*path, i)) for i, child in enumerate(node.value)]
             if isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS:
                 return self._scalar(node, path)
@@ -88,8 +92,27 @@ class _Reader:
             node.value, remedy=f"write {value}{decimal}, or '{node.value}' in quotes where text is meant",
         )  # fmt: skip
 
+    def _check_commas(self, items: list[yaml.Node], path: Path) -> None:
+        """Raises BadInput for a list such as [0,3, 1]: blanks behind some of its commas make others decimal ones."""
+        pairs = list(itertools.pairwise(items))
+        if any(_gap(*pair) > 1 for pair in pairs) and not any("." in str(item.value) for item in items):
+            for one, other in pairs:
+                self._check_comma(one, other, path, f", or {one.value}, {other.value} for two numbers")
+
+    def _check_comma(self, one: yaml.Node, other: yaml.Node, path: Path, more: str = "") -> None:
+        """Raises BadInput where two neighbours may be one number: plain digits on both sides of a comma, no blank."""
+        value, line = f"{one.value},{other.value}", one.start_mark.line + 1
+        plain = all(isinstance(node, yaml.ScalarNode) and not node.style for node in (one, other))
+        if plain and _gap(one, other) == 1 and _CUT.fullmatch(value):
+            remedy = f"{decimal_point(value)}{more}"
+            raise BadInput("a decimal comma", self.file, line, dotted(path), value, remedy=remedy)
+
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         result: dict[str, Any] = {}
+        for (name, one), (other, child) in itertools.pairwise(node.value):
+            # In braces 0,3 is a 0, and a field of the name 3 that is empty.
+            if child.value == "" and not child.style:
+                self._check_comma(one, other, (*path, str(name.value)))
         for key_node, child in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
@@ -105,6 +128,11 @@ class _Reader:
             self.lines[(*path, key)] = line
             result[key] = self.read(child, (*path, key))
         return result
+
+
+def _gap(one: yaml.Node, other: yaml.Node) -> int:
+    """Characters between two neighbours on a line; 0 where a new line begins."""
+    return other.start_mark.column - one.end_mark.column if one.end_mark.line == other.start_mark.line else 0
 
 
 def places(value: Any, path: Path = ()) -> Iterator[Path]:
