@@ -13,7 +13,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.units import decimal_point
 
 Found = TypeVar("Found")
-_COMMA = re.compile(r"(?<![\w.,+-])[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\w.,])")
+_COMMA = re.compile(r"(?<![^\s'\"])[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![^\s'\"])")
 
 
 def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int) -> Found:
@@ -27,11 +27,11 @@ def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int)
     except BadInput as error:
         raise replace(error, file=str(path)) from None
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, struct.error) as error:
-        line, remedy = None, with_point(str(error))
+        line = None
         if comma := _COMMA.search(str(error)):  # it stands outside of comments
             found = re.search(rb"(?m)^(?!\s*comment).*?(?<!\S)%b(?!\S)" % re.escape(comma[0].encode()), data)
             line = data.count(b"\n", 0, found.end()) + 1 if found else None
-        remedy = remedy or f"is it cut off, or not {kind}? Export it anew from the program that it comes from"
+        remedy = with_point(str(error)) or f"is it cut off, or not {kind}? Export it anew from where it comes from"
         raise BadInput(f"cannot be read as {kind}: {error}", str(path), line, "file", remedy=remedy) from None
 
 

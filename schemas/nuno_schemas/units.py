@@ -54,6 +54,8 @@ _FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
 _DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)((?:[^\d.,][^,]*)?)")
 _MARKS = "_*/().%‰°·⋅×"
 """What stands in units beside letters and blanks."""
+_DOUBTFUL = {"gr": "g for gram, or grain", "grad": "deg for degree, or gon", "Grad": "deg", "qm": "m^2"}
+"""What is written for another unit than pint takes it for, and what to write."""
 
 
 def _is_plain(text: str) -> bool:
@@ -96,6 +98,8 @@ def _parse(text: str, unit: str) -> float:
         pass
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
+    if doubtful := _DOUBTFUL.keys() & set(re.findall(r"[^\W\d]+", text)):
+        raise ValueError(f"{min(doubtful)} is of two meanings; write {_DOUBTFUL[min(doubtful)]}")
     registry = _registry()
     try:
         return float(registry.Quantity(text).to(unit or "dimensionless").magnitude)

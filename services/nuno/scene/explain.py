@@ -6,6 +6,7 @@ import inspect
 import re
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import yaml
@@ -62,11 +63,10 @@ def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -
         file, line = GIVEN, None
     line = None if line == UNNUMBERED else line
     if error.file is None:
-        return BadInput(error.problem, file, line, full, error.value, error.limit, error.remedy)
+        return replace(error, file=file, line=line, field=full)
     # It stands in another file: say also who names that file.
     place = file if line is None else f"{file}:{line}"
-    problem = f"{error.problem} (the file is named in {place}: {full})"
-    return BadInput(problem, error.file, error.line, error.field, error.value, error.limit, error.remedy)
+    return replace(error, problem=f"{error.problem} (the file is named in {place}: {full})")
 
 
 def _under(field: str, path: str) -> bool:
