@@ -17,6 +17,7 @@ AIR = Plausible(0.05, 1100.0, ("g/m^3",))
 Number = Annotated[float, quantity("")]
 Ratio = Annotated[float, quantity("", ge=0)]
 Length = Annotated[float, quantity("m", gt=0)]
+EdgeLength = Annotated[float, quantity("m", ge=1e-3, le=0.2)]
 Reach = Annotated[float, quantity("m", ge=0)]
 Metres = Annotated[float, quantity("m")]
 Speed = Annotated[float, quantity("m/s")]

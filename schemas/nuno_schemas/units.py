@@ -6,6 +6,7 @@ imported only then: it takes longer to load than a small scene takes to run.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import re
@@ -92,10 +93,8 @@ def _parse(text: str, unit: str) -> float:
         raise ValueError(f"a decimal comma; {remedy}")
     if fraction := _FRACTION.fullmatch(text):
         text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
-    try:
+    with contextlib.suppress(ValueError):
         return float(text)
-    except ValueError:
-        pass
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
     if doubtful := _DOUBTFUL.keys() & set(re.findall(r"[^\W\d]+", text)):

@@ -39,11 +39,10 @@ def values_of(name: str, given: object, column: Column) -> tuple[float, ...]:
             raise BadInput(str(error).partition("; ")[0], field=name, value=part, remedy=remedy) from None
         if value < 0.0:
             raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
-        if not column.plausible.low <= value <= column.plausible.high:
-            low, high = (
-                edge / to_si(f"1 {column.unit}", column.si) for edge in (column.plausible.low, column.plausible.high)
-            )
-            source = f"; {column.plausible.source} {column.si}" if column.plausible.source else ""
+        usual = column.plausible
+        if not usual.low <= value <= usual.high:
+            low, high = (edge / to_si(f"1 {column.unit}", column.si) for edge in (usual.low, usual.high))
+            source = f"; {usual.source} {column.si}" if usual.source else ""
             raise BadInput(
                 "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
                 limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",

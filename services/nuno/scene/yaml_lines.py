@@ -86,16 +86,15 @@ class _Reader:
 
     def _check_commas(self, items: list[yaml.Node], path: Path) -> None:
         """Raises BadInput for a list such as [0,3, 1]: blanks behind some of its commas make others decimal ones."""
-        pairs = list(itertools.pairwise(items))
-        if any(_gap(*pair) > 1 for pair in pairs) and not any("." in str(item.value) for item in items):
-            for one, other in pairs:
+        numbers = all(isinstance(item, yaml.ScalarNode) and "." not in item.value for item in items)
+        if numbers and any(_gap(*pair) > 1 for pair in itertools.pairwise(items)):
+            for one, other in itertools.pairwise(items):
                 self._check_comma(one, other, path, f", or {one.value}, {other.value} for two numbers")
 
     def _check_comma(self, one: yaml.Node, other: yaml.Node, path: Path, more: str = "") -> None:
         """Raises BadInput where two neighbours may be one number: plain digits on both sides of a comma, no blank."""
-        value = f"{one.value},{other.value}"
         plain = all(isinstance(node, yaml.ScalarNode) and not node.style for node in (one, other))
-        if plain and _gap(one, other) == 1 and _CUT.fullmatch(value):
+        if plain and _gap(one, other) == 1 and _CUT.fullmatch(value := f"{one.value},{other.value}"):
             raise self._at(one, path, "a decimal comma", value, f"{decimal_point(value)}{more}")
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
