@@ -14,11 +14,10 @@ BENDING = Plausible(1e-7, 1e-3, ("uN*m", "gf*cm"), f"{FABRICS} 9e-7 to 1.1e-4")
 HYSTERESIS = Plausible(1e-6, 1.0, ("mN", "gf"))
 TENSION = Plausible(0.1, 2e6, ("kN/m",))
 AIR = Plausible(0.05, 1100.0, ("g/m^3",))
-GARMENT = Plausible(0.0, 5.0, ("cm", "mm"))
 Number = Annotated[float, quantity("")]
 Ratio = Annotated[float, quantity("", ge=0)]
 Length = Annotated[float, quantity("m", gt=0)]
-OfGarment = Annotated[float, quantity("m", GARMENT, gt=0)]
+EdgeLength = Annotated[float, quantity("m", ge=1e-3, le=0.2)]
 Reach = Annotated[float, quantity("m", ge=0)]
 Metres = Annotated[float, quantity("m")]
 Speed = Annotated[float, quantity("m/s")]

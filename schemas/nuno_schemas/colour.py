@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+import warnings
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +31,32 @@ def upright(image: Any) -> Any:
     if not image.mode.startswith("I"):
         return image
     return Image.fromarray(np.round(np.clip(np.asarray(image, np.float64) / 257.0, 0.0, 255.0)).astype(np.uint8))
+
+
+def as_rgb(image: Any) -> NDArray[np.uint8]:
+    """(h, w, 3) sRGB of an image that Pillow has opened, upright, on white. Raises ValueError for floats."""
+    from PIL import Image
+
+    if image.mode == "F":
+        raise ValueError("its pixels are floats; save it in 8 or 16 bits")
+    image = upright(image)
+    if image.has_transparency_data:
+        image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image.convert("RGBA"))
+    return np.asarray(image.convert("RGB"))
+
+
+def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
+    """(h, w, 3) sRGB of an image file. Raises OSError or ValueError for one that cannot be read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            # Pillow only warns of an image that would unpack to gigabytes.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(source) as image:
+                return as_rgb(image)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise ValueError(str(error)) from None
 
 
 def to_linear(srgb: ArrayLike) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,8 +10,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from nuno_schemas.errors import BadInput
+from nuno_schemas.units import decimal_point
 
 Found = TypeVar("Found")
+_COMMA = re.compile(r"(?<![^\s'\"])[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![^\s'\"])")
 
 
 def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int) -> Found:
@@ -19,9 +22,20 @@ def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int)
     if size > largest:
         raise BadInput(f"too large for {kind}", str(path), field="file", value=size, limit=f"{largest} bytes")
     try:
-        return read(path.read_bytes())
+        data = path.read_bytes()
+        return read(data)
     except BadInput as error:
         raise replace(error, file=str(path)) from None
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, struct.error) as error:
-        remedy = f"is it cut off, or not {kind}? Export it anew from the program that it comes from"
-        raise BadInput(f"cannot be read as {kind}: {error}", str(path), field="file", remedy=remedy) from None
+        line = None
+        if comma := _COMMA.search(str(error)):  # it stands outside of comments
+            found = re.search(rb"(?m)^(?!\s*comment).*?(?<!\S)%b(?!\S)" % re.escape(comma[0].encode()), data)
+            line = data.count(b"\n", 0, found.end()) + 1 if found else None
+        remedy = with_point(str(error)) or f"is it cut off, or not {kind}? Export it anew from where it comes from"
+        raise BadInput(f"cannot be read as {kind}: {error}", str(path), line, "file", remedy=remedy) from None
+
+
+def with_point(words: str) -> str | None:
+    """A remedy for the first number with a decimal comma among words, such as those of an error; None without one."""
+    comma = _COMMA.search(words)
+    return f"{decimal_point(comma[0])}: numbers have a decimal point" if comma else None

@@ -6,6 +6,7 @@ imported only then: it takes longer to load than a small scene takes to run.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import re
@@ -51,22 +52,27 @@ _POWER = r"(?:\*\*|\^)\s*\(?\s*[+-]?\d{1,2}\s*\)?\s*"
 _NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
 _FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
 """As steps are named: 1/240 s."""
-_DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)([^,]*)")
+_DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)((?:[^\d.,][^,]*)?)")
+_MARKS = "_*/().%‰°·⋅×"
+"""What stands in units beside letters and blanks."""
+_DOUBTFUL = {"gr": "g for gram, or grain", "grad": "deg for degree, or gon", "Grad": "deg", "qm": "m^2"}
+"""What is written for another unit than pint takes it for, and what to write."""
 
 
 def _is_plain(text: str) -> bool:
     """Whether a text is one number and units.
 
     pint evaluates whole expressions: of "9**9**9**9 m" no computer would see the end. After the
-    number, digits may only stand in powers of units, and "1" in "1/s"; pint would take "2 1 s" for a product, and
-    leave out commas.
+    number, digits may only stand in powers of units, and "1" in "1/s"; pint would take "2 1 s" for a product,
+    "5² m" for 25 m, and leave out commas, fractions such as "½", and any other character that it does not know.
     """
     number = _NUMBER.match(text)
     if number is None:
         return False
     units = text[number.end() :]
-    rest = re.sub(_POWER + r"|(?<![\w.])1\s*/", " ", units)
-    return not re.search(f"(?:{_POWER}){{2}}", units) and not re.search(r"[\d,]|\*\*|\^|\+", rest)
+    rest = re.sub(_POWER + r"|(?<![\w.])1\s*/|(?<=[^\W\d_])⁻?[⁰¹²³⁴-⁹]+", " ", units)
+    powers = re.search(f"(?:{_POWER}){{2}}", units) or "**" in rest
+    return not powers and all(each.isalpha() or each.isspace() or each in _MARKS for each in rest)
 
 
 def decimal_point(text: str) -> str:
@@ -74,8 +80,8 @@ def decimal_point(text: str) -> str:
     if not (comma := _DECIMAL_COMMA.fullmatch(text)):
         return ""
     sign, whole, decimals, units = comma.groups()
-    thousands = f", or {sign}{whole}{decimals}{units} if thousands are meant" if len(decimals) == 3 else ""
-    return f"write {sign}{whole or 0}.{decimals}{units}{thousands}"
+    more = f", or {sign}{whole}{decimals}{units} if thousands are meant"
+    return f"write {sign}{whole or 0}.{decimals}{units}{more if len(decimals) == 3 and whole.strip('0') else ''}"
 
 
 def _parse(text: str, unit: str) -> float:
@@ -87,12 +93,12 @@ def _parse(text: str, unit: str) -> float:
         raise ValueError(f"a decimal comma; {remedy}")
     if fraction := _FRACTION.fullmatch(text):
         text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
-    try:
+    with contextlib.suppress(ValueError):
         return float(text)
-    except ValueError:
-        pass
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
+    if doubtful := _DOUBTFUL.keys() & set(re.findall(r"[^\W\d]+", text)):
+        raise ValueError(f"{min(doubtful)} is of two meanings; write {_DOUBTFUL[min(doubtful)]}")
     registry = _registry()
     try:
         return float(registry.Quantity(text).to(unit or "dimensionless").magnitude)
@@ -127,7 +133,7 @@ class Plausible:
 
 
 PLAUSIBLE = {
-    "m": Plausible(0.0, 50.0, ("cm", "mm")),
+    "m": Plausible(0.0, 5.0, ("cm", "mm")),
     "rad": Plausible(0.0, 7.0, ("deg",)),
     "m/s": Plausible(0.0, 100.0, ("km/h", "cm/s")),
     "m/s^2": Plausible(0.0, 100.0, ("cm/s^2", "mm/s^2")),

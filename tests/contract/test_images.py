@@ -9,9 +9,11 @@ import pytest
 from model_files import Folder
 from PIL import Image
 
-from nuno.exports.paint import read_rgb
+from nuno_cloth.models.placement import find_texture
 from nuno_dye.cloths.photograph import read_photograph
 from nuno_dye.supplies.resist import read_image
+from nuno_schemas.colour import read_rgb
+from nuno_schemas.errors import BadInput
 
 TURN = 0x112
 """EXIF's orientation."""
@@ -63,3 +65,39 @@ def test_shared_images_look_alike(shared_data: Path) -> None:
         assert turned.shape == up.shape and np.abs(turned - up).mean() < 8.0
     grey = read_rgb(files.resolve("grey16.png"))
     assert grey.min() == 0 and grey.max() == 255 and 100 < grey.mean() < 155
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P", "PA"])
+def test_what_is_transparent_is_white(mode: str, tmp_path: Path) -> None:
+    """As it lies on a page; what a program leaves in hidden pixels is often black."""
+    pixels = np.zeros((2, 2, 4), np.uint8)
+    pixels[0] = (90, 90, 90, 255)
+    pixels[1, 1] = (0, 0, 0, 51)
+    image = Image.fromarray(pixels)
+    image = image.quantize(4) if mode in ("P", "PA") else image.convert(mode)
+    (image.convert(mode)).save(tmp_path / ("a.tif" if mode == "PA" else "a.png"))
+    found = read_rgb(tmp_path / ("a.tif" if mode == "PA" else "a.png"))
+    np.testing.assert_array_equal(found[..., 0], [[90, 90], [255, 204]])
+
+
+def test_cmyk_and_palettes_have_their_colours(tmp_path: Path) -> None:
+    colours = Image.fromarray(np.array([[[200, 40, 90], [20, 180, 60]]], np.uint8))
+    colours.convert("CMYK").save(tmp_path / "a.tif")
+    colours.quantize(2).save(tmp_path / "a.png")
+    for name in ("a.tif", "a.png"):
+        np.testing.assert_array_equal(read_rgb(tmp_path / name), np.asarray(colours))
+
+
+@pytest.mark.parametrize("name", ["floats.tif", "page.pdf", "cut.png"])
+def test_a_texture_that_cannot_be_read_is_refused_before_anything_starts(name: str, tmp_path: Path) -> None:
+    """Floats were black cloth, and what is no image was left out of the viewer."""
+    if name == "floats.tif":
+        Image.fromarray(np.full((2, 2), 0.5, np.float32)).save(tmp_path / name)
+    elif name == "cut.png":
+        picture().resize((64, 64)).save(tmp_path / name)
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:120])
+    else:
+        (tmp_path / name).write_text("%PDF-1.4")
+    with pytest.raises(BadInput, match="cannot be read as an image") as caught:
+        find_texture(name, Folder(tmp_path))
+    assert (caught.value.field, caught.value.value) == ("texture", name)

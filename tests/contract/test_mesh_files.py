@@ -13,7 +13,7 @@ from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
 from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.sliding.plugin import check_meshes
 from nuno_kernels.meshes.check import check_closed, check_crossings, volume
-from nuno_kernels.meshes.file import read_closed
+from nuno_kernels.meshes.file import load_mesh, read_closed
 from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.bodies import MESH
 from nuno_schemas.errors import BadInput
@@ -49,6 +49,57 @@ def test_a_hole_is_named_with_its_edge_and_place_and_can_be_mended(tmp_path: Pat
         read_closed(path)
     assert "at [" in str(refusal.value) and str(path) in str(refusal.value)
     assert len(read_closed(path, mend=True)[1]) == 320
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.0254])
+def test_a_hole_is_where_a_mesh_editor_shows_it(tmp_path: Path, scale: float) -> None:
+    """Whatever the scene makes of the file's unit."""
+    mesh = ball()
+    mesh.update_faces(np.arange(len(mesh.faces)) != 7)
+    with pytest.raises(BadInput, match="hole") as refusal:
+        read_closed(save(mesh, tmp_path / "hole.obj"), scale)
+    said = re.fullmatch(r"at \[(.*)\] in the file's own axes and unit", str(refusal.value.value))
+    assert said
+    place = np.array([float(one) for one in said[1].split(",")])
+    edges = mesh.vertices[mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]]
+    assert np.abs(edges.mean(axis=1) - place).max(axis=1).min() < 1e-4
+
+
+TRIANGLE = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0.5 0\nendloop\nendfacet\n"
+PLY = (
+    "ply\nformat ascii 1.0\ncomment 0,5\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0.5 0\n3 0 1 2\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 0.5 0\nf 1 2 3\n"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 1\nf 1/1 2/1 3/1\n"),
+        ("a.ply", PLY),
+        ("a.stl", f"solid a\n{TRIANGLE}endsolid\n"),
+    ],
+)
+def test_a_decimal_comma_in_a_mesh_is_refused_with_its_line(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    load_mesh(path)
+    path.write_text(text.replace("0.5", "0,5"))
+    with pytest.raises(BadInput) as refusal:
+        load_mesh(path)
+    error = refusal.value
+    assert "0,5" in f"{error.problem} {error.value}" and error.remedy == "write 0.5: numbers have a decimal point"
+    assert error.line == 1 + next(n for n, line in enumerate(text.splitlines()) if "0.5" in line)
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.ply", PLY), ("a.stl", f"solid a\n{TRIANGLE}endsolid\n")])
+def test_thousands_behind_a_blank_are_no_numbers_of_their_own(tmp_path: Path, name: str, text: str) -> None:
+    """An STL's 1 000 0 0 was the vertex (1, 0, 0)."""
+    path = tmp_path / name
+    path.write_text(text.replace("1 0 0", "1 000 0 0"))
+    with pytest.raises(BadInput, match="cannot be read"):
+        load_mesh(path)
 
 
 def test_a_hole_too_large_to_be_mended_is_refused_without_that_advice(tmp_path: Path) -> None:

@@ -270,7 +270,12 @@ def test_a_decimal_comma_is_never_dropped(shared_data: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("friction", "field", "number"),
-    [("0,3", "bodies[0].3", "0.3"), ("'0,3'", "bodies[0].friction", "0.3"), ("'-1,25'", "bodies[0].friction", "-1.25")],
+    [
+        ("0,3", "bodies[0].friction", "0.3"),
+        ("0,3 m", "bodies[0].friction", "0.3"),
+        ("'0,3'", "bodies[0].friction", "0.3"),
+        ("'-1,25'", "bodies[0].friction", "-1.25"),
+    ],
 )
 def test_a_decimal_comma_in_a_plain_number_is_named_with_the_point(
     friction: str, field: str, number: str, tmp_path: Path
@@ -282,6 +287,34 @@ def test_a_decimal_comma_in_a_plain_number_is_named_with_the_point(
     error = refused(tmp_path, text.replace("FRICTION", friction))
     assert (error.field, error.line) == (field, 5)
     assert error.remedy is not None and number in error.remedy.replace(":", " ").split()
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "number"),
+    [
+        ("[0,3, 1]", "a", "0.3"), ("[1, -0,25 m]", "a", "-0.25 m"), ("[[1, 2], [{b: 0,3}]]", "a[1][0].b", "0.3"),
+        ("{b: {c: 1, d: 0,5 ms}}", "a.b.d", "0.5 ms"),
+    ],
+)  # fmt: skip
+def test_a_number_cut_at_a_decimal_comma_is_refused_where_yaml_parts_it(text: str, place: str, number: str) -> None:
+    with pytest.raises(BadInput, match="a decimal comma") as caught:
+        yaml_lines.parse(f"b: 1\na: {text}\n", "scene.yaml")
+    error = caught.value
+    assert (error.file, error.line, error.field) == ("scene.yaml", 2, place)
+    assert error.remedy is not None and f"write {number}" in error.remedy
+    followed = text.replace(str(error.value), number)
+    assert followed != text and yaml_lines.parse(f"a: {followed}", "scene.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("[0,3,1]", [0, 3, 1]), ("[0, 3, 1]", [0, 3, 1]), ("[[0,1], [2,3]]", [[0, 1], [2, 3]]),
+        ("[0,1,\n  2,3]", [0, 1, 2, 3]), ("{1: 2,3: 4}", {"1": 2, "3": 4}), ("[0.5,3, 1]", [0.5, 3, 1]),
+    ],
+)  # fmt: skip
+def test_lists_that_are_written_alike_throughout_are_lists(text: str, value: object) -> None:
+    assert yaml_lines.parse(f"a: {text}\n", "scene.yaml")[0] == {"a": value}
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,8 @@ FAULTS: dict[str, tuple[Callable[[dict[str, Any]], None], str, str]] = {
         change((*FRONT, "vertices", 2), [30, "36 cm"]), "vertices[2][1]",
         "for example vertices: [[-36, 0], [36, 0], [24, 60]]",
     ),
+    "a decimal comma": (change((*FRONT, "vertices", 2), [30, "35,5"]), "vertices[2][1]", "write 35.5"),
+    "a unit with a decimal comma": (change(("properties", "units_in_meter"), "100,0"), "units_in_meter", "write 100.0"),
     "no number": (change((*FRONT, "vertices", 2), [30, "x"]), "vertices[2][1]", "must be a number"),
     "no finite number": (change((*FRONT, "vertices", 2), [30, float("inf")]), "vertices[2][1]", "must be finite"),
     "no unit": (lambda data: data["properties"].pop("units_in_meter"), "units_in_meter",
@@ -111,6 +113,21 @@ def test_what_is_said_for_example_may_be_written() -> None:
                 TypeAdapter(field.annotation).validate_python(example, strict=False)
                 shown += 1
     assert shown > 6
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "number"),
+    [('"units_in_meter": 100', '"units_in_meter": 39,37', "39.37"), ("[30, 35]", "[30,5, 35]", "30.5")],
+)
+def test_numbers_that_json_cuts_at_a_decimal_comma_are_refused(tmp_path: Path, old: str, new: str, number: str) -> None:
+    data = tube()
+    change((*FRONT, "vertices", 2), [30, 35])(data)
+    text = json.dumps(data)
+    assert old in text
+    (tmp_path / "cut.json").write_text(text.replace(old, new))
+    with pytest.raises(BadInput, match="a decimal comma") as refusal:
+        read_pattern(SceneFiles(tmp_path), "cut.json")
+    assert refusal.value.line == 1 and f"write {number}" in str(refusal.value.remedy)
 
 
 def test_the_line_is_where_the_field_begins(tmp_path: Path) -> None:

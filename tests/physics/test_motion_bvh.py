@@ -248,6 +248,17 @@ def test_a_bad_file_is_refused_by_name(tmp_path, text, words):
     assert "bad.bvh" in str(caught.value)
 
 
+@pytest.mark.parametrize("number", ["OFFSET 0.5", "Time: 0.25", "2 4.5 1"])
+def test_a_decimal_comma_is_refused_with_its_line(tmp_path, number):
+    path = tmp_path / "commas.bvh"
+    path.write_text(TINY.replace(number, number.replace(".", ",")))
+    with pytest.raises(BadInput, match="cannot be read as BVH") as caught:
+        prepare(path)
+    point = next(word for word in number.split() if "." in word)
+    assert caught.value.remedy == f"write {point}: numbers have a decimal point"
+    assert caught.value.line == 1 + next(n for n, line in enumerate(TINY.splitlines()) if number in line)
+
+
 def test_a_part_without_frames_is_refused(tiny):
     with pytest.raises(BadInput, match="no frame"):
         prepare(tiny, start=3.0)

@@ -172,6 +172,58 @@ def test_a_photograph_tells_its_shadows_area_and_nodes(tmp_path: Path, suffix: s
     assert found.fabric == read(tmp_path, KES).fabric
 
 
+POINTS = "instrument, KES-F\nW, 12.1\nB, 0.118, 0.076\nG, 0.8, 0.7\nLT, 0.8, 1.0\nEMT, 3.2, 6.1\n"
+COMMAS = POINTS.replace(", ", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        COMMAS,
+        "\ufeff" + COMMAS.replace("\n", "\r\n"),
+        COMMAS.replace(";", "\t"),
+        COMMAS.replace("12,1", "12,1 mg/cm²").replace("3,2;6,1", '"3,2";"6,1";"%"'),
+        "\n".join(",".join(f'"{cell}"' for cell in line.split(";")) for line in COMMAS.splitlines()),
+    ],
+)
+def test_a_sheet_with_decimal_commas_is_read_as_its_twin_with_points(text: str, tmp_path: Path) -> None:
+    found, twin = (read(tmp_path, one, suffix=".csv").fabric for one in (text, POINTS))
+    assert found == pytest.approx(twin, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "value"),
+    [
+        (POINTS.replace("0.8, 0.7", "1,2"), "G", "1,2"),
+        (POINTS.replace("0.8, 0.7", "1,2, gf/cm/degree"), "G", "1,2"),
+        (POINTS.replace("12.1", "12,1"), "W", "12,1"),
+        (POINTS.replace("0.118, 0.076", "0,118, 0,076"), "B", "0,118"),
+        (POINTS + "drape coefficient, 63,5\n", "drape coefficient", "63,5"),
+        (POINTS.replace("0.8, 0.7", '"1,2"'), "G", "1,2"),
+        (COMMAS.replace("0,8;0,7", "0.8;0.7"), "W", "12,1"),
+        (COMMAS.replace("12,1", "1.210,5"), "B", "0,118"),
+        ("instrument;KES-F\nW;12,100\nG;1,200;1,100\n", "W", "12,100"),
+    ],
+)
+def test_a_comma_that_may_part_something_else_is_refused(text: str, field: str, value: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="comma") as caught:
+        read(tmp_path, text, suffix=".csv")
+    error = caught.value
+    line = next(n for n, each in enumerate(text.splitlines(), 1) if each.startswith(field))
+    assert (error.field, error.value, error.line) == (field, value, line)
+    assert error.remedy is not None and f"write {value.replace(',', '.')}" in error.remedy
+
+
+@pytest.mark.parametrize("written", ["1.25", "5/4", "1.25 ", "125e-2"])
+def test_a_quoted_number_is_in_the_instruments_unit(written: str, tmp_path: Path) -> None:
+    """As text it was taken in SI: 1.25 N/m of shear for 70."""
+    found = read(tmp_path, KES.replace("[0.8, 0.7]", f"'{written}'").replace("W: 12.1", "W: '12.1'"))
+    assert found.fabric == pytest.approx(read(tmp_path, KES.replace("[0.8, 0.7]", "1.25")).fabric, rel=1e-12)
+    with pytest.raises(BadInput, match="a decimal comma") as caught:
+        read(tmp_path, KES.replace("[0.8, 0.7]", "'1,25'"))
+    assert caught.value.remedy == "write 1.25"
+
+
 @pytest.mark.parametrize(
     ("lines", "field", "words"),
     [

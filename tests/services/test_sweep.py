@@ -107,7 +107,8 @@ def test_the_command_writes_a_page_and_a_table(
     monkeypatch.chdir(tmp_path)
     sheet = ["sweep", "hanging-sheet", "--set", "duration=0.04", "--jobs", "1", "--over"]
     assert main([*sheet, "objects.0.model.fabric=denim, jacket"]) == 0
-    assert "jacket" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "jacket" in said.out and said.err.startswith("objects.0.model.fabric: denim, jacket\n")
     (folder,) = (tmp_path / "recordings" / "sweep").iterdir()
     rows = json.loads((folder / "sweep.json").read_text())["rows"]
     assert [row["objects.0.model.fabric"] for row in rows] == ["denim", "jacket"]

@@ -142,6 +142,7 @@ def hanging(scene: dict[str, Any] | None = None, **model: Any) -> list[str]:
         ("fabric", {"preset": "denim", "bend_weft": 5}, "fabric.bend_weft: a bare 5", "5 uN*m, which is 5e-06 N*m"),
         ("fabric", {"density": 0.1, "structural": [60, 6e6]}, "fabric.structural[1]: a bare 6e+06", "plausible"),
         ("fabric", {"density": 0.1, "structural": 6e6}, "fabric.structural: a bare 6e+06", "plausible"),
+        ("size", [50, 0.5], "size[0]: a bare 50", "50 cm, which is 0.5 m; or 50 mm, which is 0.05 m?"),
         ("size", [100, 0.5], "size[0]: a bare 100", "100 cm, which is 1 m; or 100 mm, which is 0.1 m?"),
         ("size", ["100", "0.5"], "size[0]: a bare 100", "100 cm, which is 1 m; or 100 mm, which is 0.1 m?"),
         ("rotate", {"angle": -90}, "rotate.angle: a bare -90", "-90 deg, which is -1.571 rad?"),
@@ -173,7 +174,7 @@ def test_plausible_numbers_and_those_with_units_pass_without_a_word(field: str, 
 
 
 def test_bare_numbers_are_looked_at_in_all_of_a_scene() -> None:
-    bodies = [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0, 0, 0], "radius": 75}}]
+    bodies = [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0, 0, 0], "radius": 30}}]
     forces = [{"plugin": "wind", "velocity": ["120 km/h", 0, 0], "density": 1225}]
     found = hanging({"gravity": [0, -981, 0], "view": {"azimuth": 45}, "bodies": bodies, "forces": forces})
     fields = ["gravity[1]", "view.azimuth", "bodies[0].collider.radius", "forces[0].density"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.units import Plausible, to_si
+from nuno_schemas.units import Plausible, decimal_point, to_si
 
 PER_CENT = "percent"
+_BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
+"""A number, or the text of one, that has no unit of its own."""
 
 
 @dataclass(frozen=True)
@@ -28,19 +31,18 @@ def values_of(name: str, given: object, column: Column) -> tuple[float, ...]:
         raise BadInput("too many values, or none", field=name, value=given, limit=limit)
     found = []
     for part in parts:
-        own = f"{part!r} {column.unit}" if isinstance(part, (int, float)) and column.unit else part
+        own = f"{part} {column.unit}" if column.unit and _BARE.fullmatch(str(part)) else part
         try:
             value = to_si(own, column.si)
         except ValueError as error:
-            remedy = f"a plain number is in {column.unit or 'no unit'}"
-            raise BadInput(str(error), field=name, value=part, remedy=remedy) from None
+            remedy = decimal_point(str(part)) or f"a plain number is in {column.unit or 'no unit'}"
+            raise BadInput(str(error).partition("; ")[0], field=name, value=part, remedy=remedy) from None
         if value < 0.0:
             raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
-        if not column.plausible.low <= value <= column.plausible.high:
-            low, high = (
-                edge / to_si(f"1 {column.unit}", column.si) for edge in (column.plausible.low, column.plausible.high)
-            )
-            source = f"; {column.plausible.source} {column.si}" if column.plausible.source else ""
+        usual = column.plausible
+        if not usual.low <= value <= usual.high:
+            low, high = (edge / to_si(f"1 {column.unit}", column.si) for edge in (usual.low, usual.high))
+            source = f"; {usual.source} {column.si}" if usual.source else ""
             raise BadInput(
                 "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
                 limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_schemas.colour import as_rgb
 from nuno_schemas.errors import BadInput
 
 FORMATS = ("PNG", "JPEG")
@@ -25,14 +25,14 @@ def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
     """
     from scipy import ndimage
 
-    values, white = _read_grey(path, field)
+    values = _read_grey(path, field)
     counts, edges = np.histogram(values, 256)
     middles = 0.5 * (edges[1:] + edges[:-1])
     below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * middles)
     above = values.size - below
     darker, lighter = sums[:-1] / np.maximum(below, 1), (sums[-1] - sums[:-1]) / np.maximum(above, 1)
     best = int(np.argmax(below * above * (lighter - darker) ** 2.0))
-    if not (below[best] and above[best] and lighter[best] - darker[best] > CONTRAST * white):
+    if not (below[best] and above[best] and lighter[best] - darker[best] > 255.0 * CONTRAST):
         raise BadInput(
             "no shadow stands out: the picture is as dark, or as light, everywhere", field=field, value=str(path),
             limit=f"a shadow darker than the rest by {CONTRAST:.0%} of white", remedy="photograph it dark on light",
@@ -48,14 +48,13 @@ def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
     return filled
 
 
-def _read_grey(path: Path, field: str) -> tuple[NDArray[Any], float]:
-    """(h, w) grey values, and what white is."""
+def _read_grey(path: Path, field: str) -> NDArray[np.uint8]:
+    """(h, w) grey values."""
     from PIL import Image
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
-            deep = image.mode.startswith("I")
-            return np.asarray(image if deep else image.convert("L")), 65535.0 if deep else 255.0
+            return np.asarray(Image.fromarray(as_rgb(image)).convert("L"))
     except Exception as error:  # whatever a broken file makes of the decoder
         reason = getattr(error, "strerror", None) or "it is none, or damaged"
         raise BadInput(

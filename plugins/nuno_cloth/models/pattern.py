@@ -17,7 +17,7 @@ from nuno_cloth.models.membrane import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
-from nuno_cloth.quantities import Length
+from nuno_cloth.quantities import EdgeLength, Length
 from nuno_cloth.sewing.assemble import sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
@@ -124,10 +124,8 @@ class PatternConfig(Config):
 
     file: str = Field(description="the pattern beside the scene: JSON as GarmentCode writes it, or YAML of that")
     over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")
-    edge: Annotated[float, quantity("m", ge=1e-3, le=0.2)] = Field(
-        default=0.02, description="length of triangles' sides [m]"
-    )
-    coarse: Annotated[float, quantity("m", ge=1e-3, le=0.2)] | None = Field(
+    edge: EdgeLength = Field(default=0.02, description="length of triangles' sides [m]")
+    coarse: EdgeLength | None = Field(
         default=None,
         description="length of triangles' sides on which it comes to rest on its body before the first frame, where "
         "that is longer than edge [m]; none: it begins as it is drawn together",

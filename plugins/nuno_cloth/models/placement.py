@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field
 
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.quantities import Angle, Length, Metres, Number, Speed
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.plugin import Config, Files
@@ -143,5 +144,13 @@ def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:
 
 
 def find_texture(texture: str | None, files: Files) -> str | None:
-    """The image's path. Raises BadInput if it is missing or outside the allowed folders."""
-    return None if texture is None else str(files.resolve(texture))
+    """The image's path. Raises BadInput if it is missing, outside the allowed folders, or no image that can be read."""
+    if texture is None:
+        return None
+    path = files.resolve(texture)
+    try:
+        read_rgb(path)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise BadInput(f"cannot be read as an image: {error}", field="texture", value=texture,
+                       remedy="save it as PNG or JPEG") from None  # fmt: skip
+    return str(path)

@@ -18,7 +18,7 @@ from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import STANDS, TURN, Wearer, find_wearer
-from nuno_cloth.quantities import Angle, OfGarment
+from nuno_cloth.quantities import Angle, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -42,13 +42,11 @@ class ShirtConfig(Config):
 
     over: Over = Field(description="the body that it is cut to and put on: upright, facing +z, arms off its sides")
     around: int = Field(default=100, ge=32, le=2000, description="triangles round the chest")
-    length: OfGarment = Field(default=0.6, description="from the neck's side down to the hem, along the cloth [m]")
-    sleeve: OfGarment = Field(default=0.15, description="from the shoulder along the overarm to the cuff [m]")
-    ease: OfGarment = Field(
-        default=0.1, description="how much longer it is round the trunk than that at its widest [m]"
-    )
-    cuff: OfGarment = Field(default=0.07, description="how much longer the sleeves are round than the arms [m]")
-    neckline: OfGarment = Field(default=0.085, description="depth of the neck in front [m]")
+    length: Length = Field(default=0.6, description="from the neck's side down to the hem, along the cloth [m]")
+    sleeve: Length = Field(default=0.15, description="from the shoulder along the overarm to the cuff [m]")
+    ease: Length = Field(default=0.1, description="how much longer it is round the trunk than that at its widest [m]")
+    cuff: Length = Field(default=0.07, description="how much longer the sleeves are round than the arms [m]")
+    neckline: Length = Field(default=0.085, description="depth of the neck in front [m]")
     slope: Angle = Field(default=0.35, description="angle of the overarm below level, as it is cut [rad]")
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
     tension: Tension = Field(default="auto", description=TENSION)

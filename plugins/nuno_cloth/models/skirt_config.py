@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
@@ -12,11 +10,10 @@ from nuno_cloth.models.placement import STILL, TEXTURE, VELOCITY, Attach, Point,
 from nuno_cloth.models.sheet import CELLS, CellKind
 from nuno_cloth.models.skirt_cut import SHARES, Cut
 from nuno_cloth.models.skirt_over import AtWaist, Wearing
-from nuno_cloth.quantities import Flatness, Fullness, OfGarment
+from nuno_cloth.quantities import EdgeLength, Flatness, Fullness, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
-from nuno_schemas.units import quantity
 
 ROUNDING = 1e-9
 
@@ -36,20 +33,18 @@ class SkirtConfig(Config):
         description="cone: as wide as hem_radius and fullness say; circle, half, quarter: that part of a flat ring, "
         "whose inner rim is the waist, in triangles",
     )
-    waist_radius: OfGarment = Field(default=0.13, description="of the waist, half its width [m]")
-    hem_radius: OfGarment = Field(
+    waist_radius: Length = Field(default=0.13, description="of the waist, half its width [m]")
+    hem_radius: Length = Field(
         default=0.28,
         description="of the circle on which the hem starts [m]; not given, over a body: as wide as hips and legs need; "
         "of a ring: as wide as it is cut, if there is room",
     )
-    length: OfGarment = Field(default=0.5, description="along the cloth, from waist to hem [m]")
+    length: Length = Field(default=0.5, description="along the cloth, from waist to hem [m]")
     columns: int = Field(default=128, ge=4, le=16384, description="vertices around, an even number")
     rows: int = Field(default=64, ge=2, le=16384, description="vertices from waist to hem")
     fullness: Fullness = Field(default=1.0, description="the cloth's length at the hem over the circle it starts on")
     pleats: int = Field(default=12, ge=2, le=200, description="folds around with which it starts, where it has any")
-    edge: Annotated[float, quantity("m", ge=1e-3, le=0.2)] = Field(
-        default=0.015, description="length of a ring's triangles' edges [m]"
-    )
+    edge: EdgeLength = Field(default=0.015, description="length of a ring's triangles' edges [m]")
     ratio: Flatness = Field(default=1.0, description="the waist's depth over its width, z over x")
     centre: Point = Field(default=(0.0, 0.0, 0.0), description="middle of the waist [m]")
     rotate: Rotation | None = Field(

@@ -20,7 +20,7 @@ from nuno_cloth.models.delaunay import is_inside
 from nuno_cloth.models.placement import Over
 from nuno_cloth.models.skirt_rows import SAMPLES, UNFOLDED, Curve
 from nuno_cloth.models.wearer import STEP, find_wearer, trunk_at
-from nuno_cloth.quantities import Metres, OfGarment
+from nuno_cloth.quantities import Length, Metres
 from nuno_kernels.meshes.centreline import lengths as lengths_along
 from nuno_kernels.meshes.limb import convex_hull, spread_hull
 from nuno_kernels.meshes.loops import cut_mesh
@@ -42,7 +42,7 @@ class AtWaist(Over):
         default="waist",
         description="where it is held: where a tape is shortest, or longest below that; or a height [m]",
     )
-    ease: OfGarment = Field(default=0.01, description="how much longer it is there than a tape round the body [m]")
+    ease: Length = Field(default=0.01, description="how much longer it is there than a tape round the body [m]")
 
 
 class Wearing(NamedTuple):

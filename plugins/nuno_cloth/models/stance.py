@@ -62,11 +62,11 @@ def check_place(placed: Float, x: Float, body: str) -> None:
         return
     centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     shown = ",".join(f"{along:.4g}" for along in np.where(beside, -centre, 0.0) + 0.0)
-    boxes = (low, high), (least, most)
-    spans = [", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(*box, strict=True)) for box in boxes]
+    off = int(np.argmax(beside))
+    spans = [f"{box[0][off]:.2f} to {box[1][off]:.2f} m" for box in ((low, high), (least, most))]
     raise BadInput(
         "the body does not stand where the garment's panels are placed", field="over.body",
-        value=f"{body} at {spans[0]} m (x, y, z), panels at {spans[1]} m", limit="on y = 0, round x = z = 0",
+        value=f"{body} at {'xyz'[off]} = {spans[0]}, panels at {spans[1]}", limit="on y = 0, round x = z = 0",
         remedy=f"move the body: --set bodies.{body}.collider.centre=[{shown}], or place the panels round it",
     )  # fmt: skip
 

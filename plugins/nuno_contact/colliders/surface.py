@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,11 +15,10 @@ from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.person import person_mesh
 from nuno_contact.figures.solids import box_mesh, cone_mesh
 from nuno_contact.figures.torso import GIRTHS, HEIGHTS, torso_mesh
-from nuno_contact.quantities import Angle, Point, Size
+from nuno_contact.quantities import Angle, Point, Reach, Size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.units import quantity
 
 ARMS = (math.radians(40.0), math.radians(80.0))
 """Between these angles a mannequin's arms part from its trunk, and end below its shoulders [rad]."""
@@ -28,7 +27,6 @@ RANGE = (0.7, 1.4)
 PERSON = {name: height for name, height in (HEIGHTS | LANDMARKS).items() if name != "neck"}
 """Heights of a person's girths [m]; that of the neck is behind the chin."""
 MANNEQUINS, SOLIDS = ("torso", "person"), ("box", "cylinder", "cone")
-Rounding = Annotated[float, quantity("m", ge=0)]
 
 
 class Girths(Config):
@@ -53,7 +51,7 @@ class Surface(Config):
     size: tuple[Size, Size, Size] | None = Field(
         default=None, description="of a box, a cylinder or a cone: its width, height and depth [m]"
     )
-    rounding: Rounding = Field(default=0.0, description="of a solid: the radius of its edges [m]")
+    rounding: Reach = Field(default=0.0, description="of a solid: the radius of its edges [m]")
     top: float = Field(default=0.0, ge=0, le=1, description="of a cone: its top's width, of its base's")
     resolution: int = Field(default=96, ge=12, le=2048, description="of the shape: vertices round the leg or the waist")
     girths: Girths | None = Field(default=None, description="of a mannequin, where they are to be others")

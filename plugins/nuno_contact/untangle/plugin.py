@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Size
 from nuno_contact.untangle.cloth import JITTER, Cloth, Long, make_cloth
 from nuno_contact.untangle.loosen import loosen
 from nuno_contact.untangle.search import find_crossings
@@ -17,10 +18,8 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
 from nuno_schemas.operation import Arranged, Changed, Outcome, Surface
 from nuno_schemas.plugin import Config
-from nuno_schemas.units import quantity
 from nuno_schemas.vectors import norm
 
-Gap = Annotated[float, quantity("m", gt=0)]
 GAP = 1e-3
 """Of cloth that has no thickness [m]."""
 
@@ -28,7 +27,7 @@ GAP = 1e-3
 class UntangleConfig(Config):
     """How far apart, and how long to try."""
 
-    gap: Gap | Literal["auto"] = Field(
+    gap: Size | Literal["auto"] = Field(
         default="auto",
         description="distance that objects, and what was tangled, come to have where there is room [m]; auto: the "
         f"thickness of cloth_contact, {GAP:g} without",

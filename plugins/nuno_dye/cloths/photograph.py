@@ -17,7 +17,7 @@ from pydantic import Field, field_validator
 
 from nuno_dye.quantities import Share
 from nuno_dye.supplies.resist import read_image
-from nuno_schemas.colour import parse_hex, to_linear, upright
+from nuno_schemas.colour import as_rgb, parse_hex, to_linear
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.parts import Colour
@@ -69,7 +69,7 @@ def read_photograph(path: Path) -> NDArray[np.uint8]:
     with _opened(path) as image:
         number = image.width * image.height
         if number <= MOST_PIXELS:
-            return np.asarray(upright(image).convert("RGB"))
+            return as_rgb(image)
     remedy = "scale the photograph"
     raise BadInput("too many pixels", file=str(path), value=number, limit=f"{MOST_PIXELS}", remedy=remedy)
 

@@ -19,14 +19,16 @@ ROUNDING = 1e-14
 """Share of its terms that a volume is off by at most, with coordinates that are rounded themselves."""
 
 
-def place_of(x: Float) -> str:
-    """A place in words."""
-    return f"at [{', '.join(f'{value:.6g}' for value in x)}] m"
+def place_of(x: Float, scale: float | None = None) -> str:
+    """A place x (3,) [m] in words; of a file whose unit is `scale` [m] as it stands there."""
+    unit = "m" if scale is None else "in the file's own axes and unit"
+    return f"at [{', '.join(f'{value:.6g}' for value in x / (scale or 1.0))}] {unit}"
 
 
-def check_closed(x: Float, faces: Int) -> None:
+def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
     """Raises BadInput, with the first edge and its place, for a mesh (n, 3), (f, 3) whose surface has a rim, more
     than two faces at an edge, or neighbours that face opposite ways; and for one that is inside out.
+    `scale` as in `place_of`.
     """
     numbers, pairs = edge_numbers(faces)
     count = np.bincount(numbers.reshape(-1), minlength=len(pairs))
@@ -42,7 +44,7 @@ def check_closed(x: Float, faces: Int) -> None:
             ends = pairs[edge]
             raise BadInput(
                 f"{problem} ({int(bad.sum())})", field=f"edge {ends[0]}-{ends[1]}",
-                value=place_of(x[ends].mean(axis=0)), limit="a closed surface", remedy=remedy,
+                value=place_of(x[ends].mean(axis=0), scale), limit="a closed surface", remedy=remedy,
             )  # fmt: skip
     if volume(x, faces) <= 0.0:
         raise BadInput("the mesh is inside out", value=f"a volume of {volume(x, faces):.3g} m^3",

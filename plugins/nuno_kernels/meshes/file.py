@@ -47,7 +47,7 @@ def read_closed(
     """
     x, faces = read_mesh(path, scale, mend, load)
     try:
-        check_closed(x, faces)
+        check_closed(x, faces, scale)
     except BadInput as error:
         error.file = str(path)
         if mend and error.remedy is not None and error.remedy.startswith("mend:"):

@@ -9,6 +9,7 @@ import numpy as np
 
 from nuno_kernels.meshes.polygons import RawMesh, plain, triangulate
 from nuno_schemas.errors import BadInput
+from nuno_schemas.reading import with_point
 
 
 def read_obj(data: bytes) -> RawMesh:
@@ -56,7 +57,8 @@ def read_obj(data: bytes) -> RawMesh:
         except (ValueError, IndexError) as error:
             reason = str(error) if isinstance(error, ValueError) else "numbers are missing"
             shown = b" ".join(words).decode("utf-8", "replace")
-            raise BadInput(f"cannot be read as OBJ: {reason}", line=number, field="file", value=shown) from None
+            problem, remedy = f"cannot be read as OBJ: {reason}", with_point(reason)
+            raise BadInput(problem, line=number, field="file", value=shown, remedy=remedy) from None
     for what, numbers, known in (("vertex", corner, len(points)), ("texture coordinate", drawn, len(texture))):
         if max(numbers, default=0) >= max(known, 1):
             at = int(np.searchsorted(np.cumsum(count), numbers.index(max(numbers)), side="right"))

@@ -55,6 +55,8 @@ def read_ply(data: bytes) -> RawMesh:
             tables[name], at = _read(data, at, rows, row, order)
         except (struct.error, ValueError):
             raise ValueError(f"it ends before the last {name} of {rows}") from None
+    if order == "=" and at < len(data):
+        raise ValueError("it has more numbers than its header says")
     vertex, face = tables.get("vertex", {}), tables.get("face", {})
     x = np.stack([vertex.get(axis, NOTHING)[0] for axis in "xyz"], axis=1)
     corner, count = face.get("vertex_indices", face.get("vertex_index", NOTHING))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,13 @@ from nuno.scene import yaml_lines
 from nuno.scene.files import read_text
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
+from nuno_schemas.units import decimal_point
 
 TITLE = ("name", "source")
 """What a sheet says of itself, in words."""
+WORDS = ("instrument", *TITLE)
+_CUT = re.compile(r"(?<![\w.])[+-]?\d+,\d+(?![\d.])")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(?!\d)")
 KINDS = (".csv", ".yaml", ".yml")
 
 
@@ -42,37 +47,47 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
     if path.suffix.lower() not in KINDS:
         problem = "a sheet is YAML, or CSV of lines such as B, 0.12, 0.08"
         raise BadInput(problem, str(path), limit=f"one of {', '.join(KINDS)}", remedy="save it as one of these")
-    text = read_text(path, "the sheet", "is it text, and yours to read?")
+    text = read_text(path, "the sheet", "save it as text in UTF-8, and look whether it is yours to read")
     if path.suffix.lower() != ".csv":
         values, lines = yaml_lines.parse(text, str(path))
         return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}
     given, where = dict[str, Any](), dict[str, int]()
-    for line, cells in enumerate(csv.reader(text.splitlines()), 1):
-        row = [cell.strip() for cell in cells if cell.strip()]
-        if not row or row[0].startswith("#"):
-            continue
-        name, *parts = row
+    for line, (name, *parts) in _read_rows(text, str(path)):
         if name in given or not parts:
             problem = "the value is given twice" if name in given else "a name without a value"
             raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        given[name], where[name] = (", ".join(parts) if name in ("instrument", *TITLE) else _numbers(parts)), line
+        given[name], where[name] = (", ".join(parts) if name in WORDS else _with_unit(parts)), line
     return given, where
 
 
-def _numbers(parts: list[str]) -> list[object]:
-    """Cells as numbers; one at the end that is none is their unit."""
+def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
+    """Cells of the lines of a CSV, whose separator is that behind `instrument`; decimal commas become points.
+
+    Raises BadInput where a comma may part numbers as well, or thousands.
+    """
+    lines = text.splitlines()
+    separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
+    reader = csv.reader(lines, delimiter=separator[1] if separator else ",", skipinitialspace=True)
+    cells = ([cell.strip() for cell in row if cell.strip()] for row in reader)
+    rows = [(reader.line_num, row) for row in cells if row and not row[0].startswith("#")]
+    numbers = [(line, row[0], cell) for line, row in rows if row[0] not in WORDS for cell in row[1:]]
+    for line, name, _ in numbers if not separator else ():
+        if cut := _CUT.search(re.sub(r'"[^"]*"', "", lines[line - 1])):
+            remedy = f"{decimal_point(cut[0])}, or {cut[0].replace(',', '.0, ')}.0 for warp and weft"
+            raise BadInput("one number with a decimal comma, or two", file, line, name, cut[0], remedy=remedy)
+    points = next((cell for *_, cell in numbers if re.match(r"[+-]?\d*\.\d", cell)), None)
+    commas = [number for number in numbers if decimal_point(number[2])]
+    if commas and (points or all(_THOUSANDS.match(cell) for *_, cell in commas)):
+        line, name, cell = commas[0]
+        problem = f"a comma, where {points} has a point" if points else "a comma before decimals, or before thousands"
+        raise BadInput(problem, file, line, name, cell, remedy=decimal_point(cell))
+    return [(n, [cell.replace(",", ".") if decimal_point(cell) else cell for cell in row]) for n, row in rows]
+
+
+def _with_unit(parts: list[str]) -> list[str]:
+    """Numbers, each with the unit that may stand in the last cell."""
     *values, last = parts
-    if values and not _is_number(last):
-        return [f"{value} {last}" for value in values]
-    return [float(part) if _is_number(part) else part for part in parts]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return parts if not values or re.match(r"[+-]?[.]?\d", last) else [f"{value} {last}" for value in values]
 
 
 def in_units(found: Imported, values: Mapping[str, float]) -> dict[str, str]:

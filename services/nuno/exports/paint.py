@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import io
 import math
-import warnings
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.colour import colours, parse_hex, upright
+from nuno_schemas.colour import colours, parse_hex
 from nuno_schemas.fabric import Float, Int
 
 STRETCH = (0.001, 1.0)
@@ -32,20 +29,6 @@ YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
 def colour_of(place: int) -> str:
     """Of the object at a place in the scene, where it has no colour of its own."""
     return CLOTHS[place % len(CLOTHS)]
-
-
-def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
-    """(h, w, 3) sRGB of an image file. Raises OSError or ValueError for one that cannot be read."""
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            # Pillow only warns of an image that would unpack to gigabytes.
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(source) as image:
-                return np.asarray(upright(image).convert("RGB"))
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise ValueError(str(error)) from None
 
 
 def as_png(picture: NDArray[np.uint8]) -> bytes:

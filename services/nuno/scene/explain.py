@@ -6,6 +6,7 @@ import inspect
 import re
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import yaml
@@ -62,11 +63,10 @@ def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -
         file, line = GIVEN, None
     line = None if line == UNNUMBERED else line
     if error.file is None:
-        return BadInput(error.problem, file, line, full, error.value, error.limit, error.remedy)
+        return replace(error, file=file, line=line, field=full)
     # It stands in another file: say also who names that file.
     place = file if line is None else f"{file}:{line}"
-    problem = f"{error.problem} (the file is named in {place}: {full})"
-    return BadInput(problem, error.file, error.line, error.field, error.value, error.limit, error.remedy)
+    return replace(error, problem=f"{error.problem} (the file is named in {place}: {full})")
 
 
 def _under(field: str, path: str) -> bool:
@@ -94,8 +94,6 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     problem, value, limit, remedy = words
     if first["type"] != "missing" and first.get("input", "") is None:
         problem, remedy = f"the field is empty, and {problem}", f"write its value; {EMPTY}"
-        if str(place[-1]).isdecimal():
-            remedy = f"write a point for a decimal comma, as in 0.{place[-1]}: in braces a comma parts fields"
     if problem in _NUMBERS and isinstance(value, str):
         remedy = decimal_point(value) or remedy
     if remedy in (None, ADD):
@@ -160,7 +158,9 @@ def _words(error: Any) -> Words:
         return ("the list is too short" if short else "the field is missing"), None, None, ADD
     if kind in ("too_short", "too_long"):
         limit = context.get("min_length", context.get("max_length"))
-        return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
+        whole = kind == "too_long" and all(isinstance(each, int) for each in value)
+        remedy = "write a decimal point, as in 0.3: a comma parts values" if whole else None
+        return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", remedy
     if kind == "union_tag_not_found":
         field = str(context["discriminator"]).strip("'")
         return f"must be a mapping of fields with its {field}", value, None, f"add {field}: ..."

@@ -56,18 +56,10 @@ class SceneFiles:
             remedy = f"put the file itself there, or name its folder with --root {shlex.quote(str(path.parent))}"
             raise BadInput(problem, value=name, limit=allowed, remedy=remedy)
         if missing:
-            raise BadInput(
-                "no such file",
-                value=name,
-                limit=f"looked in {allowed}",
-                remedy=f"{near(missing[0])}check the name, or name its folder with --root DIR",
-            )
-        raise BadInput(
-            "the path leaves the scene's folder",
-            value=name,
-            limit=allowed,
-            remedy="put the file there, or name its folder with --root DIR",
-        )
+            remedy = f"{near(missing[0])}check the name, or name its folder with --root DIR"
+            raise BadInput("no such file", value=name, limit=f"looked in {allowed}", remedy=remedy)
+        remedy = "put the file there, or name its folder with --root DIR"
+        raise BadInput("the path leaves the scene's folder", value=name, limit=allowed, remedy=remedy)
 
     def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
         """The fields of a YAML or JSON file, as a model takes them. Raises BadInput with the line of a wrong one."""

@@ -59,9 +59,8 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
     key, equals, text = item.partition("=")
     parts = parts_of(key)
     if not equals or not all(parts):
-        raise BadInput(
-            "an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms"
-        )
+        remedy = "for example --set solver.dt=1ms"
+        raise BadInput("an override is written key=value", "--set", value=item, remedy=remedy)
     try:
         value = yaml_lines.parse_value(text)
     except BadInput as error:

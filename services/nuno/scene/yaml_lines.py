@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import yaml
 
 from nuno_schemas.errors import BadInput
+from nuno_schemas.units import decimal_point
 from nuno_schemas.written import Path as Path
 from nuno_schemas.written import dotted as dotted
 
@@ -22,6 +24,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
 _TRAP = re.compile(r"[-+]?(?:0[0-7_]*[1-7][0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
 """Numbers that are not what they look like: of base 8 and base 60, in YAML 1.1."""
+_CUT = re.compile(r"[-+]?\d+,\d+(?![\d.]).*")
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 
 
@@ -40,28 +43,24 @@ class _Reader:
         # Aliases are expanded here, so a short text that stands for a huge tree is refused
         # while it is counted, before it is built.
         if self.nodes > MAX_NODES or len(path) > MAX_DEPTH:
-            raise BadInput(
-                "the file is too large or nests too deep",
-                self.file,
-                line,
-                limit=f"{MAX_NODES} nodes, {MAX_DEPTH} levels",
-                remedy="remove nested aliases; put arrays into .npz files",
-            )
+            problem, limit = "the file is too large or nests too deep", f"{MAX_NODES} nodes, {MAX_DEPTH} levels"
+            remedy = "remove nested aliases; put arrays into .npz files"
+            raise BadInput(problem, self.file, line, limit=limit, remedy=remedy)
         self.lines.setdefault(path, line)
         if node.tag == self._own_tag(node):
             if isinstance(node, yaml.MappingNode):
                 return self._mapping(node, path)
             if isinstance(node, yaml.SequenceNode):
+                self._check_commas(node.value, path)
                 return [self.read(child, (*path, i)) for i, child in enumerate(node.value)]
             if isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS:
                 return self._scalar(node, path)
             if node.tag == "tag:yaml.org,2002:timestamp":
                 return node.value
-        raise self._tagged(node, path)
+        raise self._at(node, path, "YAML tags are not allowed", node.tag, "remove the tag")
 
-    def _tagged(self, node: yaml.Node, path: Path) -> BadInput:
-        problem, line = "YAML tags are not allowed", node.start_mark.line + 1
-        return BadInput(problem, self.file, line, dotted(path), node.tag, remedy="remove the tag")
+    def _at(self, node: yaml.Node, path: Path, problem: str, value: object, remedy: str) -> BadInput:
+        return BadInput(problem, self.file, node.start_mark.line + 1, dotted(path), value, remedy=remedy)
 
     def _own_tag(self, node: yaml.Node) -> str:
         """The tag that a node has when none is written before it."""
@@ -78,33 +77,48 @@ class _Reader:
                 raise self._other_base(node, path, value)
             return value
         except ValueError:  # an integer of more digits than Python converts, for one
-            problem, line = "not a number that can be read", node.start_mark.line + 1
-            raise BadInput(problem, self.file, line, dotted(path), node.value, remedy="write fewer digits") from None
+            raise self._at(node, path, "not a number that can be read", node.value, "write fewer digits") from None
 
     def _other_base(self, node: yaml.ScalarNode, path: Path, value: float) -> BadInput:
         base, decimal = (60, "") if ":" in node.value else (8, f", or {int(node.value.replace('_', ''))}")
-        return BadInput(
-            f"YAML reads this as a number of base {base}: {value}", self.file, node.start_mark.line + 1, dotted(path),
-            node.value, remedy=f"write {value}{decimal}, or '{node.value}' in quotes where text is meant",
-        )  # fmt: skip
+        remedy = f"write {value}{decimal}, or '{node.value}' in quotes where text is meant"
+        return self._at(node, path, f"YAML reads this as a number of base {base}: {value}", node.value, remedy)
+
+    def _check_commas(self, items: list[yaml.Node], path: Path) -> None:
+        """Raises BadInput for a list such as [0,3, 1]: blanks behind some of its commas make others decimal ones."""
+        numbers = all(isinstance(item, yaml.ScalarNode) and "." not in item.value for item in items)
+        if numbers and any(_gap(*pair) > 1 for pair in itertools.pairwise(items)):
+            for one, other in itertools.pairwise(items):
+                self._check_comma(one, other, path, f", or {one.value}, {other.value} for two numbers")
+
+    def _check_comma(self, one: yaml.Node, other: yaml.Node, path: Path, more: str = "") -> None:
+        """Raises BadInput where two neighbours may be one number: plain digits on both sides of a comma, no blank."""
+        plain = all(isinstance(node, yaml.ScalarNode) and not node.style for node in (one, other))
+        if plain and _gap(one, other) == 1 and _CUT.fullmatch(value := f"{one.value},{other.value}"):
+            raise self._at(one, path, "a decimal comma", value, f"{decimal_point(value)}{more}")
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         result: dict[str, Any] = {}
+        for (name, one), (other, child) in itertools.pairwise(node.value):
+            # In braces 0,3 is a 0, and a field of the name 3 that is empty.
+            if child.value == "" and not child.style:
+                self._check_comma(one, other, (*path, str(name.value)))
         for key_node, child in node.value:
-            line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                remedy = "write name: value"
-                raise BadInput("a field name must be plain text", self.file, line, dotted(path), remedy=remedy)
+                raise self._at(key_node, path, "a field name must be plain text", None, "write name: value")
             if key_node.tag != self._own_tag(key_node):
-                raise self._tagged(key_node, path)
+                raise self._at(key_node, path, "YAML tags are not allowed", key_node.tag, "remove the tag")
             key = str(key_node.value)
             if key in result:
-                raise BadInput(
-                    "the field is given twice", self.file, line, dotted((*path, key)), remedy="keep one of them"
-                )
-            self.lines[(*path, key)] = line
+                raise self._at(key_node, (*path, key), "the field is given twice", None, "keep one of them")
+            self.lines[(*path, key)] = key_node.start_mark.line + 1
             result[key] = self.read(child, (*path, key))
         return result
+
+
+def _gap(one: yaml.Node, other: yaml.Node) -> int:
+    """Characters between two neighbours on a line; 0 where a new line begins."""
+    return other.start_mark.column - one.end_mark.column if one.end_mark.line == other.start_mark.line else 0
 
 
 def places(value: Any, path: Path = ()) -> Iterator[Path]:

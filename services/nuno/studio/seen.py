@@ -23,7 +23,7 @@ from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.studio import scenes
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
-from nuno_schemas.colour import upright
+from nuno_schemas.colour import as_rgb
 from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -180,10 +180,10 @@ def _picture(path: Path) -> Seen:
                 raise BadInput("too large a picture", path.name, value=f"{width} x {height} pixels",
                                limit=f"{MOST_PIXELS} pixels")  # fmt: skip
             kind = f"{picture.format}, {picture.mode}"
-            seen = upright(picture)
+            seen = Image.fromarray(as_rgb(picture))
             rows: Rows = [("size", f"{seen.width} x {seen.height} pixels"), ("kind", kind)]
             seen.thumbnail((640, 640))
-            small = as_png(np.asarray(seen.convert("RGB")))
+            small = as_png(np.asarray(seen))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
     return Seen("picture", "a picture", rows, picture=small)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from nuno.cloth.tension import SPAN
 from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import ShownPiece
-from nuno.exports.paint import PLAIN, STRETCH, paint_yarns, read_rgb
+from nuno.exports.paint import PLAIN, STRETCH, paint_yarns
 from nuno.wire.arrays import origin_of
-from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
+from nuno_schemas.colour import MISSING, colours, parse_hex, read_rgb, to_srgb
 from nuno_schemas.fabric import Float
 
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5

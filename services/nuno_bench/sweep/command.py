@@ -37,6 +37,7 @@ def main(args: argparse.Namespace) -> int:
         if key in over:
             raise BadInput("a field is swept over once", field="--over", value=key, remedy="give all its values in one")
         over[key] = values
+    print("\n".join(f"{key}: {', '.join(map(str, values))}" for key, values in over.items()), file=sys.stderr)
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
