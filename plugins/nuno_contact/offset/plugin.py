@@ -17,6 +17,7 @@ from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
 from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOUCHING
+from nuno_contact.offset.plan import LONGEST, MOST
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
 from nuno_contact.reaction import elastic_stiffness
@@ -106,7 +107,13 @@ register(
     Meeting,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
-    bounds=lambda term: {"so_far": Bounds(0)},
+    bounds=lambda term: {
+        "reference": Bounds(finite=False),
+        "spread": Bounds(0.0, 1.01 * sum(MOST) * term.law[0]),  # a hundredth for rounding
+        "unrest": Bounds(0.0),
+        "clock": Bounds(-2.0 * LONGEST, 2.0 * LONGEST),
+        "so_far": Bounds(0),
+    },
     lists=True,
     reads_velocity=lambda term: True,
     vertices=lambda term: int(term.mass.shape[0]),
