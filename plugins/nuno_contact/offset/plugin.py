@@ -20,7 +20,6 @@ from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOU
 from nuno_contact.offset.plan import LONGEST
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
-from nuno_contact.offset.tree import Tree
 from nuno_contact.reaction import elastic_stiffness
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.terms import register
@@ -89,8 +88,9 @@ def find_pinched(m: Meeting) -> tuple[Int, Float]:
     if not m.share.any():
         meets, cloth, x = np.zeros_like(m.meets), len(m.meets) - len(m.body_law), np.ascontiguousarray(m.last.T)
         meets[cloth:, cloth:] = ~np.eye(len(m.body_law), dtype=bool)
-        # Of a copy: whoever asks may do so while the tree is in use.
-        edge, face = find_crossings(Tree(*map(np.copy, tree_of(m))), x, m.piece, meets)
+        # In boxes of its own: whoever asks may do so while the tree is in use.
+        own = {name: getattr(m, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
+        edge, face = find_crossings(tree_of(m)._replace(**own), x, m.piece, meets)
         if len(edge):
             ends = np.unique(np.concatenate([m.edges[edge].ravel(), m.faces[face].ravel()]))
             return m.piece[ends], x[ends]

@@ -12,9 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from mcap.records import ChunkIndex, Message
+from mcap.records import Attachment, ChunkIndex, Message
 
-from nuno.recording.layout import Damaged, Layout, read_attachment, read_layout, read_messages
+from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import check_payload, part_of, topic_of
 from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, decode_points
@@ -120,7 +120,10 @@ class RecordedFile:
 
     def attachment(self, name: str) -> bytes:
         with self.damage_reported():
-            return read_attachment(self._stream, name, self.layout)
+            record, _ = read_record(self._stream, self.layout.attachments[name], self.layout.size)
+            if not isinstance(record, Attachment):
+                raise Damaged(f"there is no file {name}")
+            return bytes(record.data)
 
     def messages(
         self, topics: Iterable[str] | None = None, start: float | None = None, end: float | None = None

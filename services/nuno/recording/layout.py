@@ -45,8 +45,6 @@ FREE, PACKED = 1 << 24, 200
 """A file may unpack to FREE bytes and PACKED times its size: what moves packs to a half, what rests to a hundredth."""
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-_DATA_END = _HEAD.size + 4
-"""Bytes of the record before the index, which has the checksum of all that stands before it."""
 
 OF_CHUNK = ("message_start_time", "message_end_time", "uncompressed_size")
 """What a chunk and its entry in the index both say."""
@@ -56,12 +54,8 @@ class Damaged(Exception):
     """Bytes that are not what they should be; never leaves this package."""
 
 
-class _Cut(Damaged):
-    """Bytes that are not there."""
-
-
-class _Unlisted(Damaged):
-    """An index that leaves something out, as other programs may write it."""
+class _Absent(Damaged):
+    """What is not there: the end of a file that is cut, or parts of an index that another program has written."""
 
 
 @dataclass
@@ -96,7 +90,7 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
     try:
         footer, layout = _from_index(stream, size)
         places = sorted(chunk.chunk_start_offset for chunk in layout.chunks)
-        _check_data(stream, _check_limits(layout, path), footer.summary_start - _DATA_END)
+        _check_data(stream, _check_limits(layout, path), footer.summary_start - _HEAD.size - 4)
         return layout
     except Damaged as error:
         return _from_scan(stream, path, size, error, places)
@@ -116,8 +110,10 @@ def _check_limits(layout: Layout, path: Path) -> Layout:
     return layout
 
 
-def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None, int]:
-    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged."""
+def read_record(stream: BinaryIO, at: int, size: int, whole: bool = True) -> tuple[McapRecord | None, int]:
+    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged; a
+    file that is attached is held to its checksum only where it is to be `whole`.
+    """
     head = _read_at(stream, at, _HEAD.size, size)
     opcode, length = _HEAD.unpack(head)
     if opcode == 0:  # no record: a system that lost power leaves zeros
@@ -127,17 +123,10 @@ def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None
         return None, at + _HEAD.size + length
     with _damage():
         record = next(StreamReader(io.BytesIO(head + body), skip_magic=True, emit_chunks=True).records)
+    data = memoryview(body)
+    if whole and isinstance(record, Attachment) and not _fits(int.from_bytes(data[-4:], "little"), data[:-4]):
+        raise Damaged(f"the checksum of the file {record.name} in it does not fit")
     return record, at + _HEAD.size + length
-
-
-def read_attachment(stream: BinaryIO, name: str, layout: Layout) -> bytes:
-    """A file that is in a recording. Raises Damaged."""
-    at = layout.attachments[name]
-    record, end = read_record(stream, at, layout.size)
-    body = memoryview(_read_at(stream, at + _HEAD.size, end - at - _HEAD.size, layout.size))
-    if not isinstance(record, Attachment) or not _fits(int.from_bytes(body[-4:], "little"), body[:-4]):
-        raise Damaged(f"the checksum of the file {name} in it does not fit")
-    return bytes(record.data)
 
 
 def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Message]:
@@ -153,7 +142,7 @@ def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Messag
 def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
     """A piece of a file. Raises Damaged where it does not lie in the file."""
     if at < 0 or length < 0 or at + length > size:
-        raise _Cut(f"{length:,} bytes are to stand at byte {at:,}")
+        raise _Absent(f"{length:,} bytes are to stand at byte {at:,}")
     stream.seek(at)
     return stream.read(length)
 
@@ -207,10 +196,10 @@ def _from_index(stream: BinaryIO, size: int) -> tuple[Footer, Layout]:
     # Other programs may leave out any part of an index; what is not in it is to be found all the same.
     listed = len(chunks), len(summary.attachment_indexes), len(summary.metadata_indexes)
     if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != listed:
-        raise _Unlisted("the index leaves something out")
+        raise _Absent("the index leaves something out")
     counts = Counter(told.channel_message_counts)
     if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
-        raise _Unlisted("the index does not say what chunks hold")
+        raise _Absent("the index does not say what chunks hold")
     if sum(chunk.chunk_length for chunk in chunks) > size:
         raise Damaged("the index names a chunk more than once")
     places = {one.name: one.offset for one in summary.attachment_indexes}
@@ -232,7 +221,7 @@ def _from_scan(stream: BinaryIO, path: Path, size: int, why: Damaged, places: li
     try:
         while layout.readable < size:
             at = layout.readable
-            record, end = read_record(stream, at, size)
+            record, end = read_record(stream, at, size, whole=False)
             following = places[len(layout.chunks)] if len(layout.chunks) < len(places) else size
             if end > following and not (at == following and isinstance(record, Chunk)):
                 raise Damaged(f"no chunk at byte {following:,}")
@@ -248,10 +237,10 @@ def _from_scan(stream: BinaryIO, path: Path, size: int, why: Damaged, places: li
                 problem, remedy = "its messages stand outside of chunks", "write it with chunks"
                 raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
             layout.readable = end
-        if finished and not isinstance(why, _Unlisted):
+        if finished and not isinstance(why, _Absent):
             layout.damage = f"damaged beside its messages ({why})"
     except Damaged as error:
-        if finished or not isinstance(error, _Cut):
+        if finished or not isinstance(error, _Absent):
             layout.damage = f"damaged at byte {layout.readable:,} of {size:,} ({error})"
     return _check_limits(layout, path)
 
