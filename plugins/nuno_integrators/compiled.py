@@ -291,7 +291,8 @@ def _own_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], di
         for name in kernels.memory:
             key = name if name not in arrays else f"{name}-{len(arrays)}"
             arrays[key] = getattr(term, name)
-            bounds |= {key: own[name]} if name in own else {}
+            if name in own or arrays[key].dtype.kind == "f":
+                bounds[key] = own.get(name, Bounds())
     return arrays | work.kept(), bounds
 
 

@@ -308,7 +308,7 @@ class Memory:
     arrays are part of the state (friction anchors, adaptive step): checkpointed and restored.
     work can be rebuilt at any time (kernel layouts, buffers) and is never stored.
     bounds hold the entries of arrays that come out of a file. An array of integers needs them, also where any integer
-    will do: a kernel does not check an index.
+    will do: a kernel does not check an index. Floats of a term are finite, unless they say otherwise.
     """
 
     arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)

@@ -137,6 +137,15 @@ class Terminated(KeyboardInterrupt):
     """The process was asked to end by SIGTERM, which it does as on Ctrl-C."""
 
 
+SIGNALS = {"interrupted": "SIGINT (Ctrl-C)", "terminated": "SIGTERM"}
+"""What becomes of a run that is ended by a signal, by its state."""
+
+
+def state_of(ended: KeyboardInterrupt) -> str:
+    """Which of SIGNALS."""
+    return "terminated" if isinstance(ended, Terminated) else "interrupted"
+
+
 def end_when_terminated() -> None:
     """Take SIGTERM, which service managers and containers send, for what Ctrl-C is: an end in order."""
 

@@ -64,8 +64,7 @@ class Replay:
         for a rate or start out of range, RunFailed where a service that must see every frame
         dies or hangs.
         """
-        span = self._check(recording)
-        marks = {"dye": recording.marks(DYE_STATUS.name), "": recording.marks()}
+        span, marks = self.check(recording)
         acks = _Acks(bus, self.must_see)
         try:
             while not self.stop.is_set():
@@ -90,7 +89,8 @@ class Replay:
         """Frames sent."""
         return sum(self.sent.get(name, 0) for name in FRAMES)
 
-    def _check(self, recording: Recording) -> tuple[float, float]:
+    def check(self, recording: Recording) -> tuple[tuple[float, float], dict[str, dict[int, tuple[int, str]]]]:
+        """From when until when it lasts [s], and marks of its frames. Raises BadInput for what cannot be replayed."""
         if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
             limit, remedy = "1e-6 to 1e6", "1 is real time"
             raise BadInput("no such rate", field="--rate", value=self.rate, limit=limit, remedy=remedy)
@@ -102,7 +102,7 @@ class Replay:
         if not self.start <= span[1]:
             limit = f"the recording ends at {span[1]:g} s"
             raise BadInput("nothing to replay there", field="--start", value=self.start, limit=limit)
-        return span
+        return span, {"dye": recording.marks(DYE_STATUS.name), "": recording.marks()}
 
     def _wait(self, elapsed: float, begin: float) -> None:
         """Sleep until `elapsed` simulated seconds are due; late messages go out at once."""

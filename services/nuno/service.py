@@ -19,7 +19,7 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.premises import offer_premises
-from nuno.process import Terminated, working_folder
+from nuno.process import SIGNALS, state_of, working_folder
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
@@ -201,7 +201,7 @@ def run_service(
         context.event("error", str(error), peer=error.peer, **args)
         raise
     except KeyboardInterrupt as error:
-        context.event("error", f"ended by {'SIGTERM' if isinstance(error, Terminated) else 'SIGINT (Ctrl-C)'}")
+        context.event("error", f"ended by {SIGNALS[state_of(error)]}")
         raise
     except BaseException as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())

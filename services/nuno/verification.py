@@ -20,7 +20,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.stepping.again import Again
 from nuno.stepping.stepped import Stepper
 from nuno.wire.arrays import BadMessage
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 Progress = Callable[[float], None]
 MEMORY = "the solver's memory, "
@@ -115,7 +115,9 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
 
 
 def compare(recording: Recording, again: Again, progress: Progress | None = None) -> Verification:
-    """Step through the frames of a recording. Raises BadInput where it has no digests."""
+    """Step through the frames of a recording. Raises BadInput where it has no digests, RunFailed where
+    damage hides them.
+    """
     found, equal, stepper = None, 0, again.stepper
     seen = Counter[str]()
     for digest, frame, messages in _frames(recording, stepper):
@@ -131,6 +133,8 @@ def compare(recording: Recording, again: Again, progress: Progress | None = None
         if progress is not None:
             progress(stepper.t)
     if not equal:
+        if recording.damage:
+            raise RunFailed(f"{recording.path}: no frame is left to compare, for it is {recording.damage}")
         raise BadInput("the recording holds no digests to compare", str(recording.path))
     return found or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])
 

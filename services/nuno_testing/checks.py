@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from trimesh.creation import box
 
 from nuno import registry
+from nuno.stepping.stepped import check_kept
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh
@@ -108,6 +109,7 @@ def thrown(subject: Subject, x: Float, v: Float, friction: float, seconds: float
     solver, pose = registry.load("nuno.integrators", "symplectic_euler"), Poses(0.0, np.eye(4)[:1], np.zeros((1, 3)))
     memory = solver.prepare(solver.Config(), system, state)
     assert solver.advance(system, state, memory, (pose, pose), round(seconds / STEP), STEP).status == "ok"
+    check_kept(memory, memory.arrays)
     return state
 
 

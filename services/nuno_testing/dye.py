@@ -8,6 +8,7 @@ from math import fsum
 
 import numpy as np
 
+from nuno.stepping.stepped import check_kept
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 from nuno_schemas.fabric import Float
 from nuno_testing.subject import Subject, made_twice
@@ -44,6 +45,7 @@ def spread(subject: Subject, system: DyeSystem, seconds: float, *frames: int) ->
     for steps in frames:
         report = subject.plugin.advance(system, state, memory, steps, seconds / sum(frames))
         assert report.status == "ok"
+        check_kept(memory, memory.arrays)
         for told, amounts in ((report.mobile, state.phi), (report.fixed, state.fixed)):
             assert abs(told[0] - fsum(amounts.reshape(-1))) <= 1e-13 * total
     return state

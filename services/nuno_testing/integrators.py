@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from nuno.stepping.stepped import check_kept
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
 from nuno_testing.subject import Subject, made_twice
@@ -44,6 +45,7 @@ def run(subject: Subject, system: System, dt: float, *frames: int) -> State:
     for steps in frames:
         memory = subject.plugin.prepare(exactly(subject), system, state)
         assert subject.plugin.advance(system, state, memory, None, steps, dt).status == "ok"
+        check_kept(memory, memory.arrays)
     return state
 
 

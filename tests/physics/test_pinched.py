@@ -76,6 +76,22 @@ def test_what_is_pinched_is_named() -> None:
 
 
 @pytest.mark.full
+def test_bodies_that_pass_through_each_other_are_named_where_nothing_moves() -> None:
+    """The two sheets taken for bodies, the second turned upright through the first."""
+    m, _ = approach(0.5, 2)
+    m = m._replace(body_law=np.zeros((2, 2)))
+    second = m.piece == 1
+    m.last[:] = m.start
+    m.last[:, second] = m.start[:, second][[0, 2, 1]] - np.array([[0.0], [0.02], [0.18]])
+    boxes = m.boxes.copy()
+    m.share[:] = 0.0
+    pieces, places = find_pinched(m)
+    assert set(pieces.tolist()) == {0, 1}
+    assert np.abs(np.median(places, axis=0) - [0.0, 0.0, 0.02]).max() < 0.06
+    assert np.array_equal(boxes, m.boxes, equal_nan=True), "a step that goes on meanwhile has its own"
+
+
+@pytest.mark.full
 def test_a_waist_that_a_walking_body_comes_through_throws_nothing_about(tmp_path: Path) -> None:
     """Held by one joint of a body that bends, it pinches the body's vertices from the 33rd frame on. Before impulses
     were bounded the 34th left millions of pairs out, cut the free cloth three thousand times short, and threw vertices

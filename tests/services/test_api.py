@@ -170,4 +170,4 @@ def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
     (kept,) = temporary.rglob("*.mcap")
     assert str(kept) in str(caught.value)
     with nuno.open(kept) as recording:
-        assert recording.metadata["end"]["state"] == "failed"
+        assert recording.metadata["end"]["state"] == "interrupted"

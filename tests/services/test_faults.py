@@ -21,6 +21,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording import service as recording_service
+from nuno.recording.gaps import shortcoming
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Options
@@ -110,8 +111,11 @@ main(sys.argv[1:])
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.quick(word=["interrupted"])
-@pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "terminated"), (signal.SIGINT, "interrupted")])
-def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "word", "by"),
+    [(signal.SIGTERM, "terminated", "SIGTERM"), (signal.SIGINT, "interrupted", "SIGINT (Ctrl-C)")],
+)
+def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, by: str, tmp_path: Path) -> None:
     scene = write_scene(tmp_path, duration=400.0)
     with Processes(tmp_path) as run:
         run.supervise(scene, "--no-view")
@@ -119,10 +123,11 @@ def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_pat
         run.children["supervisor"].send_signal(number)
         assert run.wait_end(20.0) < 20.0
         assert run.code() == 1
-        assert run.said().splitlines()[-1] == f"failed: {word}"
+        assert run.said().splitlines()[-1] == f"{word} by {by} before its end"
         assert f"the services end in order: {word} (once more, and they end at once)" in run.said()
     with nuno.open(run.record) as recording:
-        assert recording.metadata["end"]["state"] == "failed"
+        assert recording.metadata["end"]["state"] == recording.report()["state"] == word
+        assert shortcoming(recording) == f"INCOMPLETE: its run was {word} by {by}"
         last = [frame.number for frame in recording.frames()][-1]
         assert recording.report()["simulated_seconds"] == pytest.approx(last / 50)
         assert len(recording.report()["digest"]) == 32

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import signal
 import struct
@@ -15,7 +16,9 @@ from pathlib import Path
 import pytest
 from recorded_sheet import Item, Sheet, items, metadata, write
 
+from nuno.cli import main
 from nuno.recording import writer as writer_module
+from nuno.recording.gaps import shortcoming
 from nuno.recording.mcap_file import MAGIC
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.recording.writer import RecordingWriter, part_of
@@ -108,20 +111,24 @@ def test_a_changed_byte_never_reads_as_a_wrong_message(
 ) -> None:
     path, whole = many_chunks
     data = path.read_bytes()
-    changed, known = path.with_name("changed.mcap"), set(whole)
-    silent = 0
+    changed = path.with_name("changed.mcap")
+    numbers = []
+    with open_recording(path) as recording:
+        recording_begins = recording.layout.chunks[0].chunk_start_offset
     for place in range(0, len(data), every):
         changed.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
         try:
             with open_recording(changed) as recording:
                 messages = found(recording)
-                silent += messages == whole
-        except BadInput:
+                assert recording.recovered and not recording.complete and shortcoming(recording)
+                assert recording.damage or place > len(data) - 60, "only the last bytes may look like a file's cut end"
+        except BadInput:  # as a file that is cut so early
+            assert place < recording_begins
             continue
-        assert set(messages) <= known
         assert messages == whole[: len(messages)]
+        numbers.append(len(messages))
     # The index of single messages, names and versions are not needed to read them all.
-    assert silent > 0
+    assert max(numbers) == len(whole) and len(set(numbers)) > 0.9 * min(len(whole), len(data) / every)
 
 
 @pytest.mark.parametrize(
@@ -244,3 +251,43 @@ def test_a_recording_that_was_not_finished_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadInput) as caught:
         open_recording(tmp_path / "other.mcap")
     assert "part" not in str(caught.value.remedy)
+
+
+def test_a_damaged_and_a_cut_recording_read_up_to_the_same_message(
+    many_chunks: tuple[Path, list[tuple[str, int, bytes]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One flipped bit in a chunk, and the same file cut there: the same is read, and each is told as what it is."""
+    path, whole = many_chunks
+    data = bytearray(path.read_bytes())
+    with open_recording(path) as recording:
+        place = recording.layout.chunks[len(whole) // 2].chunk_start_offset
+    data[place + 100] ^= 1
+    path.write_bytes(data)
+    cut = path.with_name("cut.mcap")
+    cut.write_bytes(data[: place + 100])
+    with open_recording(path) as recording, open_recording(cut) as other:
+        assert found(recording) == found(other) == whole[: len(whole) // 2]
+        assert recording.span == other.span and not other.damage
+        assert f"damaged at byte {place:,} of {len(data):,} (the checksum of a chunk" in recording.damage
+    assert main(["info", str(path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["complete"], facts["cut"]) == (False, False) and facts["damage"] == recording.damage
+    assert main(["export", str(path), "--csv", str(path.with_suffix(".csv"))]) == 0
+    said = capsys.readouterr().err
+    assert f"INCOMPLETE: {recording.damage}, and read up to {recording.span[1]:g} s" in said
+    assert main(["replay", str(path), "--fast", "--no-view"]) == 0
+    assert capsys.readouterr().out == f"{len(whole) // 2} messages, {recording.counts[STATE.name]} frames\n"
+
+
+def test_a_file_in_a_recording_that_is_damaged_is_refused_by_name_and_hides_no_frame(
+    many_chunks: tuple[Path, list[tuple[str, int, bytes]]],
+) -> None:
+    path, whole = many_chunks
+    data = bytearray(path.read_bytes())
+    data[data.index(b"attached")] ^= 1
+    path.write_bytes(data)
+    with open_recording(path) as recording:
+        assert found(recording) == whole
+        assert recording.damage.startswith("damaged beside its messages") and not recording.complete
+        with pytest.raises(BadInput, match="the checksum of the file f in it"):
+            recording.attachment("f")

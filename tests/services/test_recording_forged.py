@@ -6,7 +6,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,11 +15,22 @@ from recorded_sheet import Sheet, write
 from scenes import BALL, write_scene
 
 import nuno
+from nuno import registry
 from nuno.cli import main
 from nuno.recording.reader import open_recording
+from nuno.scene.files import SceneFiles
+from nuno.stepping.stepped import check_kept
 from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
+from nuno.wrong import Wrong
+from nuno_contact.offset.meeting import Meeting
+from nuno_integrators.compiled import _own_arrays
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Memory
+from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import CHECKPOINT, REPORT, STATE, STATUS
+from nuno_schemas.plugin import Config
+from nuno_testing import integrators
+from nuno_testing.subject import Subject
 from soak import damage
 from soak.fuzz import forged
 from soak.fuzz.forged import Held
@@ -122,14 +134,49 @@ def test_a_run_goes_on_with_its_own_topics_alone(
 
 def test_integers_need_bounds_to_come_out_of_a_file() -> None:
     """Of every solver and contact: what a third party's memory does not say is not taken from a file."""
-    from nuno.stepping.stepped import check_kept
-    from nuno.wrong import Wrong
-    from nuno_schemas.fabric import Memory
-
     memory = Memory({"place": np.zeros(3, np.int32), "rate": np.zeros(3)})
     check_kept(memory, {"rate": np.ones(3)})
     with pytest.raises(Wrong, match="memory/place holds integers"):
         check_kept(memory, {"place": np.zeros(3, np.int32)})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("clock", np.nan), ("clock", 1e300), ("clock", -9.0), ("spread", -1e-9), ("spread", np.inf), ("unrest", -1.0),
+     ("motion", np.inf), ("anchor", np.nan), ("last", np.nan), ("so_far", -1)],
+)  # fmt: skip
+def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value: float) -> None:
+    """As every solver holds them; a plan that has not been made yet has a reference of NaN."""
+    registry.load("nuno.cloth_contacts", "offset")
+    kept = {"anchor": np.zeros((5, 4)), "anchored": np.zeros(5, bool), "reference": np.full((6, 3), np.nan)}
+    kept |= {name: np.zeros((rows, 3)) for name, rows in {"motion": 6, "spread": 2, "unrest": 2, "last": 3}.items()}
+    kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64)}
+    term = Meeting(*[None] * len(Meeting._fields))._replace(**kept)
+    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(kept=dict)
+    arrays, bounds = _own_arrays(cast(Any, packed), cast(Any, work))
+    memory = Memory(arrays, None, bounds)
+    check_kept(memory, arrays)
+    wrong = arrays[name].copy()
+    wrong.flat[-1] = value
+    with pytest.raises(Wrong, match=f"memory/{name} is "):
+        check_kept(memory, {name: wrong})
+
+
+def test_the_checks_of_plugins_ask_for_bounds_of_integers() -> None:
+    """What a third party's solver keeps goes through the same check as what comes out of a file."""
+    memory = Memory({"place": np.zeros(3, np.int32)})
+    solver = SimpleNamespace(
+        prepare=lambda config, system, state: memory,
+        advance=lambda system, state, memory, poses, steps, dt: SimpleNamespace(status="ok"),
+    )
+    subject, system = (
+        Subject("nuno.integrators", "own", solver, Config(), SceneFiles(Path())),
+        integrators.oscillator(),
+    )
+    with pytest.raises(Wrong, match="memory/place holds integers that its solver gives no bounds for"):
+        integrators.run(subject, system, 0.1, 1)
+    memory.bounds["place"] = Bounds(0, 2)
+    integrators.run(subject, system, 0.1, 1)
 
 
 def test_a_truth_is_true_or_false() -> None:

@@ -164,3 +164,43 @@ def test_other_versions_are_named_beside_a_difference_only(
     assert main(["verify", str(other)]) == 1
     said = capsys.readouterr().err
     assert "numba 0.1, here" in said and "processor an abacus, here" in said and "numpy" not in said
+
+
+def _flipped(whole: Path, target: Path, place: int) -> str:
+    """A copy with one flipped bit."""
+    data = bytearray(whole.read_bytes())
+    data[place] ^= 1
+    target.write_bytes(data)
+    return str(target)
+
+
+def test_one_flipped_bit_is_told_with_its_place_and_nothing_is_taken_for_whole(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the last chunk, behind all frames; in that of the frames; and in the scene, beside all messages."""
+    with nuno.open(whole) as recording:
+        places = [chunk.chunk_start_offset for chunk in recording.layout.chunks]
+    resume = ["run", "--record", str(tmp_path / "on.mcap"), "--no-view", "--resume"]
+
+    behind = _flipped(whole, tmp_path / "a.mcap", places[-1] + 80)
+    assert main(["verify", behind]) == 1
+    assert f"not whole, damaged at byte {places[-1]:,} of" in capsys.readouterr().err
+    assert main([*resume, behind, "--set", "duration=0.52s"]) == 0
+    assert f"going on at 0.5 s of {behind} (INCOMPLETE: damaged at byte {places[-1]:,}" in capsys.readouterr().out
+    with nuno.open(tmp_path / "on.mcap") as recording:
+        assert recording.complete and verify(recording).compared == 27
+
+    among = _flipped(whole, tmp_path / "b.mcap", places[1] + 100)
+    assert main(["verify", among]) == 1
+    assert "no frame is left to compare" in capsys.readouterr().err
+    assert main([*resume, among]) == 2
+    assert "no checkpoint before that" in (said := capsys.readouterr().err) and "duration" not in said
+
+    beside = _flipped(whole, tmp_path / "c.mcap", whole.read_bytes().index(b'"frame_rate"') + 1)
+    assert main([*resume, beside]) == 2
+    assert "its scene may be another" in capsys.readouterr().err
+
+
+def test_a_replay_that_is_refused_is_not_announced(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(whole), "--no-view", "--start", "9"]) == 2
+    assert "nothing to replay there" in (said := capsys.readouterr().err) and "replaying" not in said

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from nuno_contact.offset.bodies import STANDS, copy_part, find_behind, pose_solids
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.hold import all_close
@@ -48,7 +46,7 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
     clock[LIST_BEGUN] -= clock[NOW]
     clock[NEAR_BEGUN] -= clock[NOW]
     clock[NOW] = 0.0
-    if np.isnan(m.reference[0, 0]) or not goes_on:
+    if not (goes_on and all_finite(m.reference)):
         if not all_finite(x):
             return
         copy_rows(x, m.last)

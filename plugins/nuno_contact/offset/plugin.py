@@ -15,11 +15,13 @@ from nuno_contact.offset.force import add_pairs, is_fresh
 from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
-from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_contact.offset.meeting import Meeting, make_meeting, tree_of
 from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOUCHING
+from nuno_contact.offset.plan import LONGEST
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
 from nuno_contact.reaction import elastic_stiffness
+from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -80,7 +82,18 @@ def count_meetings(m: Meeting) -> dict[str, int]:
 
 
 def find_pinched(m: Meeting) -> tuple[Int, Float]:
-    """Pieces (k,) and places (k, 3) [m] of vertices that the last step has cut short, or left behind their bodies."""
+    """Pieces (k,) and places (k, 3) [m] of vertices that the last step has cut short, or left behind their bodies, or
+    where nothing moves, and bodies pass through each other, of those there.
+    """
+    if not m.share.any():
+        meets, cloth, x = np.zeros_like(m.meets), len(m.meets) - len(m.body_law), np.ascontiguousarray(m.last.T)
+        meets[cloth:, cloth:] = ~np.eye(len(m.body_law), dtype=bool)
+        # In boxes of its own: whoever asks may do so while the tree is in use.
+        own = {name: getattr(m, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
+        edge, face = find_crossings(tree_of(m)._replace(**own), x, m.piece, meets)
+        if len(edge):
+            ends = np.unique(np.concatenate([m.edges[edge].ravel(), m.faces[face].ravel()]))
+            return m.piece[ends], x[ends]
     caught = m.share < 1.0
     caught[len(caught) - len(m.behind) :] |= m.behind
     return m.piece[caught], m.last[:, caught].T
@@ -106,7 +119,13 @@ register(
     Meeting,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
-    bounds=lambda term: {"so_far": Bounds(0)},
+    bounds=lambda term: {
+        "reference": Bounds(finite=False),
+        "spread": Bounds(0.0),
+        "unrest": Bounds(0.0),
+        "clock": Bounds(-2.0 * LONGEST, 2.0 * LONGEST),
+        "so_far": Bounds(0),
+    },
     lists=True,
     reads_velocity=lambda term: True,
     vertices=lambda term: int(term.mass.shape[0]),

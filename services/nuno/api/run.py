@@ -21,6 +21,7 @@ from nuno.api.result import Folder, Result
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.choose.cloth import decide
+from nuno.process import SIGNALS
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import resumed_scene
@@ -140,7 +141,7 @@ def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress:
     report = make_report(scene, outcome)
     for text in report["warnings"]:
         warnings.warn(text, stacklevel=4)  # at the caller of `run`
-    if outcome.error in supervisor.SIGNALS:
+    if outcome.error in SIGNALS:
         # As whoever calls it would be stopped anywhere else: a loop over scenes is not to go on with the next.
         raise KeyboardInterrupt(f"{outcome.error}; recording kept in {path}")
     if outcome.problem:

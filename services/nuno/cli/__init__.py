@@ -1,4 +1,4 @@
-"""The `nuno` command. Exit codes: 0 done, 1 the run failed or diverged, 2 bad input."""
+"""The `nuno` command. Exit codes: 0 done, 1 failed, diverged or ended by Ctrl-C or SIGTERM, 2 bad input."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(plain(f"failed: {error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt as error:
-        print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)
+        print(process.state_of(error), file=sys.stderr)
         return 1
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115

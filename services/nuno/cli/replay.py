@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nuno.cli.common import add_config, add_flags, warn
-from nuno.process import Terminated
+from nuno.process import state_of
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
@@ -59,6 +59,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
     replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)
+    replay.check(recording)
     with contextlib.ExitStack() as stack:
         session, endpoint = stack.enter_context(hub_at(args.listen, args.config))
         stack.enter_context(runs.announced(run, endpoint))
@@ -72,7 +73,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         try:
             replay.run(bus, recording)
         except KeyboardInterrupt as signal:
-            ended = "terminated" if isinstance(signal, Terminated) else "interrupted"
+            ended = state_of(signal)
     total = sum(replay.sent.values())
     print(f"{total} messages, {replay.frames} frames")
     if ended:

@@ -149,7 +149,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         look = f"no screen here; on one with a screen: nuno replay {options.record} --view"
         print(row("picture", f"{target}  ({look})"))
     print(row("total", f"{time.perf_counter() - started:.1f} s"), flush=True)  # before what failed, in a pipe, too
-    keep_page(options.view, outcome.services.get("viewer", {}), outcome.error != supervisor.TERMINATED)
+    keep_page(options.view, outcome.services.get("viewer", {}), outcome.state != "terminated")
     if outcome.problem:
         _say(outcome.problem)
         return 1

@@ -15,7 +15,7 @@ import zenoh
 from nuno.choose.budget import Budget
 from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_flags, add_set
-from nuno.process import end_process
+from nuno.process import SIGNALS, end_process
 from nuno.scene import scene_file, shipped
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.supervision import runs
@@ -94,7 +94,7 @@ def main(args: argparse.Namespace) -> int:
         session.liveliness().declare_subscriber(f"nuno/{args.run}/alive/*", note, history=True)
         try:
             if failure := run_service(args.service, loaded, session, args.run, options, stop):
-                raise RunFailed(f"the run failed: {failure}")
+                raise RunFailed(f"the run {'was' if failure in SIGNALS else 'failed:'} {failure}")
         except (BadInput, RunFailed) as error:
             if not args.quiet:
                 raise

@@ -28,7 +28,8 @@ MOST_FRAMES = 2**31
 class RecordedFile:
     """What is in a recording, whatever it means. Close it, or use it in a `with`.
 
-    Raises BadInput where the file is missing, no recording, or (while reading) damaged.
+    Opening it reads all of it: what is cut, or damaged, is read up to there. Raises BadInput where the file is missing,
+    no recording, or (while reading) says what cannot be.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -44,8 +45,9 @@ class RecordedFile:
         try:
             self.layout: Layout = read_layout(self._stream, self.path)
             if "run" not in self.layout.metadata:
-                limits = f"{self.layout.readable} of {self.layout.size} bytes could be read"
-                raise BadInput("no recording by nuno, or cut before its first record", str(path), limit=limits)
+                limits = f"{self.layout.readable:,} of {self.layout.size:,} bytes could be read"
+                problem = f"no recording by nuno, or {self.layout.damage or 'cut before its first record'}"
+                raise BadInput(problem, str(path), limit=limits)
             self._check_version()
         except BadInput:
             self._stream.close()
@@ -78,8 +80,13 @@ class RecordedFile:
 
     @property
     def recovered(self) -> bool:
-        """Whether the file was not finished, and is read up to its last whole chunk."""
+        """Whether the file was not finished or is damaged, and is read up to its last whole chunk."""
         return not self.layout.indexed
+
+    @property
+    def damage(self) -> str:
+        """What is damaged, and where, in words; empty for a file that is whole, or only cut."""
+        return self.layout.damage
 
     @cached_property
     def growing(self) -> bool:

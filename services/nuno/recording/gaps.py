@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from nuno.process import SIGNALS
 from nuno.recording.reader import END, Recording
 from nuno.recording.recorded import Recorded
 from nuno.words import counted
@@ -94,8 +95,12 @@ def shortcoming(recording: Recording, lacks: Lacks | None = None) -> str:
         return ""
     if recording.growing:
         seen = f"its run goes on, and is recorded up to {recording.span[1]:g} s"
+    elif recording.damage:
+        seen = f"{recording.damage}, and read up to {recording.span[1]:g} s"
     elif recording.recovered:
         seen = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
     else:
-        seen = "" if str(lacks) else "its run failed"
+        state = recording.metadata.get(END, {}).get("state", "")
+        ended = f"was {state} by {SIGNALS[state]}" if state in SIGNALS else "" if str(lacks) else "failed"
+        seen = ended and f"its run {ended}"
     return "INCOMPLETE: " + "; ".join(filter(None, (seen, str(lacks))))

@@ -46,13 +46,16 @@ FREE, PACKED = 1 << 24, 200
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
-
 OF_CHUNK = ("message_start_time", "message_end_time", "uncompressed_size")
 """What a chunk and its entry in the index both say."""
 
 
 class Damaged(Exception):
     """Bytes that are not what they should be; never leaves this package."""
+
+
+class _Absent(Damaged):
+    """What is not there: the end of a file that is cut, or parts of an index that another program has written."""
 
 
 @dataclass
@@ -65,6 +68,8 @@ class Layout:
     """Finished, with an index whose checksum fits; else found by scanning."""
     readable: int
     """Bytes up to the end of the last whole record."""
+    damage: str = ""
+    """What is damaged, and where, in words; empty for a file that is whole, or only cut."""
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     attachments: dict[str, int] = field(default_factory=dict)
@@ -75,16 +80,20 @@ class Layout:
 
 
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
-    """The layout of an open file. Raises BadInput where it is no recording at all."""
+    """The layout of an open file, all of which is read. Raises BadInput where it is no recording at all."""
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     if stream.read(len(MAGIC)) != MAGIC:
         remedy = "recordings are written by nuno run --record FILE"
         raise BadInput("not an MCAP file", str(path), limit=f"{size} bytes, of another kind", remedy=remedy)
+    places: list[int] = []
     try:
-        return _check_limits(_from_index(stream, size), path)
-    except Damaged:
-        return _from_scan(stream, size, path)
+        footer, layout = _from_index(stream, size)
+        places = sorted(chunk.chunk_start_offset for chunk in layout.chunks)
+        _check_data(stream, _check_limits(layout, path), footer.summary_start - _HEAD.size - 4)
+        return layout
+    except Damaged as error:
+        return _from_scan(stream, path, size, error, places)
 
 
 def _check_limits(layout: Layout, path: Path) -> Layout:
@@ -101,8 +110,10 @@ def _check_limits(layout: Layout, path: Path) -> Layout:
     return layout
 
 
-def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None, int]:
-    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged."""
+def read_record(stream: BinaryIO, at: int, size: int, whole: bool = True) -> tuple[McapRecord | None, int]:
+    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged; a
+    file that is attached is held to its checksum only where it is to be `whole`.
+    """
     head = _read_at(stream, at, _HEAD.size, size)
     opcode, length = _HEAD.unpack(head)
     if opcode == 0:  # no record: a system that lost power leaves zeros
@@ -110,10 +121,11 @@ def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None
     body = _read_at(stream, at + _HEAD.size, length, size)
     if opcode not in Opcode.__members__.values():
         return None, at + _HEAD.size + length
-    if opcode == Opcode.ATTACHMENT and not _fits(int.from_bytes(body[-4:], "little"), memoryview(body)[:-4]):
-        raise Damaged("an attachment's checksum does not fit")
     with _damage():
         record = next(StreamReader(io.BytesIO(head + body), skip_magic=True, emit_chunks=True).records)
+    data = memoryview(body)
+    if whole and isinstance(record, Attachment) and not _fits(int.from_bytes(data[-4:], "little"), data[:-4]):
+        raise Damaged(f"the checksum of the file {record.name} in it does not fit")
     return record, at + _HEAD.size + length
 
 
@@ -130,7 +142,7 @@ def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Messag
 def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
     """A piece of a file. Raises Damaged where it does not lie in the file."""
     if at < 0 or length < 0 or at + length > size:
-        raise Damaged(f"{length} bytes at byte {at} of {size}")
+        raise _Absent(f"{length:,} bytes are to stand at byte {at:,}")
     stream.seek(at)
     return stream.read(length)
 
@@ -151,7 +163,23 @@ def _fits(crc: int, data: bytes | memoryview) -> bool:
     return crc in (0, zlib.crc32(data))
 
 
-def _from_index(stream: BinaryIO, size: int) -> Layout:
+def _check_data(stream: BinaryIO, layout: Layout, data_end: int) -> None:
+    """Raises Damaged where a byte before the index, or without its checksum any chunk, is not as it was written."""
+    record, _ = read_record(stream, data_end, layout.size)
+    if not isinstance(record, DataEnd):
+        raise Damaged("the index does not stand behind the data")
+    if record.data_section_crc:
+        crc = 0
+        for at in range(0, data_end, PIECE):
+            crc = zlib.crc32(_read_at(stream, at, min(PIECE, data_end - at), layout.size), crc)
+        if crc != record.data_section_crc:
+            raise Damaged("the checksum of all the data does not fit")
+        return
+    for chunk in layout.chunks:
+        read_messages(stream, chunk, layout.size)
+
+
+def _from_index(stream: BinaryIO, size: int) -> tuple[Footer, Layout]:
     at = size - FOOTER_SIZE - len(MAGIC)
     footer, end = read_record(stream, at, size)
     if not isinstance(footer, Footer) or _read_at(stream, end, len(MAGIC), size) != MAGIC:
@@ -168,27 +196,35 @@ def _from_index(stream: BinaryIO, size: int) -> Layout:
     # Other programs may leave out any part of an index; what is not in it is to be found all the same.
     listed = len(chunks), len(summary.attachment_indexes), len(summary.metadata_indexes)
     if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != listed:
-        raise Damaged("the index leaves something out")
+        raise _Absent("the index leaves something out")
     counts = Counter(told.channel_message_counts)
     if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
-        raise Damaged("the index does not say what chunks hold")
+        raise _Absent("the index does not say what chunks hold")
     if sum(chunk.chunk_length for chunk in chunks) > size:
         raise Damaged("the index names a chunk more than once")
     places = {one.name: one.offset for one in summary.attachment_indexes}
     unpacked = sum(chunk.uncompressed_size for chunk in chunks)
-    return Layout(size, True, size, summary.channels, chunks, places, metadata, counts, unpacked)
+    return footer, Layout(size, True, size, "", summary.channels, chunks, places, metadata, counts, unpacked)
 
 
-def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
-    """Everything up to the first record that is cut or damaged: what a killed writer left.
+def _from_scan(stream: BinaryIO, path: Path, size: int, why: Damaged, places: list[int]) -> Layout:
+    """Everything up to the first record that is cut or damaged: what a killed writer, or a bad disk, left. A damaged
+    file that is attached is passed over: it is refused where it is asked for.
+
+    why     is the index not enough
+    places  of chunks, by an index that is sound itself
 
     Raises BadInput for messages without chunks: nothing would tell damaged ones from others.
     """
     layout = Layout(size, indexed=False, readable=len(MAGIC))
+    finished = size > FOOTER_SIZE and _read_at(stream, size - len(MAGIC), len(MAGIC), size) == MAGIC
     try:
         while layout.readable < size:
             at = layout.readable
-            record, end = read_record(stream, at, size)
+            record, end = read_record(stream, at, size, whole=False)
+            following = places[len(layout.chunks)] if len(layout.chunks) < len(places) else size
+            if end > following and not (at == following and isinstance(record, Chunk)):
+                raise Damaged(f"no chunk at byte {following:,}")
             if isinstance(record, Chunk):
                 _add_chunk(layout, record, at, end)
             elif isinstance(record, Metadata):
@@ -201,8 +237,11 @@ def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
                 problem, remedy = "its messages stand outside of chunks", "write it with chunks"
                 raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
             layout.readable = end
-    except Damaged:
-        pass
+        if finished and not isinstance(why, _Absent):
+            layout.damage = f"damaged beside its messages ({why})"
+    except Damaged as error:
+        if finished or not isinstance(error, _Absent):
+            layout.damage = f"damaged at byte {layout.readable:,} of {size:,} ({error})"
     return _check_limits(layout, path)
 
 

@@ -92,7 +92,15 @@ class McapFile:
         self._attachment_indexes: list[McapRecord] = []
         self._metadata_indexes: list[McapRecord] = []
         self._counts: dict[int, int] = defaultdict(int)
-        stream.write(MAGIC + record_bytes(Header("nuno", "nuno")))
+        self._crc = 0
+        self._write(MAGIC, record_bytes(Header("nuno", "nuno")))
+
+    def _write(self, *pieces: bytes) -> int:
+        """The number of bytes, which the checksum of all data has in it."""
+        for piece in pieces:
+            self._crc = zlib.crc32(piece, self._crc)
+        self._stream.writelines(pieces)
+        return sum(map(len, pieces))
 
     def add_channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, schema_data: bytes) -> int:
         """The id of a new channel; a schema is written once."""
@@ -116,7 +124,7 @@ class McapFile:
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
         offset = self._stream.tell()
-        length = self._stream.write(record_bytes(Metadata(name, data)))
+        length = self._write(record_bytes(Metadata(name, data)))
         self._metadata_indexes.append(MetadataIndex(offset, length, name))
 
     def add_attachment(self, name: str, source: bytes | Path) -> None:
@@ -126,14 +134,14 @@ class McapFile:
         empty = record_bytes(Attachment(0, 0, name, BINARY, b""))
         size = len(source) if isinstance(source, bytes) else source.stat().st_size
         head = empty[9:-12] + struct.pack("<Q", size)
-        self._stream.write(empty[:1] + struct.pack("<Q", len(head) + size + 4) + head)
+        self._write(empty[:1] + struct.pack("<Q", len(head) + size + 4) + head)
         crc, written = zlib.crc32(head), 0
         for piece in _pieces(source):
-            self._stream.write(piece)
+            self._write(piece)
             crc, written = zlib.crc32(piece, crc), written + len(piece)
         if written != size:
             raise OSError(f"{name} changed while it was read")
-        self._stream.write(struct.pack("<I", crc))
+        self._write(struct.pack("<I", crc))
         length = self._stream.tell() - offset
         self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, size, name, BINARY))
 
@@ -143,13 +151,12 @@ class McapFile:
         if chunk.places:
             offset, size, times = stream.tell(), chunk.size, (chunk.start, chunk.end)
             length = _CHUNK.size - _RECORD_HEAD + size
-            stream.write(_CHUNK.pack(Opcode.CHUNK, length, *times, size, chunk.crc, 0, size))
-            stream.writelines(chunk.pieces)
+            self._write(_CHUNK.pack(Opcode.CHUNK, length, *times, size, chunk.crc, 0, size), *chunk.pieces)
             place = after = stream.tell()
             index_places: dict[int, int] = {}
             for channel, places in chunk.places.items():
                 index_places[channel] = place
-                place += stream.write(record_bytes(MessageIndex(channel, places)))
+                place += self._write(record_bytes(MessageIndex(channel, places)))
             length = after - offset
             index = ChunkIndex(length, offset, "", size, chunk.end, place - after, index_places, chunk.start, size)
             self._chunk_indexes.append(index)
@@ -159,7 +166,7 @@ class McapFile:
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
         self.flush()
-        self._stream.write(record_bytes(DataEnd(0)))
+        self._stream.write(record_bytes(DataEnd(self._crc)))
         start = self._stream.tell()
         groups: list[tuple[Opcode, list[McapRecord]]] = [
             (Opcode.SCHEMA, list(self._schemas.values())),

@@ -1,4 +1,4 @@
-"""Reads recordings: finished ones by their index, cut ones up to their last whole chunk."""
+"""Reads recordings: whole ones by their index, cut or damaged ones up to there."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
 class Recording(RecordedFile):
     """A recording on disk. Close it, or use it in a `with`.
 
-    Raises BadInput where the file is missing, no recording, or (while reading) damaged.
+    Raises BadInput as `RecordedFile` does.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -154,6 +154,9 @@ class Recording(RecordedFile):
     def _no_checkpoint(self) -> BadInput:
         problem = "the recording holds no checkpoint: its run ended before the first"
         remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=1s"
+        if self.damage:
+            problem = f"the recording is {self.damage}, and holds no checkpoint before that"
+            remedy = "take another copy, or run its scene again"
         return BadInput(problem, str(self.path), remedy=remedy)
 
     def series(self, end: float | None = None) -> dict[str, NDArray[Any]]:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from nuno.process import scratch
-from nuno.recording.reader import Recording, open_recording
+from nuno.recording.gaps import NOTHING, shortcoming
+from nuno.recording.reader import END, Recording, open_recording
 from nuno.recording.writer import RecordingWriter, topic_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -100,9 +101,14 @@ def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded
                 limit=", ".join(RESUMABLE),
                 remedy="change the others while it runs: nuno control last set ...",
             )
-    with open_recording(path) as recording, restored_scene(recording, tuple(overrides)) as loaded:
-        t = check_unfinished(recording, loaded)
-        yield loaded, f"going on at {t:g} s of {path}{', which was not finished' if recording.recovered else ''}"
+    with open_recording(path) as recording:
+        if recording.damage and END in recording.metadata:
+            remedy = "take another copy; nuno replay, export and verify read its frames"
+            raise BadInput(f"{recording.damage}: its scene may be another", str(path), remedy=remedy)
+        with restored_scene(recording, tuple(overrides)) as loaded:
+            t = check_unfinished(recording, loaded)
+            why = shortcoming(recording, NOTHING)
+            yield loaded, f"going on at {t:g} s of {path}{why and f' ({why})'}"
 
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:

@@ -6,6 +6,7 @@ import json
 import time
 from typing import Any
 
+from nuno.process import SIGNALS
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
@@ -118,7 +119,7 @@ class Recorder:
             "counts": json.dumps(counts),
             "missing": json.dumps(missing),
             "refused": json.dumps(self._refused()),
-            "complete": "true" if expected and not missing and state != "failed" else "false",
+            "complete": "true" if expected and not missing and state not in ("failed", *SIGNALS) else "false",
         }
         path = self._writer.finish({END: end})
         size = path.stat().st_size

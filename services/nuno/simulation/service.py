@@ -125,7 +125,8 @@ class ClothDriver(Driver):
         self.started = False
         self.rest: dict[str, float] = {}
         self.warnings: list[str] = []
-        """What is to be said of how the cloth starts."""
+        """What is to be said of how the cloth starts, and of what holds it up."""
+        self.stood = ""
         if simulation.poses is not None:
             simulation.find_poses = self.next_poses
         if simulation.frame == 0:
@@ -165,7 +166,12 @@ class ClothDriver(Driver):
         """See `Driver`; cloth that operations change by now is published first."""
         if self.simulation.alter_due():
             self.publish_fabric(self.simulation.frame + 1)
-        return super().step_frame()
+        stepped = super().step_frame()
+        if stepped.report.counts.get("steps_without_motion") and not self.stood:
+            self.stood = f"all cloth stands still: {self.simulation.holds()}"
+            self.warnings.append(self.stood)
+            self.context.event("warning", self.stood, self.simulation.frame, self.simulation.t)
+        return stepped
 
     def publish(self, frame: Stepped, show: bool) -> None:
         """See `Driver`; with what bodies feel, where the scene wants that."""

@@ -151,6 +151,6 @@ def _facts(path: Path) -> dict[str, Any]:
         with open_recording(path) as recording:
             scene, state = recording.scene, recording.metadata.get(END, {}).get("state", "unknown")
             facts |= {"scene": str(scene.get("name", "")), "solver": _solver(scene), "seconds": recording.span[1]}
-            return facts | {"state": state}
+            return facts | {"state": "damaged" if recording.damage else state}
     except BadInput as error:
         return facts | {"state": "cannot be read", "problem": str(error)}

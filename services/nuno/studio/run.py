@@ -112,12 +112,13 @@ class Run:
         code = self._code
         # A run that has stopped still finishes its recording.
         now = self.state if self.state in GOING else "ending"
+        unheard = self.state == "stopped" and self._bus is None  # it was ended by a signal, while it got ready
         return {
             "run": self.name,
             "scene": self.entry,
             "live": self.live is not None,
             "recording": self.record,
-            "state": now if code is None else ENDS.get(code, "stopped"),
+            "state": now if code is None else "stopped" if unheard else ENDS.get(code, "stopped"),
             "frame": self.frame,
             "frames": self.frames,
             "t": self.t,
@@ -142,6 +143,7 @@ class Run:
             if action != "stop":
                 raise BadInput("the run is getting ready", remedy="wait until it has begun, or stop it")
             if self._child is not None:
+                self.state = "stopped"
                 self._child.end()
             return {}
         answer = order(self._bus, {"action": action} | more)

@@ -88,9 +88,9 @@ def note_end(run: str, outcome: Outcome) -> None:
     note(run, f"end: {outcome.state}", facts | frame | {"seconds": outcome.seconds}, level)
 
 
-def note_failure(run: str, reason: str) -> None:
+def note_failure(run: str, state: str, reason: str) -> None:
     """That it ended before there was an outcome."""
-    note(run, "end: failed", {"state": "failed", "reason": reason}, logging.ERROR)
+    note(run, f"end: {state}", {"state": state, "reason": reason}, logging.ERROR)
 
 
 class _Once(logging.StreamHandler[TextIO]):

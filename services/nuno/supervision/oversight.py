@@ -10,6 +10,7 @@ from typing import Any
 import zenoh
 
 from nuno.premises import check_premises
+from nuno.process import SIGNALS
 from nuno.scene.coarser import coarser
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
@@ -283,6 +284,7 @@ class Supervisor:
                 continue
             failed = error or any(service in self.errors for service in self.needed)
             state = "failed" if failed or not self.ended else str(self.ended.get("state", "failed"))
+            state = error if error in SIGNALS else state
             request: dict[str, Any] = {"error": error, "state": state}
             if name == "recorder":
                 # A service that failed answers no more: of what it sent, what has come here has to come there.

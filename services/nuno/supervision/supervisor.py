@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from nuno import crossed
-from nuno.process import Terminated
+from nuno.process import SIGNALS, state_of
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import launch, log, runs
@@ -26,9 +26,6 @@ from nuno_schemas.errors import BadInput, RunFailed
 CONTROL_TIMEOUT = 120.0
 """How long an answer may take [s]: it comes between frames, and what is added for the first time is compiled."""
 CONNECT_PATIENCE = 20.0
-TERMINATED = "terminated"
-SIGNALS = ("interrupted", TERMINATED)
-"""What SIGINT and SIGTERM do to a run."""
 AT_ONCE = " (once more, and they end at once)"
 
 
@@ -54,7 +51,7 @@ class Outcome:
 
     run: str
     state: str
-    """done, stopped, diverged, unconverged or failed"""
+    """done, stopped, interrupted, terminated, diverged, unconverged or failed"""
     error: str
     plan: Plan
     summary: dict[str, Any]
@@ -66,6 +63,8 @@ class Outcome:
         """What went wrong, in words; empty where nothing did."""
         if self.state in ("done", "stopped"):
             return crossed.problem(self.services.get("collision", {}).get("cloth_contact"))
+        if self.state in SIGNALS:
+            return f"{self.state} by {SIGNALS[self.state]} before its end"
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
 
 
@@ -144,7 +143,7 @@ def _conduct(
     except RunFailed as failure:
         error = str(failure)
     except KeyboardInterrupt as signal:
-        error = _word(signal)
+        error = state_of(signal)
     ended = time.perf_counter()
     ready = ready or ended
     if error and supervisor.progress is not None:
@@ -153,23 +152,19 @@ def _conduct(
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
         summary = supervisor.ended or answers.get(supervisor.plan.leader, {}).get("summary", {})
         why = error or "; ".join(_lost(supervisor, answers))
-        state = "failed" if why else str(summary["state"])
+        state = error if error in SIGNALS else "failed" if why else str(summary["state"])
         seconds = {"prepare": ready - began, "run": ended - ready}
         return Outcome(supervisor.run, state, why, supervisor.plan, summary, answers, seconds)
 
     try:
         answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
     except KeyboardInterrupt as signal:
-        log.note_failure(supervisor.run, f"{_word(signal)} while its services ended")
+        state = state_of(signal)
+        log.note_failure(supervisor.run, state, f"{state} while its services ended")
         raise
     result = outcome(answers)
     log.note_end(supervisor.run, result)
     return result
-
-
-def _word(signal: KeyboardInterrupt) -> str:
-    """How a signal ended a run."""
-    return SIGNALS[isinstance(signal, Terminated)]
 
 
 def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:
