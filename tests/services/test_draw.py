@@ -149,6 +149,8 @@ TEXTS = [
     "nuno: 1\ndescription: >\n  folded\n  text\n\n\n# c\n",
     "---\nnuno: 1\nname: x\n...\n",
     "nuno: 1\r\nname: x # c\r\n",
+    "nuno: 1\noperations: [{a: 1}]   # c\n",
+    "{nuno: 1, name: x}\n",
 ]
 
 
@@ -167,11 +169,8 @@ def test_lines_are_added_and_all_else_stays_as_it_was_written(text: str) -> None
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "nuno: 1\noperations: 5\n", "nuno: 1\noperations: &a\n- 1\nname: *a\n", "- 1\n",
-        "nuno: 1\noperations: [{a: 1}]\n", "{nuno: 1, name: x}\n",
-    ],
-)  # fmt: skip
+    ["nuno: 1\noperations: 5\n", "nuno: 1\noperations: &a\n- 1\nname: *a\n", "- 1\n"],
+)
 def test_a_text_that_would_say_something_else_is_refused(text: str) -> None:
     with pytest.raises(BadInput) as refused:
         append_items(text, "operations", [ITEM], "scene.yaml")

@@ -164,10 +164,16 @@ dye:
     )
 
 
-def test_what_would_take_a_comment_along_is_refused() -> None:
-    with pytest.raises(BadInput) as refused:
-        drop(TEXT, ("objects", 0, "name"), "f")
-    assert refused.value.field == "objects[0].name" and refused.value.remedy
+def test_a_comment_stays_that_is_about_what_follows() -> None:
+    assert changed(TEXT, drop(TEXT, ("objects", 0, "name"), "f")) == ["-   - name: cloth    # the first", "+   -"]
+
+
+def test_what_an_alias_stands_for_is_not_changed_in_one_of_its_places() -> None:
+    text = "nuno: 1\nfirst: &both {x: 1, y: 2}\nother: *both\n"
+    for change in (lambda: drop(text, ("other", "x"), "f"), lambda: put(text, ("first", "x"), 3, "f")):
+        with pytest.raises(BadInput) as refused:
+            change()
+        assert refused.value.field in ("other.x", "first.x") and refused.value.remedy
 
 
 SOME = ("skirt-hula", "skirt-dyed", "towel", "contact/untangle", "dye/drops", "knit/stocking-leg", "sewn/outfit")
