@@ -6,8 +6,10 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,7 +22,6 @@ from nuno_schemas.look import Crop, DyeView, Form
 
 if TYPE_CHECKING:
     from nuno.exports.dyed_pictures import Changes
-    from nuno.exports.pictures import Colour
 
 Length = str | float
 """With its unit, or in metres."""
@@ -44,6 +45,15 @@ FILES = {
     "scene": "the scene as it was run, .yaml",
 }
 """What can be written, by its flag."""
+WRITERS = {
+    **{name: f"nuno.exports.tables:export_{name}" for name in ("npz", "forces", "csv", "scene")},
+    "yarns": "nuno.exporting:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
+    **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
+    "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
+    **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),
+    "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
+}  # fmt: skip
+"""What writes each, in this order."""
 WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
 """Of these, what is of a whole run."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
@@ -120,61 +130,27 @@ def write(recording: Recording, asked: Asked, progress: Progress = show_progress
 
 
 def _export(recording: Recording, asked: Asked, progress: Progress) -> list[Path]:
-    """Write what is asked for, what takes long last. Raises BadInput."""
-    from nuno.exports import animations, meshes, pictures, tables
-
-    size, changes, written = _size(asked.size), _changes(asked), list[Path]()
-    colour = cast("Colour", asked.colour)  # of pictures: the others are refused
-    if asked.npz:
-        written.append(tables.export_npz(recording, asked.npz, frame=asked.frame))
-    if asked.forces:
-        written.append(tables.export_forces(recording, asked.forces, asked.frame))
-    if asked.csv:
-        written.append(tables.export_csv(recording, asked.csv))
-    if asked.scene:
-        written.append(tables.export_scene(recording, asked.scene))
-    if asked.yarns:
-        written.append(_export_yarns(recording, asked, asked.yarns))
-    if asked.pattern:
-        from nuno.exports.pattern import export_pattern
-
-        written.append(export_pattern(recording, asked.pattern, asked.frame, asked.colour))
-    for suffix in MESHES:
-        path = getattr(asked, suffix[1:])
-        if path and path.suffix.lower() == suffix:
-            written.append(meshes.export_mesh(recording, path, asked.frame))
-        elif path:
-            written += meshes.export_meshes(recording, path, suffix, progress)
-    if asked.usd:
-        from nuno.exports.usd import export_usd
-
-        written.append(export_usd(recording, asked.usd, asked.frame, progress))
-    if asked.foxglove:
-        from nuno.exports.foxglove import export_foxglove
-
-        written += export_foxglove(recording, asked.foxglove, progress)
-    if asked.png and asked.style:
-        from nuno.exports.yarns import export_yarn_picture
-
-        how = asked.style, asked.frame, size, tuple(asked.overrides)
-        written.append(export_yarn_picture(recording, asked.png, *how, progress))
-    elif asked.png:
-        written.append(pictures.export_picture(recording, asked.png, asked.frame, size, colour, changes))
-    for path in filter(None, (asked.gif, asked.mp4)):
-        when, round_one = (asked.fps, asked.start, asked.end), (asked.turn, asked.frame)
-        written.append(animations.export_animation(recording, path, size, *when, progress, colour, changes, *round_one))
-    if asked.ros2:
-        from nuno.exports.ros2 import export_ros2
-
-        written.append(export_ros2(recording, asked.ros2, progress))
-    if asked.rrd:
-        from nuno.viewer.file import convert
-
-        written.append(convert(recording, asked.rrd))
+    """Write what is asked for, what takes long last: each writer takes of the settings those that it has. Raises
+    BadInput.
+    """
+    settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
+    settings |= {"size": _size(asked.size), "changes": _changes(asked)}
+    for name, writer in WRITERS.items():
+        path: Path | None = getattr(asked, name)
+        if path is None:
+            continue
+        if name == "png" and asked.style:
+            writer = "nuno.exports.yarns:export_yarn_picture"
+        elif (suffix := f".{name}") in MESHES and path.suffix.lower() != suffix:
+            writer, settings["suffix"] = "nuno.exports.meshes:export_meshes", suffix
+        write = resolve_name(writer)
+        made = write(recording, path, **{key: settings[key] for key in signature(write).parameters if key in settings})
+        written += made if isinstance(made, list) else [made]
     return written
 
 
-def _export_yarns(recording: Recording, asked: Asked, path: Path) -> Path:
+def export_curves(recording: Recording, path: Path, asked: Asked) -> Path:
+    """Write a knit's yarns as curves, and say what was done to them. Raises BadInput."""
     from nuno.exports.curves import export_yarns
 
     form: Form = asked.form or "smooth"
