@@ -155,17 +155,11 @@ class Desk:
             self.exports.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        try:
-            path = self.recordings.picture_of(self.recordings.find(query.get("recording", [""])[0]))
-            return "image/png", path.read_bytes()
-        except (BadInput, OSError):
-            raise Refused(NOT_FOUND, "there is no such picture") from None
+        found = self.recordings
+        return _read("image/png", lambda: found.picture_of(found.find(query.get("recording", [""])[0])))
 
     def _scene_picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        try:
-            return "image/webp", self.scenes.picture_of(query.get("name", [""])[0]).read_bytes()
-        except (BadInput, OSError):
-            raise Refused(NOT_FOUND, "there is no such picture") from None
+        return _read("image/webp", lambda: self.scenes.picture_of(query.get("name", [""])[0]))
 
     def _scenes(self, request: Mapping[str, Any]) -> dict[str, Any]:
         pictures = self.recordings.pictures()
@@ -310,21 +304,25 @@ class Desk:
     def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Lines on the cloth that is shown: see `nuno.studio.lines`. Raises BadInput."""
         does = request.get("does")
-        if does == "begin":
-            self._drawing.begin(request)
-        elif does == "check":
-            self._drawing.check(request)
-        elif does == "export":
-            return self._drawing.export(request, self._own)
-        elif does == "apply":
-            return self._drawing.apply(request, self._own)
-        elif does == "keep":
-            text, path = self._text(request)
-            after = self._drawing.keep(request, text, lambda changed: scenes.load(changed, path, self.scenes.roots))
-            return {"text": after} | self._checked(after, path)
-        else:
+        if does in ("begin", "check"):
+            getattr(self._drawing, does)(request)
+            return {}
+        if does in ("export", "apply"):
+            answer: dict[str, Any] = getattr(self._drawing, does)(request, self._own)
+            return answer
+        if does != "keep":
             raise BadInput("no such request", value=does, limit="begin, check, keep, apply, export")
-        return {}
+        text, path = self._text(request)
+        after = self._drawing.keep(request, text, lambda changed: scenes.load(changed, path, self.scenes.roots))
+        return {"text": after} | self._checked(after, path)
+
+
+def _read(kind: str, find: Callable[[], Path]) -> tuple[str, bytes]:
+    """A picture. Raises Refused."""
+    try:
+        return kind, find().read_bytes()
+    except (BadInput, OSError):
+        raise Refused(NOT_FOUND, "there is no such picture") from None
 
 
 def _page(request: Mapping[str, Any]) -> str:

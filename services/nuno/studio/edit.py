@@ -8,7 +8,7 @@ of the 110 scenes and inputs here before anything is edited (folded lines, lists
 from __future__ import annotations
 
 import contextlib
-import json
+import math
 import re
 from copy import deepcopy
 from typing import Any
@@ -133,16 +133,15 @@ def _without_notes(text: str, inside: Any, part: str | int) -> str:
     return (raw[:end] + re.sub(rb"\A(?: {%d,}#.*(?:\n|\Z))+" % column, b"", raw[end:])).decode()
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes text that needs quotes in those that scenes have."""
+
+    def choose_scalar_style(self) -> str:
+        return str(super().choose_scalar_style()).replace("'", '"')  # type: ignore[no-untyped-call]
+
+
 def flow(value: Any) -> str:
     """Plain values as YAML on one line, as scenes are written: text in quotes only where it could be something else."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {flow(child)}" for key, child in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(flow, value)) + "]"
-    if isinstance(value, str) and re.fullmatch(r"[\w][\w .-]*", value):
-        with contextlib.suppress(BadInput):  # digits that YAML takes for a number of base 8
-            if yaml_lines.parse_value(value) == value:
-                return value
-    if isinstance(value, float):  # 2e-05, as JSON has it, is a text in YAML 1.1
-        return str(yaml.representer.SafeRepresenter().represent_float(value).value)
-    return json.dumps(value)
+    style: dict[str, Any] = {"default_flow_style": True, "sort_keys": False, "allow_unicode": True, "width": math.inf}
+    # In a list: what stands alone ends in a mark of its own.
+    return yaml.dump([value], Dumper=_Dumper, **style).strip()[1:-1]
