@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from nuno.scene import shipped, yaml_lines
+from nuno.scene.edit import drop, put
 from nuno.scene.yaml_lines import Path
-from nuno.studio.edit import drop, put
 from nuno_schemas.errors import BadInput
 
 TEXT = """\

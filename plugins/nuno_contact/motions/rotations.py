@@ -1,4 +1,7 @@
-"""Quaternions (w, x, y, z) in arrays (..., 4), and skeletons posed from joint rotations."""
+"""Quaternions (w, x, y, z) in arrays (..., 4), and skeletons posed from joint rotations.
+
+Weighed: SciPy's Rotation, of whose products, matrices and interpolations fewer than one in ten has the same bits.
+"""
 
 from __future__ import annotations
 

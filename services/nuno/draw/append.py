@@ -10,7 +10,7 @@ from typing import Any
 
 from nuno.recording.writer import part_of
 from nuno.scene import yaml_lines
-from nuno.studio.edit import put
+from nuno.scene.edit import put
 from nuno_schemas.errors import BadInput
 
 MARK = "\ufeff"

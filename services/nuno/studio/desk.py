@@ -15,9 +15,9 @@ from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server, Take
 from nuno.pages.workshop import Workshop
 from nuno.recording.restore import resumed_scene
-from nuno.scene import yaml_lines
+from nuno.scene import edit, yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.studio import arrivals, edit, paint, scenes
+from nuno.studio import arrivals, paint, scenes
 from nuno.studio.cloth import Starts
 from nuno.studio.dyed import Dyed, cloth_of, worn
 from nuno.studio.exports import Exports

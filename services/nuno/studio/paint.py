@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from nuno.dye.add import parse
-from nuno.scene import yaml_lines
-from nuno.studio import edit
+from nuno.scene import edit, yaml_lines
+from nuno.scene.edit import flow
 from nuno.studio.arrivals import reserve
-from nuno.studio.edit import flow
 from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
