@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from nuno_cloth.models.sheet import Sheet
 from nuno_schemas.errors import BadInput
@@ -30,7 +31,7 @@ class Folder:
 def files(tmp_path: Path) -> Folder:
     write_obj(tmp_path / "sheet.obj", build(Sheet(), {"resolution": (5, 6), "size": (0.4, 0.5)}, Folder(tmp_path)))
     np.savez(tmp_path / "net.npz", **net_arrays())  # type: ignore[arg-type]
-    (tmp_path / "image.png").write_bytes(b"")
+    Image.new("RGB", (2, 2)).save(tmp_path / "image.png")
     return Folder(tmp_path)
 
 
