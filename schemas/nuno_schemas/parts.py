@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_schemas.colour import HEX, as_hex, names
@@ -43,9 +43,20 @@ else:
 
 
 class Part(BaseModel):
-    """Base of every part of a scene: unknown fields are refused by name."""
+    """Base of every part of a scene: unknown fields are refused by name, and truth values where numbers belong."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_truth_values(cls, data: Any) -> Any:
+        """To pydantic true is the number 1, and YAML reads `yes` and `on` as true."""
+        for name, field in cls.model_fields.items() if isinstance(data, dict) else ():
+            value, kind = data.get(name), str(field.annotation)
+            if isinstance(value, bool) and re.search(r"\b(int|float)\b", kind) and not re.search(r"\bbool\b", kind):
+                problem = "{value}, as YAML also reads yes, no, on and off, is not a number"
+                raise PydanticCustomError("truth_value", problem, {"value": str(value).lower(), "inside": (name,)})
+        return data
 
 
 class Choice(BaseModel):

@@ -15,13 +15,14 @@ from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from nuno_schemas.bodies import CAPSULE, SKIN, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 from nuno_schemas.live import Live
+from nuno_schemas.parts import Part
 from nuno_schemas.skin import Skin
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 from nuno_schemas.written import Fields, Written
@@ -44,10 +45,8 @@ GROUPS: Mapping[str, str] = {
 }
 
 
-class Config(BaseModel):
-    """Base of every plugin's configuration: unknown fields are refused by name."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class Config(Part):
+    """Base of every plugin's configuration."""
 
 
 class Plugin(Protocol):

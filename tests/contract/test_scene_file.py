@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,15 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 import nuno
+from nuno import registry
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.override import apply_override, overridden
 from nuno_schemas.errors import BadInput
+from nuno_schemas.plugin import GROUPS
+from nuno_schemas.scene import Scene
 
 GOOD: dict[str, Any] = {
     "nuno": 1,
@@ -332,6 +337,19 @@ def test_numbers_of_another_base_are_refused_with_what_they_would_be(text: str, 
         yaml_lines.parse(f"a: 1\nb: [{text}]\n", "scene.yaml")
     assert (caught.value.file, caught.value.line, caught.value.field) == ("scene.yaml", 2, "b[0]")
     assert yaml_lines.parse_value(str(value)) == value
+
+
+def test_truth_values_are_no_numbers_wherever_a_field_is_one() -> None:
+    """YAML reads `yes` as true, and to pydantic true is 1: `friction: yes` was a coefficient of 1."""
+    checked = 0
+    for kind in (Scene, *(registry.load(group, name).Config for group in GROUPS for name in registry.installed(group))):
+        for name, field in kind.model_fields.items():
+            if re.fullmatch(r"<class '(int|float)'>|(int|float) \| None", str(field.annotation)):
+                with pytest.raises(ValidationError) as errors:
+                    kind.model_validate({name: True})
+                assert errors.value.errors()[0].get("ctx", {}).get("inside") == (name,), f"{kind.__name__}.{name}"
+                checked += 1
+    assert checked > 100
 
 
 def test_fields_beside_an_override_keep_their_line(tmp_path: Path) -> None:
