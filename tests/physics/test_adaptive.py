@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,12 @@ from nuno_schemas.fabric import Fabric, Springs, State
 from nuno_schemas.system import System, Term
 
 FRAME = 0.1
-PLUGINS = pytest.mark.parametrize("plugin", [Dopri5(), Dop853()], ids=lambda p: p.name)
+BOTH = pytest.mark.parametrize("plugin", [Dopri5(), Dop853()], ids=lambda p: p.name)
+
+
+def PLUGINS(test: Callable[..., None]) -> Callable[..., None]:
+    """Both pairs go through one loop, which is compiled for each."""
+    return pytest.mark.quick(plugin=["dop853"])(BOTH(test))
 
 
 def pendulums(damping=0.0, far=0.0) -> System:
