@@ -51,6 +51,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             parameters = item.callspec.params  # type: ignore[attr-defined]
             if any(_name_of(parameters[name]) not in values for name, values in quick.kwargs.items()):
                 item.add_marker("full")
+            if not all(is_quick(parameters) for is_quick in quick.args):
+                item.add_marker("full")
         files.setdefault(item.path, []).append(item)
     halves: tuple[list[list[pytest.Item]], list[list[pytest.Item]]] = [], []
     for path, tests in sorted(files.items(), key=lambda entry: (entry[0].stem != DEAREST, -len(entry[1]))):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,12 @@ from nuno_schemas.fabric import Fabric, Springs, State
 from nuno_schemas.system import System, Term
 
 FRAME = 0.1
-PLUGINS = pytest.mark.parametrize("plugin", [Dopri5(), Dop853()], ids=lambda p: p.name)
+BOTH = pytest.mark.parametrize("plugin", [Dopri5(), Dop853()], ids=lambda p: p.name)
+
+
+def with_both(test: Callable[..., None]) -> Callable[..., None]:
+    """Both pairs go through one loop, which is compiled for each."""
+    return pytest.mark.quick(plugin=["dop853"])(BOTH(test))
 
 
 def pendulums(damping=0.0, far=0.0) -> System:
@@ -44,7 +50,7 @@ def frames(plugin, system, state, memory, count):
     return np.array(path), totals
 
 
-@PLUGINS
+@with_both
 def test_error_at_frames_follows_the_tolerance(plugin):
     system = pendulums(0.3)
     exact, _ = frames(Dop853(), system, *start(Dop853(), system, 1e-13), 20)
@@ -59,7 +65,7 @@ def test_error_at_frames_follows_the_tolerance(plugin):
     assert np.all(np.array(errors) < 300 * tolerances)
 
 
-@PLUGINS
+@with_both
 def test_frames_do_not_shorten_steps(plugin):
     system = pendulums()
     whole = start(plugin, system, 1e-8)
@@ -68,7 +74,7 @@ def test_frames_do_not_shorten_steps(plugin):
     assert totals["steps"] <= report.steps + 1
 
 
-@PLUGINS
+@with_both
 @pytest.mark.parametrize("at", [1, 7, 12])
 def test_a_resume_inside_of_a_step_ends_in_the_same_bytes(plugin, at):
     system = pendulums(0.1)
@@ -85,7 +91,7 @@ def test_a_resume_inside_of_a_step_ends_in_the_same_bytes(plugin, at):
     assert again.v.tobytes() == state.v.tobytes()
 
 
-@PLUGINS
+@with_both
 def test_a_step_pending_under_other_forces_is_dropped(plugin):
     system = pendulums()
     state, memory = start(plugin, system, 1e-9)
@@ -101,7 +107,7 @@ def test_a_step_pending_under_other_forces_is_dropped(plugin):
     assert np.abs(state.x - again.x).max() < 1e-7
 
 
-@PLUGINS
+@with_both
 def test_a_force_in_python_is_met_at_its_own_times(plugin):
     """x'' = cos(3 t): steps end with the frames, and the closed form comes out."""
 
@@ -117,13 +123,13 @@ def test_a_force_in_python_is_met_at_its_own_times(plugin):
     assert abs(state.x[0, 0] - (1.0 - np.cos(3.0 * 1.3)) / 9.0) < 1e-8
 
 
-@PLUGINS
+@with_both
 def test_a_tolerance_below_rounding_is_refused(plugin):
     with pytest.raises(BadInput, match="rounded more"):
         start(plugin, pendulums(far=1e6), 1e-10)
 
 
-@PLUGINS
+@with_both
 def test_steps_without_end_are_given_up_by_name(plugin):
     def wall(x, v, t, out):
         out[:, 0] += np.where(x[:, 0] > 0.0, np.nan, 1.0)

@@ -116,7 +116,7 @@ def test_every_node_and_leaf_is_a_child_of_its_parent(count: int) -> None:
 @pytest.mark.parametrize(
     ("name", "mesh"),
     [
-        ("torus", meshes.torus(30, 16)),
+        pytest.param("torus", meshes.torus(30, 16), marks=pytest.mark.full),
         ("plate", meshes.box((1.0, 1e-4, 1.0))),
         ("needle", meshes.box((1e-3, 2.0, 1e-3))),
     ],

@@ -56,7 +56,7 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
 
 def test_a_wider_list_has_the_pairs_of_a_narrower_in_the_same_order() -> None:
     """In which constraints are solved: what rests would creep if another list had them in another."""
-    pile = Pile(*piles.stack(), solver="xpbd", dt=1e-3)
+    pile = Pile(*piles.stack(), dt=1e-3)
     pile.go(1)
     m, keys = pile.meeting, []
     for share in (0.5, 2.0, 5.0):

@@ -47,7 +47,7 @@ def felt(simulation: Simulation) -> list[BodyContact]:
     return feel(simulation)[0].bodies
 
 
-@pytest.mark.quick(solver=["symplectic_euler", "respa"])
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize(
     ("solver", "contact"),
     [

@@ -101,6 +101,7 @@ def test_warp_runs_as_each_panel_has_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(warp), np.where(sewn.panel[:, None] == 0, [0.0, 1.0], [1.0, 0.0]), atol=1e-9)
 
 
+@pytest.mark.quick(radii=[(0.08, 0.06)])
 @pytest.mark.parametrize("radii", [(0.08, 0.06), (0.105, 0.08)])
 def test_a_tube_closes_round_a_column_that_its_panels_start_far_from(
     tmp_path: Path, radii: tuple[float, float]

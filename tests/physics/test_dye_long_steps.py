@@ -60,7 +60,7 @@ def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None
         assert report.supplied[0] == pytest.approx(end.phi.sum(), rel=1e-13)
 
 
-@pytest.mark.quick(kept_up=[False], name=["sdirk2"])
+@pytest.mark.quick(kept_up=[False], name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("kept_up", [False, True])
 def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: bool) -> None:

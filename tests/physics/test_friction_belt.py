@@ -32,7 +32,7 @@ def pull(x, v, mass, k, rest, c, weight, contact, s0, s1, steps, dt, force):
     return total / steps
 
 
-@pytest.mark.quick(mu=[0.3])
+@pytest.mark.full
 @pytest.mark.parametrize(("mu", "wrap"), [(0.2, 0.5 * np.pi), (0.4, 0.5 * np.pi), (0.3, np.pi)])
 def test_tension_grows_with_e_to_the_mu_phi(mu, wrap):
     """The cylinder turns under the belt, which stands still and slips everywhere. Per point of

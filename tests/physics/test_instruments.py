@@ -92,7 +92,7 @@ def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, mo
         cantilever.overhang(0.0, 0.02, 32)
 
 
-@pytest.mark.quick(layout=["irregular"])
+@pytest.mark.quick(layout=["irregular"], poisson=[0.3])
 @pytest.mark.parametrize("poisson", statics.POISSON.values(), ids=statics.POISSON)
 @pytest.mark.parametrize("layout", ["aligned", "crossed", "irregular"])
 def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout: str) -> None:

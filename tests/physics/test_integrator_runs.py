@@ -28,6 +28,7 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.system import Term
 
 
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", ALL, ids=name)
 @pytest.mark.parametrize("damping", [0.0, 0.4])
 def test_interpreted_steps_equal_compiled_ones(plugin: Any, damping: float) -> None:
@@ -61,6 +62,7 @@ def test_force_in_python_acts_in_newtons() -> None:
     assert np.abs(state.v[:, 0] - 3.0).max() < 1e-12
 
 
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", ALL, ids=name)
 @pytest.mark.parametrize("n", [0, 1])
 def test_one_particle_and_nothing_at_all(plugin: Any, n: int) -> None:
@@ -99,6 +101,7 @@ def test_divergence_is_said(plugin: Any) -> None:
     assert "vertex 20, at 5 m/s" in report.message, "the fastest of those that can move"
 
 
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", METHODS, ids=name)
 def test_the_first_vertex_without_a_number_is_named(plugin: Any) -> None:
     """Not the fastest of all those that it takes along by the frame's end."""

@@ -173,6 +173,7 @@ def test_normal_modes_are_bounded_below_the_critical_step_and_grow_above(plugin:
         assert 0.95 * limit / omega <= measured.dt <= limit / omega
 
 
+@pytest.mark.quick(plugin=["symplectic_euler", "leapfrog"])
 @pytest.mark.parametrize("plugin", METHODS, ids=name)
 def test_projectile(plugin: Any) -> None:
     """Exact from order 2 on; Euler's forms are off by g t dt/2 to either side. No sideways drift."""

@@ -42,6 +42,7 @@ def on_mesh(x: Float, faces: Int, points: Float) -> Float:
     return closest_points(build_tree(x, faces), points).point
 
 
+@pytest.mark.quick(low=[0.12])
 @pytest.mark.parametrize(("number", "low", "high"), [(150, 0.12, 0.7), (150, 0.01, 0.7)])
 def test_no_sample_lies_in_the_leg(number: int, low: float, high: float) -> None:
     """150 x 150 points on the procedural leg, from the ankle up and with heel and foot; links cut it before."""

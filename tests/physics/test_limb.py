@@ -92,6 +92,7 @@ def test_rows_of_a_leg_cover_it_and_never_cross(to_tip: bool) -> None:
     assert (round_it.max(axis=1) < 1.2 * rows.girth / 30).all()
 
 
+@pytest.mark.quick(radius=[0.05])
 @pytest.mark.parametrize("radius", [0.05, 0.15])
 def test_the_axis_of_a_limb_with_flat_ends_is_its_middle_and_any_part_of_it_has_rows(radius: float) -> None:
     """The two vertices farthest apart are on the caps' rims, on opposite sides."""

@@ -95,6 +95,7 @@ def test_kicks_stand_for_many_steps_of_damped_springs() -> None:
             assert 1 < kicks <= np.pi / (dt * fast[0])
 
 
+@pytest.mark.full
 def test_a_kick_every_half_period_of_an_undamped_spring_feeds_it() -> None:
     """As the trace of its matrix has it, by w_s^2 H / (2 w) a kick; as often as `auto` has them, none does."""
     omega, slow, kicks = 100.0, 20.0, 60
@@ -239,7 +240,7 @@ def test_rates_are_told_apart() -> None:
     assert abs(softer[1][0] / slow[0] - 0.5) < 0.02
 
 
-@pytest.mark.quick(name=["symplectic_euler", "respa", "tr_bdf2"])
+@pytest.mark.quick(name=["respa"])
 @pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nuno.integrators")))
 def test_no_solver_moves_otherwise_where_its_loop_is_interpreted(name: str) -> None:
     """As a force in Python has it: what compiled code alone can call would do nothing."""

@@ -85,6 +85,7 @@ MESHES = {
 }
 
 
+@pytest.mark.quick(order=["shuffled"])
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("order", ["as built", "shuffled", "relabelled"])
 def test_every_triangle_counts_once(name: str, order: str) -> None:

@@ -106,7 +106,7 @@ def test_links_of_no_length_neither_give_nor_take() -> None:
     assert np.array_equal(a[:, 0], [0.5, -0.5, 1.5, -1.5])
 
 
-@pytest.mark.quick(plugin=["symplectic_euler", "leapfrog"])
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), RK4(), Dopri5()], ids=lambda p: p.name)
 def test_a_stretched_yarn_comes_to_the_closed_forms_rest(plugin: Any) -> None:
     system = line()
@@ -122,7 +122,7 @@ def disturbed(c: float = 0.5) -> System:
     return replace(system, fabric=replace(system.fabric, velocity=velocity), damping=0.4)
 
 
-@pytest.mark.quick(plugin=["leapfrog"])
+@pytest.mark.full
 @pytest.mark.parametrize(
     "plugin", [SymplecticEuler(), Leapfrog(), RK4(), ImplicitEuler(), TRBDF2()], ids=lambda p: p.name
 )

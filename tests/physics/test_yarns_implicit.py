@@ -132,6 +132,7 @@ def test_it_converges_as_derived_where_no_energy_exists(monkeypatch: pytest.Monk
     assert 3 <= more <= np.log(1e-7) / np.log(0.2 * (s - 1.0) / s**0.5)
 
 
+@pytest.mark.quick(plugin=["implicit_euler"])
 @pytest.mark.parametrize("plugin", [ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
 @pytest.mark.parametrize("mu", [0.2, 0.45])
 def test_large_implicit_steps_come_to_rest_too(plugin: Any, mu: float) -> None:

@@ -137,6 +137,7 @@ def test_verdicts_follow_from_what_was_seen(found: Passed, verdict: str, bad: bo
     assert command.keep([Passed(1)], 0.1, Path("nowhere")) is None
 
 
+@pytest.mark.usefixtures("crossing")
 def test_what_raises_is_a_finding_about_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(self: Simulation) -> None:
         raise ZeroDivisionError("by hand")

@@ -164,7 +164,11 @@ def test_what_would_come_after_the_end_is_said(tmp_path: Path, capsys: pytest.Ca
     assert said in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("supply", [DROP | {"start": "4 s"}, WHOLE | {"start": "4 s", "region": LEFT}])
+LATE = [DROP | {"start": "4 s"}, WHOLE | {"start": "4 s", "region": LEFT}]
+
+
+@pytest.mark.quick(supply=LATE[:1])
+@pytest.mark.parametrize("supply", LATE)
 def test_what_comes_later_fills_no_cell_beyond_its_room(supply: dict[str, Any], tmp_path: Path) -> None:
     """Of a dye that only spreads: the solver may leave out limits that cannot bind, as none does without dye."""
     data = arrays() | {"phi": np.zeros((2, 9, 11))}

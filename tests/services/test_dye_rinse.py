@@ -32,6 +32,7 @@ def scene(folder: Path, supply: list[dict[str, Any]], **fields: Any) -> Path:
     return write_scene(folder, data=data, cloth=cloth, dyes=[BLUE, RED], **fields)
 
 
+@pytest.mark.quick(solver=["explicit"])
 @pytest.mark.parametrize("solver", sorted(registry.installed("nuno.dye_solvers")))
 def test_a_rinse_leaves_no_mobile_dye_and_all_that_fibre_holds(solver: str, tmp_path: Path) -> None:
     """To the last bit: without mobile dye fibre takes none, so what it holds is what it held before the rinse."""

@@ -53,7 +53,7 @@ def test_it_hangs_by_its_side_and_a_resumed_run_ends_in_the_same_bits(tmp_path: 
     assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] == whole.digest
 
 
-@pytest.mark.quick(solver=["respa"], plugin=["mesh"])
+@pytest.mark.quick(solver=["symplectic_euler"], plugin=["mesh"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "respa", "implicit_euler", "xpbd"])
 @pytest.mark.parametrize("plugin", ["mesh", "sheet"])
 def test_what_friction_remembers_is_part_of_the_state(tmp_path: Path, solver: str, plugin: str) -> None:

@@ -238,6 +238,7 @@ def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
         assert recording.attachment("check.png") == b"picture"
 
 
+@pytest.mark.quick(late=[[service, oversight]])
 @pytest.mark.parametrize("busy", [0.0, 0.3])
 @pytest.mark.parametrize("late", [[service], [oversight], [service, oversight]])
 def test_the_last_word_of_a_service_that_failed_is_waited_for(

@@ -172,17 +172,24 @@ def test_what_cannot_be_put_on_is_refused_before_anything_runs(
     assert (tmp_path / "mine.yaml").read_text() == "mine" and not (tmp_path / "recordings").exists()
 
 
+OTHER_FLAGS = {
+    "another fabric and motion": ("polyester", "--body", "column.obj", "--motion", "walk.bvh"),
+    "the mannequin": ("denim", "--body", "mannequin"),
+}
+
+
+@pytest.mark.quick(case=["another fabric and motion"])
+@pytest.mark.parametrize("case", OTHER_FLAGS)
 def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also for a body that moves, by a file that is then refused, and for the mannequin that comes with nuno; unless a
     flag is wrong.
     """
     (tmp_path / "walk.bvh").write_text("")
-    walks = "--body", "column.obj", "--motion", "walk.bvh"
-    for fabric, *flags in (("denim", "--body", "column.obj"), ("polyester", *walks), ("denim", "--body", "mannequin")):
+    for fabric, *flags in (("denim", "--body", "column.obj"), OTHER_FLAGS[case]):
         code = 2 if "--motion" in flags else 0
-        assert wear(tmp_path, monkeypatch, "--fabric", fabric, "--write", *flags) == code
+        assert wear(tmp_path, monkeypatch, "--edge", "6 cm", "--fabric", fabric, "--write", *flags) == code
         assert wear(tmp_path, monkeypatch, "--fabric", "demin", "--write", "--body", "column.obj") == 2
         text = (tmp_path / "tube-worn.yaml").read_text()
         assert fabric in text and ("plugin: skin" in text) is ("--motion" in flags)
@@ -190,11 +197,12 @@ def test_a_scene_that_no_one_has_changed_is_written_for_other_flags(
     assert not (tmp_path / "recordings").exists()
 
 
+@pytest.mark.quick(file=["2nd tube.yaml"])
 @pytest.mark.parametrize("file", ["tube-1.5.yaml", "2nd tube.yaml"])
 def test_a_scene_has_a_name_whatever_its_file_is_called(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
 ) -> None:
-    assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--write", "--scene", file) == 0
+    assert wear(tmp_path, monkeypatch, "--body", "column.obj", "--edge", "6 cm", "--write", "--scene", file) == 0
     assert scene_file.read(tmp_path / file).scene.objects[0].name == "tube"
 
 
@@ -213,13 +221,14 @@ UNITS = [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm"), (0.0254, "1inch"), (0.3048, "1
          (100.0, "100m")]  # fmt: skip
 
 
+@pytest.mark.quick(named=["", "1inch"])
 @pytest.mark.parametrize(("unit", "named"), UNITS)
 def test_the_unit_of_a_scan_is_told_by_its_size_and_written_into_the_scene(
     unit: float, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     x, faces = column((0.08, 0.06), (0.0, 1.7))
     trimesh.Trimesh(x / unit, faces, process=False).export(tmp_path / "scan.obj")
-    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--write") == 0
+    assert wear(tmp_path, monkeypatch, "--body", "scan.obj", "--edge", "6 cm", "--write") == 0
     assert (f"taken as {named}" if named else "scene") in capsys.readouterr().out
     scene = yaml.safe_load((tmp_path / "tube-worn.yaml").read_text())
     assert scene["bodies"][0]["collider"].get("scale", "") == named
@@ -295,7 +304,7 @@ def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names
     x, faces = column((0.08, 0.06), (0.9, 1.4))
     trimesh.Trimesh(x, faces, process=False).export(here / named[-1])
     monkeypatch.chdir(here)
-    assert main(["sew", *named[:4], "--body", named[4], "--write", "--scene", "worn.yaml"]) == 0
+    assert main(["sew", *named[:4], "--body", named[4], "--edge", "6 cm", "--write", "--scene", "worn.yaml"]) == 0
     command = shlex.split(capsys.readouterr().out.partition("nuno run ")[2].partition(")")[0])
     loaded = scene_file.read(Path(command[0]), roots=[Path(root) for root in command[2::2]])
     written = yaml.safe_load(Path("worn.yaml").read_text())
@@ -306,7 +315,7 @@ def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names
 
 def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And a scene of several is written again for other flags, as one of one is."""
-    for edge in ("2 cm", "3 cm"):
+    for edge in ("5 cm", "6 cm"):
         flags = "tube.json", "--body", "column.obj", "--fabric", "denim", "--fabric", "polyester", "--edge", edge
         assert wear(tmp_path, monkeypatch, *flags, "--write") == 0
     scene = yaml.safe_load((tmp_path / "tube-tube-worn.yaml").read_text())
