@@ -1,8 +1,8 @@
-"""Where everything stands in a recording: from the index of a finished file, else by a scan.
+"""Where everything stands in a recording, from a scan of all of it.
 
-Records are the mcap library's, index and chunks are read by its readers. Around them no length in the file is believed
-before it is compared with the file's size, and neither chunk nor index before its checksum fits: the library reads cut
-records short without a word, checks no index, and unpacks whatever a chunk says it holds.
+Records are the mcap library's. Around them no length in the file is believed before it is compared with the file's
+size, and no chunk before its checksum fits: the library reads cut records short without a word, and unpacks whatever a
+chunk says it holds. Weighed: to go by the index, which reads less; but all has to be read to know that it is whole.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import BinaryIO, cast
 
 import psutil
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.reader import FOOTER_SIZE
 from mcap.records import (
     Attachment,
     Channel,
@@ -28,26 +29,28 @@ from mcap.records import (
     ChunkIndex,
     DataEnd,
     Footer,
+    Header,
     McapRecord,
     Message,
+    MessageIndex,
     Metadata,
+    Schema,
 )
 from mcap.stream_reader import StreamReader
-from mcap.summary import Summary
 
 from nuno.recording.mcap_file import LATEST, MAGIC
 from nuno_schemas.errors import BadInput
 
 PIECE = 1 << 20
 """Bytes that are unpacked at once."""
-MOST_TOPICS = 1000
+MOST_TOPICS, PRIVATE = 1000, 0x80
 FREE, PACKED = 1 << 24, 200
 """A file may unpack to FREE bytes and PACKED times its size: what moves packs to a half, what rests to a hundredth."""
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
-OF_CHUNK = ("message_start_time", "message_end_time", "uncompressed_size")
-"""What a chunk and its entry in the index both say."""
+BESIDE = (Header, Schema, Channel, Message, MessageIndex, DataEnd, NoneType)
+"""What else may stand among the data: records of another program's own, too, from PRIVATE on."""
 
 
 class Damaged(Exception):
@@ -55,7 +58,7 @@ class Damaged(Exception):
 
 
 class _Absent(Damaged):
-    """What is not there: the end of a file that is cut, or parts of an index that another program has written."""
+    """What is not there: the end of a file that is cut."""
 
 
 @dataclass
@@ -65,7 +68,7 @@ class Layout:
     size: int
     """Bytes of the file."""
     indexed: bool
-    """Finished, with an index whose checksum fits; else found by scanning."""
+    """Whether it is whole: it was finished, and all checksums fit."""
     readable: int
     """Bytes up to the end of the last whole record."""
     damage: str = ""
@@ -80,20 +83,44 @@ class Layout:
 
 
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
-    """The layout of an open file, all of which is read. Raises BadInput where it is no recording at all."""
+    """The layout of an open file, all of which is read, up to the first record that is cut or damaged. A file that is
+    attached is held to its checksum where it is asked for: damaged, it hides no message.
+
+    Raises BadInput where it is no recording at all, and for messages without chunks: nothing would tell damaged ones
+    from others.
+    """
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     if stream.read(len(MAGIC)) != MAGIC:
         remedy = "recordings are written by nuno run --record FILE"
         raise BadInput("not an MCAP file", str(path), limit=f"{size} bytes, of another kind", remedy=remedy)
-    places: list[int] = []
+    layout, record = Layout(size, indexed=False, readable=len(MAGIC)), None
     try:
-        footer, layout = _from_index(stream, size)
-        places = sorted(chunk.chunk_start_offset for chunk in layout.chunks)
-        _check_data(stream, _check_limits(layout, path), footer.summary_start - _HEAD.size - 4)
-        return layout
+        while not isinstance(record, DataEnd):
+            at = layout.readable
+            record, end = read_record(stream, at, size, whole=False)
+            if isinstance(record, Chunk):
+                layout.unpacked += record.uncompressed_size if record.compression else len(record.data)
+                _check_limits(layout, path)
+                _add_chunk(layout, record, at, end)
+            elif isinstance(record, Metadata):
+                layout.metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                layout.attachments[record.name] = at
+            elif isinstance(record, Message) and not layout.chunks:
+                problem, remedy = "its messages stand outside of chunks", "write it with chunks"
+                raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
+            elif not isinstance(record, BESIDE):
+                raise Damaged(f"no record of data at byte {at:,}")
+            layout.readable = end
+        _check_end(stream, record, at, size)
+        layout.indexed = True
     except Damaged as error:
-        return _from_scan(stream, path, size, error, places)
+        ends = size > FOOTER_SIZE and _read_at(stream, size - len(MAGIC), len(MAGIC), size) == MAGIC
+        if ends or not isinstance(error, _Absent):
+            place = "beside its messages" if isinstance(record, DataEnd) else f"at byte {layout.readable:,} of {size:,}"
+            layout.damage = f"damaged {place} ({error})"
+    return _check_limits(layout, path)
 
 
 def _check_limits(layout: Layout, path: Path) -> Layout:
@@ -116,10 +143,11 @@ def read_record(stream: BinaryIO, at: int, size: int, whole: bool = True) -> tup
     """
     head = _read_at(stream, at, _HEAD.size, size)
     opcode, length = _HEAD.unpack(head)
-    if opcode == 0:  # no record: a system that lost power leaves zeros
+    known = opcode in Opcode.__members__.values()
+    if not known and opcode < PRIVATE:  # a system that lost power leaves zeros
         raise Damaged(f"no record at byte {at}")
     body = _read_at(stream, at + _HEAD.size, length, size)
-    if opcode not in Opcode.__members__.values():
+    if not known:
         return None, at + _HEAD.size + length
     with _damage():
         record = next(StreamReader(io.BytesIO(head + body), skip_magic=True, emit_chunks=True).records)
@@ -134,8 +162,6 @@ def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Messag
     record, _ = read_record(stream, chunk.chunk_start_offset, size)
     if not isinstance(record, Chunk):
         raise Damaged(f"no chunk at byte {chunk.chunk_start_offset}")
-    if any(getattr(record, name) != getattr(chunk, name) for name in OF_CHUNK):
-        raise Damaged(f"the chunk at byte {chunk.chunk_start_offset} is not as the index says")
     return [one for one in _records_of(record) if isinstance(one, Message)]
 
 
@@ -163,94 +189,25 @@ def _fits(crc: int, data: bytes | memoryview) -> bool:
     return crc in (0, zlib.crc32(data))
 
 
-def _check_data(stream: BinaryIO, layout: Layout, data_end: int) -> None:
-    """Raises Damaged where a byte before the index, or without its checksum any chunk, is not as it was written."""
-    record, _ = read_record(stream, data_end, layout.size)
-    if not isinstance(record, DataEnd):
-        raise Damaged("the index does not stand behind the data")
-    if record.data_section_crc:
-        crc = 0
-        for at in range(0, data_end, PIECE):
-            crc = zlib.crc32(_read_at(stream, at, min(PIECE, data_end - at), layout.size), crc)
-        if crc != record.data_section_crc:
-            raise Damaged("the checksum of all the data does not fit")
-        return
-    for chunk in layout.chunks:
-        read_messages(stream, chunk, layout.size)
-
-
-def _from_index(stream: BinaryIO, size: int) -> tuple[Footer, Layout]:
-    at = size - FOOTER_SIZE - len(MAGIC)
-    footer, end = read_record(stream, at, size)
-    if not isinstance(footer, Footer) or _read_at(stream, end, len(MAGIC), size) != MAGIC:
-        raise Damaged("no footer")
-    index = _read_at(stream, footer.summary_start, end - 4 - footer.summary_start, size)
-    if not footer.summary_start or not _fits(footer.summary_crc, index):
-        raise Damaged("the index's checksum does not fit")
-    with _damage():
-        stream.seek(0)
-        reader = SeekingReader(stream, record_size_limit=size)
-        summary = reader.get_summary() or Summary()
-        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    told, chunks = summary.statistics, summary.chunk_indexes
-    # Other programs may leave out any part of an index; what is not in it is to be found all the same.
-    listed = len(chunks), len(summary.attachment_indexes), len(summary.metadata_indexes)
-    if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != listed:
-        raise _Absent("the index leaves something out")
-    counts = Counter(told.channel_message_counts)
-    if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
-        raise _Absent("the index does not say what chunks hold")
-    if sum(chunk.chunk_length for chunk in chunks) > size:
-        raise Damaged("the index names a chunk more than once")
-    places = {one.name: one.offset for one in summary.attachment_indexes}
-    unpacked = sum(chunk.uncompressed_size for chunk in chunks)
-    return footer, Layout(size, True, size, "", summary.channels, chunks, places, metadata, counts, unpacked)
-
-
-def _from_scan(stream: BinaryIO, path: Path, size: int, why: Damaged, places: list[int]) -> Layout:
-    """Everything up to the first record that is cut or damaged: what a killed writer, or a bad disk, left. A damaged
-    file that is attached is passed over: it is refused where it is asked for.
-
-    why     is the index not enough
-    places  of chunks, by an index that is sound itself
-
-    Raises BadInput for messages without chunks: nothing would tell damaged ones from others.
+def _check_end(stream: BinaryIO, data_end: DataEnd, at: int, size: int) -> None:
+    """Raises Damaged where what stands before the end of the data, at byte `at`, or the index behind it, is not as it
+    was written. By itself the index is not needed.
     """
-    layout = Layout(size, indexed=False, readable=len(MAGIC))
-    finished = size > FOOTER_SIZE and _read_at(stream, size - len(MAGIC), len(MAGIC), size) == MAGIC
-    try:
-        while layout.readable < size:
-            at = layout.readable
-            record, end = read_record(stream, at, size, whole=False)
-            following = places[len(layout.chunks)] if len(layout.chunks) < len(places) else size
-            if end > following and not (at == following and isinstance(record, Chunk)):
-                raise Damaged(f"no chunk at byte {following:,}")
-            if isinstance(record, Chunk):
-                _add_chunk(layout, record, at, end)
-            elif isinstance(record, Metadata):
-                layout.metadata[record.name] = record.metadata
-            elif isinstance(record, Attachment):
-                layout.attachments[record.name] = at
-            elif isinstance(record, DataEnd):
-                break
-            elif isinstance(record, Message) and not layout.chunks:
-                problem, remedy = "its messages stand outside of chunks", "write it with chunks"
-                raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
-            layout.readable = end
-        if finished and not isinstance(why, _Absent):
-            layout.damage = f"damaged beside its messages ({why})"
-    except Damaged as error:
-        if finished or not isinstance(error, _Absent):
-            layout.damage = f"damaged at byte {layout.readable:,} of {size:,} ({error})"
-    return _check_limits(layout, path)
+    crc = 0
+    for piece in range(0, at if data_end.data_section_crc else 0, PIECE):
+        crc = zlib.crc32(_read_at(stream, piece, min(PIECE, at - piece), size), crc)
+    footer, end = read_record(stream, size - FOOTER_SIZE - len(MAGIC), size)
+    begin = at + _HEAD.size + 4
+    index = _read_at(stream, begin, end - 4 - begin, size)
+    if not isinstance(footer, Footer) or _read_at(stream, end, len(MAGIC), size) != MAGIC:
+        raise _Absent("no footer")
+    if crc != data_end.data_section_crc or not _fits(footer.summary_crc, index):
+        raise Damaged("a checksum of all data, or of the index, does not fit")
 
 
 def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
     found: Counter[int] = Counter()
     size = chunk.uncompressed_size
-    if layout.unpacked + size > FREE + PACKED * layout.size:
-        raise Damaged(f"a chunk would unpack to {size} bytes")
-    layout.unpacked += size
     for record in _records_of(chunk):
         if isinstance(record, Message):
             found[record.channel_id] += 1
