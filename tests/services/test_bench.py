@@ -46,7 +46,7 @@ def test_failed_measurement_is_neither_met_nor_silent() -> None:
 
 
 def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(speed.CASES, "broken", "steps.explicit:no_such_function")
+    monkeypatch.setitem(speed.CASES, "broken", "steps:no_such_function")
     (result,) = speed.run_case("broken", 1)
     assert result.verdict == "failed"
     assert "no_such_function" in result.failure
