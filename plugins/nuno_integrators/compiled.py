@@ -62,6 +62,10 @@ class Work:
         """Arrays that are part of the state."""
         return {}
 
+    def bounds(self) -> dict[str, Bounds]:
+        """Bounds of their entries."""
+        return {}
+
 
 @dataclass(frozen=True)
 class Told:
@@ -292,7 +296,7 @@ def _own_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], di
             key = name if name not in arrays else f"{name}-{len(arrays)}"
             arrays[key] = getattr(term, name)
             bounds |= {key: own[name]} if name in own else {}
-    return arrays | work.kept(), bounds
+    return arrays | work.kept(), bounds | work.bounds()
 
 
 def _restore(packed: Packed, work: Work, memory: Memory) -> None:
