@@ -5,7 +5,7 @@ movement along the surface's normal n prescribed, and all of its movement where 
 are projected by I - n n^T, or to nothing (Baraff & Witkin 1998, SIGGRAPH, "Large steps in cloth simulation"). What is
 missing in the equation of motion there is the force of the contact, N along n and t along the surface:
 
-    N < 0                    the vertex is let go
+    N < 0                    the vertex is let go, and held again if it then enters
     it sticks, |t| > mu N    it slides, against friction mu N along t
     it slides along t        friction has stopped it: it sticks
     a free one comes nearer than the gap: it is held there, and sticks
@@ -110,7 +110,7 @@ class Grip:
         self.held, found = np.zeros(0, np.int64), np.zeros((7, x.shape[1]))
         self.place = self.normal = self.friction = self.impulse = np.zeros((3, 0))
         self.far, self.mu = np.zeros((2, 0))
-        self.sticks = self.free = self.slipped = np.zeros(0, np.bool_)
+        self.sticks = self.free = self.slipped = self.kept = np.zeros(0, np.bool_)
         find_touching(x, self.on, self.slides, found)
         self._take(np.flatnonzero(self.on >= 0), found)
 
@@ -124,7 +124,7 @@ class Grip:
         self.mu = np.concatenate([self.mu, s.friction[body]])
         self.friction = np.concatenate([self.friction, self.push[:, which]], axis=1)
         none = np.zeros(len(which), np.bool_)
-        self.free, self.slipped = np.concatenate([self.free, none]), np.concatenate([self.slipped, none])
+        self.free, self.slipped, self.kept = (np.concatenate([a, none]) for a in (self.free, self.slipped, self.kept))
         self.sticks = np.concatenate([self.sticks, (s.friction[body] > 0.0) & ~self.push[:, which].any(axis=0)])
 
     def pose(self, at: float) -> None:
@@ -182,16 +182,19 @@ class Grip:
         limit = self.mu * np.maximum(normal, 0.0)
         stops = ~self.sticks & (along(self.along_surface(x), self.rub) > 0.0)
         slips = self.sticks & ~self.free & ~self.slipped & (along(t, t) > limit * limit)
-        goes = ~self.free & (normal < 0.0)
+        goes = ~self.free & ~self.kept & (normal < 0.0)
+        back = self.free & (along(x[:, self.held] - self.goal, self.n) < 0.0)
         self.friction[:, slips] = turned(limit * unit(t), self.rotation, back=True)[:, slips]
         self.slipped |= slips
         self.sticks = (self.sticks & ~slips) | stops
-        self.free |= goes
+        self.kept |= back
+        self.free = (self.free & ~back) | goes
+        changed = bool((stops | slips | goes | back).any())
         found, on = np.zeros((7, x.shape[1])), self.on.copy()
         find_entering(x, self.on, self.slides, found)
         which = np.flatnonzero(on != self.on)
         self._take(which, found)
-        return bool(stops.any() or slips.any() or goes.any() or len(which))
+        return changed or len(which) > 0
 
     def finish(self, missing: Float, x: Float, span: float) -> None:
         """Remember for the next step what the solution x (3, n) of this one, of `span` [s], has come to."""

@@ -43,7 +43,7 @@ through after one halving or two, and those cost less than patience."""
 CUT_FROM = 6
 """After so many halvings vertices that contact holds back are left where they are: what is pressed together harder than
 contact can push it apart would take thousands of steps."""
-MOST_SETS = 4
+MOST_SETS = 6
 """Times that a step is solved for other sets of vertices held on bodies. What is then still to change does so in the
 next step, or is put back at this one's end."""
 PATIENCE = 10
