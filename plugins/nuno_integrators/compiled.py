@@ -62,6 +62,10 @@ class Work:
         """Arrays that are part of the state."""
         return {}
 
+    def bounds(self) -> dict[str, Bounds]:
+        """Bounds of their entries."""
+        return {}
+
 
 @dataclass(frozen=True)
 class Told:
@@ -293,7 +297,7 @@ def _own_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], di
             arrays[key] = getattr(term, name)
             if name in own or arrays[key].dtype.kind == "f":
                 bounds[key] = own.get(name, Bounds())
-    return arrays | work.kept(), bounds
+    return arrays | work.kept(), bounds | work.bounds()
 
 
 def _restore(packed: Packed, work: Work, memory: Memory) -> None:

@@ -101,6 +101,7 @@ class Kernels:
                                                    bring to a linear step's right side; whether they are others than
                                                    before
     unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
+    grip(term) -> Grip                             what implicit steps hold on its bodies: see nuno_contact.sliding.grip
     alone(term, body) -> term                      the same in which only one of its bodies acts, by number
     counts(term) -> mapping                        counts for a step's report
     pinched(term) -> pieces, places                which piece each vertex is of that cannot go on, and where (k, 3) [m]
@@ -148,6 +149,7 @@ class Kernels:
     cut: Any = None
     foresee: Any = None
     unbalance: Any = None
+    grip: Any = None
     alone: Any = None
     counts: Any = None
     pinched: Any = None

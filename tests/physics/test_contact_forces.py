@@ -55,7 +55,9 @@ def felt(simulation: Simulation) -> list[BodyContact]:
         ("symplectic_euler", "sliding"),
         ("symplectic_euler", "offset"),
         ("implicit_euler", "penalty"),
+        ("implicit_euler", "sliding"),
         ("implicit_euler", "offset"),
+        ("tr_bdf2", "sliding"),
         ("xpbd", "penalty"),
         ("xpbd", "sliding"),
         ("xpbd", "offset"),
@@ -173,6 +175,7 @@ def test_looking_changes_nothing(tmp_path: Path, solver: str, contact: str) -> N
         ("symplectic_euler", "penalty"),
         ("symplectic_euler", "sliding"),
         ("symplectic_euler", "offset"),
+        ("implicit_euler", "sliding"),
         ("xpbd", "sliding"),
     ],
 )

@@ -224,15 +224,18 @@ def test_slides_down_a_finer_sphere_as_down_the_true_one() -> None:
     assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 0.7), errors
 
 
-def test_what_the_body_is_given_the_cloth_has_lost() -> None:
-    world = World(net(12, 0.6, np.array([0.02, 0.16, 0.01]), 10.0), body(meshes.sphere(16, 0.15), 0.3),
-                  np.array([0.0, -G, 0.0]))  # fmt: skip
+@pytest.mark.quick(name=["symplectic_euler"])
+@pytest.mark.parametrize(("name", "left"), [("symplectic_euler", 1e-12), ("implicit_euler", 1e-3)])
+def test_what_the_body_is_given_the_cloth_has_lost(name: str, left: float) -> None:
+    """To rounding, or to the residual of an implicit step."""
+    fabric = net(12, 0.6, np.array([0.02, 0.16, 0.01]), 10.0)
+    world = World(fabric, body(meshes.sphere(16, 0.15), 0.3), np.array([0.0, -G, 0.0]), name)
     end = Poses(0.25, turned(2.0, (0.0, 0.6, 0.8)), np.array([[0.1, 0.2, 0.0]]))
     world.go(250, 1e-3, None, end)
     given = world.slides.impulse.sum(axis=(0, 1))
     weight = world.system.fabric.mass.sum() * world.system.gravity * 0.25
     assert np.abs(given).min() > 1e-3
-    assert np.abs(1e-3 * world.state.v.sum(axis=0) - (weight - given)).max() < 1e-12
+    assert np.abs(1e-3 * world.state.v.sum(axis=0) - (weight - given)).max() < left * np.abs(weight).max()
 
 
 @pytest.mark.full

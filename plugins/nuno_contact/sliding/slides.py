@@ -235,6 +235,7 @@ register(
     name="slides",
     hold=hold_slides,
     slow=slow_slides,
+    grip="nuno_contact.sliding.grip:Grip",
     begin=find_room,
     alone=act_alone,
     unbalance="nuno_contact.sliding.balance:hold_forces",

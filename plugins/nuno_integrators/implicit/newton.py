@@ -86,6 +86,9 @@ def _solve_stage(
 ) -> tuple[bool, float]:
     """The same, with vertices held where they do not come on."""
     limit_approach(packed, g)
+    for grip in st.grips:
+        grip.pose(s)
+        grip.lead(xhat, st.v, g)
     guess = st.v.copy()
     np.multiply(st.v, g, out=st.x)
     st.x += xhat
@@ -151,6 +154,8 @@ def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, e
         if not any(call_each(packed, "foresee", st.x, st.solver.linear.x, pull)):
             break
         solve_again(st.solver, packed, st.x, 1.0 / g, pull)
+    for grip in st.grips:
+        grip.filter(st.solver.linear.x)
     st.solver.before[...], st.solver.follow = st.x, True
     return done
 
@@ -175,7 +180,14 @@ def _rounding(st: Stage, g: float) -> float:
 def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
     evaluate(st.x, st.v, s, st.a, packed, extra)
     st.counts.evaluations += 1
-    return float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
+    worst = float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
+    if not st.grips:
+        return worst
+    st.missing[...] = st.residual
+    for grip in st.grips:
+        st.residual[:, grip.held] += grip.rub
+        grip.filter(st.residual)
+    return float(np.sqrt((st.residual * st.residual).sum(axis=0).max(initial=0.0)))
 
 
 def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
@@ -212,6 +224,8 @@ def _fill_own(st: Stage, packed: Packed, extra: Extra, g: float, s: float) -> No
     if st.others is not None:
         own[:3] = st.mass / (g * g)
         _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
+    for grip in st.grips:
+        grip.stiffen(own, st.scale)
 
 
 def _add_others(st: Stage, others: Packed, extra: Extra, g: float, s: float) -> None:

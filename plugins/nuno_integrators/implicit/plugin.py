@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, lacking
@@ -25,7 +26,9 @@ from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import compile_stage, limit_approach, solve_stage
 from nuno_integrators.implicit.stage import Limits, Stage, make_stage
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
+from nuno_kernels.step.packing import call_each
 from nuno_schemas.fabric import Float, State
+from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
@@ -40,6 +43,9 @@ through after one halving or two, and those cost less than patience."""
 CUT_FROM = 6
 """After so many halvings vertices that contact holds back are left where they are: what is pressed together harder than
 contact can push it apart would take thousands of steps."""
+MOST_SETS = 6
+"""Times that a step is solved for other sets of vertices held on bodies. What is then still to change does so in the
+next step, or is put back at this one's end."""
 PATIENCE = 10
 """Times as many Newton steps are taken then, by factorisations. A chain of stiff springs in compression gives way to
 the side: tens of steps leave the straight line, where rounding alone pushes it aside, and then it takes about one for
@@ -65,10 +71,17 @@ class ImplicitConfig(Config):
 
 @dataclass
 class ImplicitWork(Work):
-    """`stage` is the solver's memory."""
+    """`stage` is the solver's memory; `grips` hold vertices on bodies, see nuno_contact.sliding.grip."""
 
     stage: Stage
     limits: Limits
+    grips: tuple[Any, ...]
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        return {f"held_{name}-{k}": getattr(one, name) for k, one in enumerate(self.grips) for name in ("body", "push")}
+
+    def bounds(self) -> dict[str, Bounds]:
+        return {f"held_body-{k}": Bounds(-1, len(one.slides.root) - 1) for k, one in enumerate(self.grips)}
 
 
 class Implicit(Compiled):
@@ -83,7 +96,8 @@ class Implicit(Compiled):
         python = any(term.in_python for term in system.terms)
         stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
         x, v = np.empty((2, 3, n))
-        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, Limits(config.residual, config.most_iterations))
+        limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "grip"))
+        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, limits, grips)
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
         """Nothing limits the step."""
@@ -98,6 +112,8 @@ class Implicit(Compiled):
 
     def go(self, work: ImplicitWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         work.stage.solver.counts = Counts()
+        acting = [id(term) for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
+        work.stage.grips = tuple(grip for grip in work.grips if id(grip.slides) in acting)
         taken, span = 0, steps * dt
         for step in range(steps):
             done, residual = self._step(work, packed, extra, step * dt, dt, span, 0)
@@ -109,6 +125,10 @@ class Implicit(Compiled):
 
     def compile(self, work: ImplicitWork, packed: Packed, extra: Extra) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
+        for grip in work.grips:
+            grip.begin(work.x, 0.0, 1.0)
+            grip.enter(work.x, work.v.copy(), 1.0)
+            grip.revise(work.stage.missing, work.x)
         # By its signature: called, it would let friction forget where it holds.
         held = (work.x, work.v, 1.0, packed.bodies, packed.bodies_on, packed.threads)
         kernel: Any = commit
@@ -120,13 +140,17 @@ class Implicit(Compiled):
         """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
         solver, limits = work.stage.solver, work.limits._replace(cut=depth >= CUT_FROM)
         solver.direct = solver.hindered = False
-        ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
+        ok, residual = self._attempt_held(work, packed, extra, start, h, span, limits)
         if not ok and depth == PATIENT_FROM and not packed.leave[0] and prefer_factors(solver):
             limits = limits._replace(most=PATIENCE * limits.most)
-            ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
+            ok, residual = self._attempt_held(work, packed, extra, start, h, span, limits)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
+            for grip in work.stage.grips:
+                grip.finish(work.stage.missing, work.x, h)
             commit(work.x, work.v, (start + h) / span, packed.bodies, packed.bodies_on, packed.threads)
+            for grip in work.stage.grips:
+                grip.count()
             return 1, None
         if depth == MOST_HALVINGS or packed.leave[0]:
             return 0, residual
@@ -136,6 +160,25 @@ class Implicit(Compiled):
             return first, failed
         second, failed = self._step(work, packed, extra, start + 0.5 * h, 0.5 * h, span, depth + 1)
         return first + second, failed
+
+    def _attempt_held(
+        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
+    ) -> tuple[bool, float]:  # fmt: skip
+        """The same as `attempt`, anew while vertices are to be held on bodies that were not, or the other way round."""
+        st, v = work.stage, work.v.copy()
+        for grip in st.grips:
+            grip.begin(work.x, start / span, (start + h) / span)
+        for turn in range(MOST_SETS):
+            for grip in st.grips:
+                grip.enter(work.x, work.v, h)
+            ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
+            work.v[...] = v
+            if not ok or turn == MOST_SETS - 1:
+                break
+            revised = [grip.revise(st.missing, st.x) for grip in st.grips]
+            if not any(revised):
+                break
+        return ok, residual
 
     def attempt(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
@@ -194,6 +237,8 @@ class TRBDF2(Implicit):
         limit_approach(packed, g)
         evaluate(work.x, work.v, start / span, st.a, packed, extra)
         st.counts.evaluations += 1
+        for grip in st.grips:
+            st.a[:, grip.held] += packed.inverse_mass[grip.held] * grip.rub
         np.multiply(work.v, g, out=xhat)
         xhat += work.x
         np.multiply(st.a, g, out=vhat)
@@ -202,13 +247,18 @@ class TRBDF2(Implicit):
         ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, limits)
         if not ok:
             return ok, residual
+        first = st.missing.copy()
         # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
         near = 1.0 / (GAMMA * (2.0 - GAMMA))
         for hat, middle, old in ((xhat, st.x, work.x), (vhat, st.v, work.v)):
             np.subtract(middle, old, out=hat)
             hat *= near
             hat += old
-        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
+        found = solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
+        # The whole step's, by which both stages bring it from v to its end: at the end alone it swings.
+        st.missing += near * first
+        st.missing *= 0.5 * GAMMA
+        return found
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ class Stage:
     """Memory of the solver for one packed system.
 
     x, v (3, n) are the stage's unknowns; mass (n,) is 0 where a vertex is pinned, or held for the rest of the stage.
+    grips hold vertices on bodies (nuno_contact.sliding.grip), and missing (3, n) is the residual without them [N].
     """
 
     packed: Packed
@@ -43,7 +44,9 @@ class Stage:
     v: Float
     a: Float
     residual: Float
+    missing: Float
     others: Packed | None
+    grips: tuple[Any, ...] = ()
 
     @property
     def counts(self) -> Counts:
@@ -58,8 +61,8 @@ def make_stage(packed: Packed, position: Float, size: float, python: bool) -> St
     lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
     others = silence(packed, *matrices) if lumped else None
     stiffest = max(call_each(packed, "stiffest"), default=0.0)
-    x, v, a, residual = np.zeros((4, 3, w.shape[0]))
-    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
+    x, v, a, residual, missing = np.zeros((5, 3, w.shape[0]))
+    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, missing, others)
 
 
 def hold(st: Stage, held: Bool) -> None:
