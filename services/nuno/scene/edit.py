@@ -137,11 +137,12 @@ class _Dumper(yaml.SafeDumper):
     """Writes text that needs quotes in those that scenes have."""
 
     def choose_scalar_style(self) -> str:
-        return str(super().choose_scalar_style()).replace("'", '"')  # type: ignore[no-untyped-call]
+        return str(super().choose_scalar_style()).replace("'", '"')
 
 
 def flow(value: Any) -> str:
     """Plain values as YAML on one line, as scenes are written: text in quotes only where it could be something else."""
     style: dict[str, Any] = {"default_flow_style": True, "sort_keys": False, "allow_unicode": True, "width": math.inf}
     # In a list: what stands alone ends in a mark of its own.
-    return yaml.dump([value], Dumper=_Dumper, **style).strip()[1:-1]
+    text: str = yaml.dump([value], Dumper=_Dumper, **style)
+    return text.strip()[1:-1]
