@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno_integrators.forces import find_forces, find_touched, undisturbed
-from nuno_integrators.lost import find_first, find_lost, say_lost
-from nuno_integrators.pace import Pace
+from nuno_integrators.nonfinite import find_first, find_lost, say_lost
 from nuno_integrators.profile import profile_steps
-from nuno_integrators.rest import unbalance
+from nuno_integrators.residual import unbalance
 from nuno_integrators.stability import measure_rates, stable_step
+from nuno_integrators.thread_tuning import Pace
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate

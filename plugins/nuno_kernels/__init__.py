@@ -3,7 +3,7 @@
 Kernels see one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when
 only a callee in another module changes, so its folder carries a hash of the sources of the solvers'
 packages, the compile flags and the versions; it is set here, before any function is decorated. Kernels of
-other packages are known by all that they reach beside, see `nuno_kernels.compile.reached`.
+other packages are known by all that they reach beside, see `nuno_kernels.compile.dependency_hash`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
-from nuno_kernels.compile.apart import call_by_address, call_from_kernels
 from nuno_kernels.compile.borrowed import Borrowing
-from nuno_kernels.compile.kept import keep, reached_by
+from nuno_kernels.compile.cache import keep, reached_by
+from nuno_kernels.compile.calling_convention import call_by_address, call_from_kernels
+from nuno_kernels.compile.dependency_hash import SOLVERS
 from nuno_kernels.compile.quiet import compile_quietly
-from nuno_kernels.compile.reached import SOLVERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 

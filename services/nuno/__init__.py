@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nuno.api.run import resume, run
     from nuno.api.scene import Scene
     from nuno.api.watch import Heard, watch
-    from nuno.moments import Moment
+    from nuno.frame_state import Moment
     from nuno.recording.reader import Recording
     from nuno_bench.sweep.grid import sweep
 
@@ -36,7 +36,7 @@ PLACES = {
     "nuno.api.run": ("resume", "run"),
     "nuno.api.scene": ("Scene",),
     "nuno.api.watch": ("Heard", "watch"),
-    "nuno.moments": ("Moment",),
+    "nuno.frame_state": ("Moment",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),
 }

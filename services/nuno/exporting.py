@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nuno.exports.camera import SIDES, Side
 from nuno.exports.target import RATE, Progress, check_folder, check_target, together
 from nuno.recording.reader import Recording
-from nuno.scene.explain import explain
+from nuno.scene.validation_errors import explain
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView, Form
 

@@ -9,7 +9,7 @@ from collections import deque
 from types import TracebackType
 from typing import Any
 
-from nuno.words import LONG, factor, roughly, time_of
+from nuno.formatting import LONG, factor, roughly, time_of
 from nuno_schemas.messages import FrameStatus
 from nuno_schemas.scene import Scene
 

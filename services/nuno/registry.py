@@ -9,7 +9,7 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nuno import contain
+from nuno.plugin_contract import containment
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
@@ -48,8 +48,8 @@ def _claims(
 def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
     """An instance of the plugin `name`. Raises BadInput if it is unknown, claimed twice or cannot be imported.
 
-    One of another distribution is guarded: see `nuno.foreign`. `beside` are words that may stand for a plugin, such
-    as "auto": an unknown name is answered with them, too.
+    A plugin of another distribution is guarded (`nuno.plugin_contract.guards`). `beside` are words that may stand for
+    a plugin, such as "auto": the error for an unknown name lists them, too.
     """
     found = claims(group)
     if name not in found:
@@ -63,16 +63,16 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
             value=owners,
             remedy=f"uninstall one of them: pip uninstall {distribution(foreign)}",
         )
-    kind = contain.call(partial(_not_imported, name, point), point.load)
+    kind = containment.call(partial(_not_imported, name, point), point.load)
     if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
         raise BadInput(
             f"the plugin {name!r} of {package(point)} in {group} has no {', no '.join(lacking)}", value=point.value,
-            remedy=contain.UNWRITTEN,
+            remedy=containment.UNWRITTEN,
         )  # fmt: skip
-    plugin = contain.call(partial(_not_imported, name, point), kind)
+    plugin = containment.call(partial(_not_imported, name, point), kind)
     if is_own(point):
         return plugin
-    from nuno.foreign import Foreign
+    from nuno.plugin_contract.guards import Foreign
 
     return Foreign(plugin, group, name, package(point))
 
@@ -89,7 +89,7 @@ def offering(group: str, method: str, what: str) -> Any:
 
 
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
-    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in contain.OWN_FRAMES]
+    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in containment.OWN_FRAMES]
     where = [f"{places[-1].filename}:{places[-1].lineno}"] if places else []
     return BadInput(
         f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",

@@ -8,13 +8,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import PATIENCE
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import PATIENCE
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import (
     BODIES,

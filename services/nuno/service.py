@@ -18,13 +18,13 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from nuno.premises import offer_premises
+from nuno.bus.health import offer_health
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.query import Question
+from nuno.consistency import offer_premises
 from nuno.process import SIGNALS, state_of, working_folder
 from nuno.scene.scene_file import Loaded
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.health import offer_health
-from nuno.wire.question import Question
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, Ack, Event, Topic
 

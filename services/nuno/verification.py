@@ -11,15 +11,15 @@ from itertools import groupby
 
 import numpy as np
 
+from nuno.bus.encodings import BadMessage
 from nuno.recording.gaps import NOTHING, Lacks, find_lacks
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
 from nuno.scene.provenance import plugins, versions
 from nuno.scene.scene_file import Loaded
-from nuno.stepping.again import Again
-from nuno.stepping.stepped import Stepper
-from nuno.wire.arrays import BadMessage
+from nuno.stepping.resimulation import Again
+from nuno.stepping.stepper import Stepper
 from nuno_schemas.errors import BadInput, RunFailed
 
 Progress = Callable[[float], None]

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nuno.scene.explain import EMPTY
 from nuno.scene.plausible import implausible_numbers
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import MOST_STEPS, ROUNDING, nearest_steps
+from nuno.scene.validation_errors import EMPTY
 from nuno_schemas.errors import BadInput
 
 MOST_STRETCH = 1.0

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.foreign import Foreign
+from nuno.plugin_contract.guards import Foreign
 from nuno.scene.files import SceneFiles
 from nuno_schemas.plugin import Files
 

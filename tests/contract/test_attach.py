@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from nuno.cloth import build
-from nuno.cloth.worn import check_worn
+from nuno.cloth.start_checks import check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses

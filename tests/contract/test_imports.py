@@ -118,7 +118,7 @@ def test_no_circle_of_the_hosts_parts() -> None:
             parts = {".".join(one.split(".")[:2]) for one in modules_in(path) if one.startswith("nuno.")}
             part = ".".join(name.split(".")[:2])
             imports.setdefault(part, set()).update(parts - {part})
-    assert {"nuno.wire", "nuno.scene"} <= imports.keys() and "nuno.scene" in imports["nuno.service"]
+    assert {"nuno.bus", "nuno.scene"} <= imports.keys() and "nuno.scene" in imports["nuno.service"]
     assert circle(imports) == []
 
 
@@ -127,4 +127,4 @@ def test_the_wire_imports_nothing_above_it() -> None:
     for name, path in MODULES.items():
         if name.split(".")[:2] == ["nuno", "wire"]:
             own = {one for one in modules_in(path) if one.split(".")[0] in OWN}
-            assert {one for one in own if not one.startswith(("nuno.wire", "nuno_schemas"))} == set(), name
+            assert {one for one in own if not one.startswith(("nuno.bus", "nuno_schemas"))} == set(), name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nuno.words import duration, factor, many, megabytes, time_of
+from nuno.formatting import duration, factor, many, megabytes, time_of
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 from nuno import registry
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import DOWN, pile, sheet
-from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.contact_state import Meeting
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import StepReport
 

@@ -10,7 +10,7 @@ import yaml
 from nuno.scene import scene_file
 from nuno.simulation.costs import MOMENTS, Stage
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepped import hash_of
+from nuno.stepping.stepper import hash_of
 
 pytestmark = pytest.mark.full
 

@@ -15,8 +15,8 @@ import yaml
 from scipy.spatial import Delaunay
 
 from nuno.scene.scene_file import read
+from nuno.simulation.body_forces import feel
 from nuno.simulation.run import Simulation
-from nuno.simulation.touching import feel
 from nuno_schemas.fabric import Float
 
 pytestmark = pytest.mark.full

@@ -14,8 +14,8 @@ from typing import Any
 import numba
 import pytest
 
-from nuno_kernels.compile import reached
-from nuno_kernels.compile.kept import CHECKSUM, keep
+from nuno_kernels.compile import dependency_hash
+from nuno_kernels.compile.cache import CHECKSUM, keep
 
 
 def twice(x: float) -> float:
@@ -158,7 +158,7 @@ class Package:
                 path.write_text(text)
             self.monkeypatch.delitem(sys.modules, name, raising=False)
         self.monkeypatch.setattr(sys, "dont_write_bytecode", True)
-        reached._sources.cache_clear()
+        dependency_hash._sources.cache_clear()
         importlib.invalidate_caches()
         return importlib.import_module("caller").force
 

@@ -11,7 +11,7 @@ import pytest
 from nuno.cloth import build
 from nuno.scene import scene_file, shipped
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.pace import BETTER, TRY_AGAIN, Pace
+from nuno_integrators.thread_tuning import BETTER, TRY_AGAIN, Pace
 from nuno_schemas.system import System, Term
 
 

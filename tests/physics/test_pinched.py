@@ -15,7 +15,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import pile
-from nuno_contact.offset.brake import SWEEPS, brake
+from nuno_contact.offset.impulse import SWEEPS, brake
 from nuno_contact.offset.places import CLOSE, LISTED, NEAR
 from nuno_contact.offset.plugin import find_pinched
 from nuno_schemas.fabric import Float

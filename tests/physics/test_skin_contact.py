@@ -12,10 +12,10 @@ from met_bodies import Met, Motion, geometry_of
 from persons import bar, skinned
 from sheets import Pile, sheet
 
+from nuno.bus.encodings import BadMessage
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.collision.surfaces import surface
-from nuno.wire.arrays import BadMessage
 from nuno_bench.contact.run import Oracle
 from nuno_contact.offset.bodies import CATCH_UP, PLACED, STANDS, pose_solids, set_solid_poses
 from nuno_contact.offset.places import LEFT_OUT, TOUCHING

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nuno.bus.encodings import encode_arrays
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
-from nuno.wire.arrays import encode_arrays
 
 NAMES = ("drops", "folded", "halo", "ikat", "photograph")
 SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in NAMES]

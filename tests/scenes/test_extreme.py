@@ -16,7 +16,7 @@ import pytest
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepped import Stepped
+from nuno.stepping.stepper import Stepped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

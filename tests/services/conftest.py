@@ -14,10 +14,10 @@ from refusals import Refused
 from studio_desk import served as desk_served
 from studio_desk import write_sheet
 
+from nuno.bus.sessions import spoke
 from nuno.pages.server import Server
-from nuno.pages.workshop import Workshop
+from nuno.pages.worker import Workshop
 from nuno.studio.desk import Desk
-from nuno.wire.sessions import spoke
 
 
 class Shared:

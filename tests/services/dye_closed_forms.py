@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from nuno.choose.cloth import decide
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
+from nuno.solver_selection.cloth import decide
 from nuno_bench.problem.dye import DyeProblem
 from nuno_schemas.fabric import Float
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from nuno.bus.encodings import encode_arrays, encode_points
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.recording.reader import END
 from nuno.recording.writer import RecordingWriter
-from nuno.wire.arrays import encode_arrays, encode_points
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import CAPSULE, Geometry, Poses
 from nuno_schemas.fabric import Float

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from recorded_sheet import Sheet, items, metadata
 from studio_desk import ask
 
+from nuno.bus.encodings import encode_points
 from nuno.recording.reader import END
 from nuno.recording.writer import RecordingWriter
 from nuno.studio.desk import Desk
-from nuno.wire.arrays import encode_points
 from nuno_schemas.messages import FABRIC, STATE
 
 FOLDER = Path("recordings")

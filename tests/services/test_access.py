@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import nuno
-from nuno.access import folder
-from nuno.access.folder import PEOPLE, Rights
+from nuno.security import credentials_folder
+from nuno.security.credentials_folder import PEOPLE, Rights
 from nuno_schemas.errors import BadInput, RunFailed
 from soak import access
 
@@ -24,7 +24,7 @@ def test_without_access_control_the_same_attempts_succeed(tmp_path: Path, monkey
     def none(roles: Any) -> dict[str, Any]:
         return {"enabled": False}
 
-    monkeypatch.setattr(folder, "access_control", none)
+    monkeypatch.setattr(credentials_folder, "access_control", none)
     with access.guarded_run(tmp_path) as guarded:
         spared = Rights(asks=("finish/*",))  # the run is to be stopped by its operator
         # The hub waits for the run's services alone: to an observer that lags it may drop what was forged.

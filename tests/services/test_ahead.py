@@ -10,12 +10,12 @@ import pytest
 from scenes import write_scene
 
 from nuno import progress
-from nuno.ahead import Pace, run_seconds
 from nuno.cli import main
+from nuno.formatting import roughly
 from nuno.progress import ProgressLine
+from nuno.runtime_estimate import Pace, run_seconds
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.words import roughly
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Kind, Shown
 from nuno_bench.sweep.executor import Executor

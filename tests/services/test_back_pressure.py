@@ -16,6 +16,9 @@ from live_run import wait_until
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus import slow_consumers
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import hub_at, identity, spoke
 from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
 from nuno.report.make import make_report
@@ -24,12 +27,9 @@ from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.stepping import driver
-from nuno.stepping.stepped import Stepped
+from nuno.stepping.stepper import Stepped
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Outcome
-from nuno.wire import laggards
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import hub_at, identity, spoke
 from nuno_schemas.messages import STATE
 
 COUNT, SIZE = 400, 100_000
@@ -38,7 +38,7 @@ COUNT, SIZE = 400, 100_000
 
 DEAF = """
 import sys, time
-from nuno.wire.sessions import spoke
+from nuno.bus.sessions import spoke
 
 def never(sample):
     print("called", flush=True)
@@ -68,8 +68,8 @@ def deaf(endpoint: str, key: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(laggards, "LOOK_SECONDS", 0.0)
-    monkeypatch.setattr(laggards, "BEHIND_SECONDS", 0.05)
+    monkeypatch.setattr(slow_consumers, "LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(slow_consumers, "BEHIND_SECONDS", 0.05)
     run = "deaf-run"
     with (
         hub_at(None, None, [identity(run, "recorder")]) as (session, endpoint),
@@ -87,7 +87,7 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
             sender.put(bytes(SIZE), number)
         assert foreign.stdout.readline() == "called\n"
         names, early, said = {identity(run, "recorder"): "recorder"}, list[str](), list[str]()
-        watch = laggards.Laggards(session, names)
+        watch = slow_consumers.Laggards(session, names)
         for number in range(COUNT):
             message = inbox.get(20.0)
             assert isinstance(message, Message)
@@ -98,7 +98,7 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
         assert not inbox.counts.missing[STATE.name]
         # While all was on its way the recorder may have been behind, too; now it is not.
         early = [text for text in early if "recorder" not in text]
-        watch, begin = laggards.Laggards(session, names), time.monotonic()
+        watch, begin = slow_consumers.Laggards(session, names), time.monotonic()
 
         def is_named() -> bool:
             watch.look(said.append)
@@ -186,7 +186,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
 def test_a_slow_collision_service_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
 ) -> None:
-    monkeypatch.setattr("nuno.wire.asked.WAITING_AFTER", 0.2)
+    monkeypatch.setattr("nuno.bus.pending_reply.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
     monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
     real = Collision.poses

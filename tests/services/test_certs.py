@@ -13,9 +13,9 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from refusals import largest_file
 
-from nuno.access import certificates, folder
-from nuno.access.folder import IN, access_control, read_rights
 from nuno.cli import main
+from nuno.security import certificates, credentials_folder
+from nuno.security.credentials_folder import IN, access_control, read_rights
 from nuno.service import MODULES, SUPERVISOR
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, REPORT, TOPICS
@@ -24,7 +24,7 @@ from nuno_schemas.messages import ACK, EVENT, REPORT, TOPICS
 @pytest.fixture(scope="module")
 def certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("made") / "certs"
-    folder.make(path, ("router", "10.0.0.1"), folder.roles(), 30)
+    credentials_folder.make(path, ("router", "10.0.0.1"), credentials_folder.roles(), 30)
     return path
 
 
@@ -45,15 +45,15 @@ def test_only_the_owner_reads_the_files(certs: Path) -> None:
 
 
 def test_a_role_has_its_own_key_and_no_other(certs: Path) -> None:
-    keys = [secrets(certs / f"{role}.json5") for role in folder.roles()]
+    keys = [secrets(certs / f"{role}.json5") for role in credentials_folder.roles()]
     private = [tls[name] for tls in keys for name in tls if "private_key" in name]
-    assert len(set(private)) == len(folder.roles())
+    assert len(set(private)) == len(credentials_folder.roles())
     authority = base64.b64encode((certs / "authority.key").read_bytes()).decode()
     assert authority not in private
 
 
 def test_only_the_router_can_be_a_server(certs: Path) -> None:
-    for role in folder.roles():
+    for role in credentials_folder.roles():
         found = certificate(certs / f"{role}.json5")
         usage = found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         serves = ExtendedKeyUsageOID.SERVER_AUTH in usage
@@ -81,7 +81,7 @@ def test_a_full_disk_leaves_no_part_of_an_authority(tmp_path: Path, capsys: pyte
 def test_one_that_was_moved_away_is_made_again_by_the_same_authority(certs: Path, tmp_path: Path) -> None:
     (certs / "dye.json5").rename(tmp_path / "old.json5")
     assert main(["certs", str(certs), "--roles", "dye"]) == 0
-    assert [kept.wrong for kept in folder.check(certs)] == [""] * len(folder.roles())
+    assert [kept.wrong for kept in credentials_folder.check(certs)] == [""] * len(credentials_folder.roles())
 
 
 @pytest.mark.parametrize(
@@ -98,23 +98,23 @@ def test_what_cannot_be_made_is_said(
     hosts: tuple[str, ...], roles: list[str], days: int, problem: str, tmp_path: Path
 ) -> None:
     with pytest.raises(BadInput, match=problem):
-        folder.make(tmp_path / "certs", hosts, roles, days)
+        credentials_folder.make(tmp_path / "certs", hosts, roles, days)
     assert not list(tmp_path.iterdir()), "nothing is written"
 
 
 def test_check_names_what_is_amiss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, other = tmp_path / "certs", tmp_path / "other"
     assert main(["certs", str(path), "--check"]) == 2
-    folder.make(path, ("router",), ["router", "dye", "render", "viewer", "observer", "operator"], 1)
-    folder.make(other, ("router",), ["viewer"], 1)
+    credentials_folder.make(path, ("router",), ["router", "dye", "render", "viewer", "observer", "operator"], 1)
+    credentials_folder.make(other, ("router",), ["viewer"], 1)
     authority = certificates.load((path / "authority.pem").read_bytes(), (path / "authority.key").read_bytes())
-    old = folder.configuration("dye", certificates.sign(authority, "dye", -1), authority)
+    old = credentials_folder.configuration("dye", certificates.sign(authority, "dye", -1), authority)
     (path / "dye.json5").write_bytes(old)
     (path / "viewer.json5").write_bytes((other / "viewer.json5").read_bytes())
     (path / "render.json5").write_bytes((path / "observer.json5").read_bytes())
     (path / "router.json5").chmod(0o644)
     (path / "operator.json5").write_text("{}")
-    found = {kept.role: kept.wrong for kept in folder.check(path)}
+    found = {kept.role: kept.wrong for kept in credentials_folder.check(path)}
     assert "expired" in found["dye"]
     assert "another authority" in found["viewer"] and "another role's" in found["render"]
     assert "chmod 600" in found["router"] and "cannot be used" in found["operator"]

@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 import nuno
-from nuno.access import folder
-from nuno.wire.sessions import free_port
+from nuno.bus.sessions import free_port
+from nuno.security import credentials_folder
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
 ROLES = {"run": "supervisor"}
@@ -55,7 +55,7 @@ def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_pat
     """With the certificates that `nuno certs` makes, each service with its own."""
     port = free_port()
     swaps = {"tls/0.0.0.0:7447": f"tls/127.0.0.1:{port}", "tls/router:7447": f"tls/localhost:{port}"}
-    folder.make(tmp_path / "certs", ("localhost",), folder.roles(), 1)
+    credentials_folder.make(tmp_path / "certs", ("localhost",), credentials_folder.roles(), 1)
 
     def command(name: str) -> list[str]:
         words = [swaps.get(word, word) for word in compose["services"][name]["command"]]

@@ -10,11 +10,11 @@ import pytest
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.query import Question
+from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
 from nuno.supervision import runs, supervisor
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.question import Question
-from nuno.wire.sessions import free_port, hub, spoke
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE
 

@@ -11,9 +11,9 @@ from test_viewer_file import read, write
 from viewer_run import RATE, messages
 
 import nuno
+from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.recording.reader import open_recording
-from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONTACT, TOUCHES, BodyContact, Contact
 
 SHEET = [

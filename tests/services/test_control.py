@@ -16,6 +16,9 @@ from live_run import Run, start_long, wait_until
 from scenes import write_scene
 
 import nuno
+from nuno.bus.encodings import decode_arrays
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.cli.control import SLOW
 from nuno.cloth.build import build_fabric
@@ -24,9 +27,6 @@ from nuno.scene import scene_file
 from nuno.simulation.service import NOW
 from nuno.stepping.driver import Driver
 from nuno.supervision import runs
-from nuno.wire.arrays import decode_arrays
-from nuno.wire.bus import Bus
-from nuno.wire.sessions import spoke
 from nuno_schemas.errors import RunFailed
 
 
@@ -116,7 +116,7 @@ def test_whoever_waits_for_a_long_frame_is_told_why(
     leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The frame ends only once it is said."""
-    monkeypatch.setattr("nuno.wire.asked.WAITING_AFTER", 0.05)
+    monkeypatch.setattr("nuno.bus.pending_reply.WAITING_AFTER", 0.05)
     said = Opened(leave[1])
     monkeypatch.setattr(sys, "stderr", said)
     assert main(["control", leave[0].run, "pause"]) == 0

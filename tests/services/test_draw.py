@@ -20,11 +20,11 @@ from nuno.cli.draw import open_desk
 from nuno.cloth.build import Piece
 from nuno.draw.append import append_items
 from nuno.draw.lines import by_object, positions, read_strokes
+from nuno.live_view.snapshot import Sight
 from nuno.pages.guard import MOST_BYTES
 from nuno.pages.server import Server
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, shipped, yaml_lines
-from nuno.seen.sight import Sight
 from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
 

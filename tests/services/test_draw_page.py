@@ -17,9 +17,9 @@ from studio_desk import NEEDS_BROWSER, served
 import nuno
 from nuno.cli.draw import open_desk
 from nuno.draw.lines import positions, read_strokes
+from nuno.live_view.snapshot import Sight
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
-from nuno.seen.sight import Sight
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
 from nuno_schemas.fabric import Float

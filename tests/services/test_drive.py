@@ -12,12 +12,12 @@ from scenes import write_scene
 from test_live_poses import LONG, SHEET, hand, poses
 
 import nuno
+from nuno.bus.sessions import free_port
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment
-from nuno.wire.sessions import free_port
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.system import StepReport

@@ -12,11 +12,11 @@ from dye_closed_forms import CASES, promised_error
 from dye_scene import CELL, TAU3, arrays, write_scene
 
 import nuno
-from nuno.choose.cloth import decide
-from nuno.choose.found import PROMISE
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.solver_selection.cloth import decide
+from nuno.solver_selection.selection import PROMISE
 from nuno.verification import verify
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

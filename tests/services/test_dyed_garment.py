@@ -14,6 +14,7 @@ from garment_scene import DROP, PASTE, alone, write
 from live_run import Run
 
 import nuno
+from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
@@ -22,7 +23,6 @@ from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
 from nuno.verification import verify
-from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
 
 
@@ -183,8 +183,8 @@ def test_cloth_that_comes_to_rest_ends_the_dyeing(tmp_path: Path) -> None:
 
 
 def test_a_replay_sends_the_digests_of_both(tmp_path: Path) -> None:
-    from nuno.wire.bus import Bus, Inbox, Message
-    from nuno.wire.sessions import hub_at
+    from nuno.bus.messages import Bus, Inbox, Message
+    from nuno.bus.sessions import hub_at
 
     result = nuno.run(write(tmp_path), record=tmp_path / "both.mcap")
     with hub_at(None, None) as (session, _):

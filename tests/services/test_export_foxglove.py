@@ -19,6 +19,7 @@ from scenes import write_scene
 from test_export import picture, png
 
 import nuno
+from nuno.bus.encodings import decode_arrays, encode_arrays
 from nuno.cli import main
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
@@ -26,7 +27,6 @@ from nuno.exports.foxglove import describe, export_foxglove
 from nuno.exports.paint import paint_stretch
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter
-from nuno.wire.arrays import decode_arrays, encode_arrays
 from nuno_schemas import messages
 from nuno_schemas.bodies import Poses
 from nuno_schemas.colour import to_srgb

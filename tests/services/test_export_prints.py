@@ -19,11 +19,11 @@ from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import renumber
 from nuno.exports.cloth import cut_pieces, read_pieces
 from nuno.exports.meshes import export_mesh
-from nuno.handed import check_fabric
+from nuno.plugin_contract.results import check_fabric
+from nuno.plugin_contract.values import Wrong
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
-from nuno.wrong import Wrong
 from nuno_cloth.sewing.sew import sew
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.fabric import Fabric, Float

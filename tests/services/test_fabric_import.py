@@ -11,8 +11,8 @@ import yaml
 from PIL import Image
 
 from nuno import registry
-from nuno.begin.sheet import read_values
 from nuno.cli import main
+from nuno.templates.laboratory_sheet import read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor

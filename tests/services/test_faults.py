@@ -19,6 +19,8 @@ from recorded_sheet import Sheet, items, metadata
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.messages import Bus, Inbox
+from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording import service as recording_service
 from nuno.recording.gaps import shortcoming
@@ -29,8 +31,6 @@ from nuno.supervision import supervisor
 from nuno.supervision.oversight import Supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
-from nuno.wire.bus import Bus, Inbox
-from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput, RunFailed
 from soak.processes import Processes
 

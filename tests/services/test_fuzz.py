@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from nuno import registry
+from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.scene.files import SceneFiles
-from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import FIELD, Geometry

@@ -11,12 +11,12 @@ from recorded_sheet import Sheet, items, metadata
 from scenes import write_scene
 
 import nuno
+from nuno.bus.messages import Publisher
 from nuno.cli import main
 from nuno.recording.gaps import count_gaps, find_lacks, shortcoming
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.report.show import lines
-from nuno.wire.bus import Publisher
 from nuno_schemas.messages import STATE, STATUS
 
 LOST = {7, 8, 9, 15}

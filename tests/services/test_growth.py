@@ -13,7 +13,7 @@ from random_fabrics import write_random
 from scenes import BALL, write_scene
 
 from nuno.scene import scene_file
-from nuno.simulation.growth import internal
+from nuno.simulation.energy_growth import internal
 from nuno.simulation.run import Simulation
 
 SEEDS, SHARE, QUICK = 200, 0.9, (3, 134)

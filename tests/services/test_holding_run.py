@@ -11,9 +11,9 @@ from live_run import Run
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.verification import verify
-from nuno.wire.sessions import spoke
 
 SHEET = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "plane": "xz", "centre": [0.3, -0.09, 0.0]}
 

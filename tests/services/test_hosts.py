@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from relay import Relay, relay
 
+from nuno.bus import sessions
+from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.service import Options, run_service
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
-from nuno.wire import sessions
-from nuno.wire.sessions import free_port, hub, spoke
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
 from soak import scenes

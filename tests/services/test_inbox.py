@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 from foreign import DEEP, header
 
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.question import Question
-from nuno.wire.sessions import free_port, hub
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.query import Question
+from nuno.bus.sessions import free_port, hub
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import ACK, STATE
 

@@ -19,12 +19,12 @@ from live_run import Run, wait_until
 from scenes import write_chain, write_scene
 
 import nuno
-from nuno.choose.budget import Budget
-from nuno.choose.cloth import decide
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.stepping import attend
-from nuno.stepping.attend import Attendant
+from nuno.solver_selection.budget import Budget
+from nuno.solver_selection.cloth import decide
+from nuno.stepping import watchdog
+from nuno.stepping.watchdog import Attendant
 from nuno_schemas.errors import BadInput
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
@@ -92,7 +92,7 @@ def test_each_solver_leaves_a_frame_and_the_state_as_it_was(solver: str, tmp_pat
 
 def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred times longer than the frames before; not of one that takes as long as they do, and once a frame."""
-    monkeypatch.setattr(attend, "LEAST", 0.0)
+    monkeypatch.setattr(watchdog, "LEAST", 0.0)
     said: list[tuple[str, str, int]] = []
     context: Any = SimpleNamespace(
         bus=SimpleNamespace(service="simulation"), orphaned=lambda: False,
@@ -104,7 +104,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
         with attendant.frame(number, 0.1 * number):
             if number == 5:
                 wait_until(lambda: bool(said))
-                time.sleep(3 * attend.LOOKS)
+                time.sleep(3 * watchdog.LOOKS)
     attendant.close()
     ((kind, text, frame),) = said
     assert kind == "warning" and frame == 5 and not attendant.leave[0]
@@ -118,7 +118,7 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     attendant = Attendant(context)
     attendant.prepared()
     attendant.hear(question)
-    time.sleep(attend.PATIENCE + 4 * attend.LOOKS)
+    time.sleep(watchdog.PATIENCE + 4 * watchdog.LOOKS)
     assert not attendant.leave[0]
     with attendant.frame(1, 0.1):
         wait_until(lambda: bool(attendant.leave[0]))
@@ -199,7 +199,7 @@ def test_what_is_attended_gives_and_raises_what_it_does() -> None:
 @pytest.mark.parametrize("words", [["plan"], ["run", "--no-view", "--no-record"]])
 def test_a_signal_ends_trials(words: list[str], number: signal.Signals, tmp_path: Path) -> None:
     path = write_long(tmp_path, STIFF, solver={"plugin": "symplectic_euler"}, accuracy="normal")
-    code = "from nuno import cli\nfrom nuno.choose import budget\nbudget.SILENT = -1.0\n"
+    code = "from nuno import cli\nfrom nuno.solver_selection import budget\nbudget.SILENT = -1.0\n"
     code += "process.leave(cli.main(sys.argv[1:]))"
     with command(code, words[0], str(path), *words[1:]) as child:
         read_until(child, "trying symplectic_euler with ")

@@ -17,10 +17,10 @@ from test_live_poses import LONG, SHEET, hand, places, poses, send
 from test_readme import ROOT, blocks
 
 import nuno
+from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
-from nuno.wire.sessions import spoke
 from nuno_schemas.errors import RunFailed
 
 

@@ -19,13 +19,13 @@ from scenes import write_scene
 from test_readme import ROOT, blocks
 
 import nuno
+from nuno.bus.sessions import spoke
 from nuno.collision.messages import POSES_QUESTION, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import resumed_scene
 from nuno.scene import scene_file, shipped
 from nuno.service import Options
 from nuno.supervision.supervisor import Deployment
-from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.live import Live
 from nuno_schemas.messages import BODIES

@@ -13,10 +13,10 @@ from live_run import start_long
 from scenes import write_scene
 
 import nuno
+from nuno.bus.messages import Bus
 from nuno.cli import main
 from nuno.recording.writer import part_of
 from nuno.supervision import log
-from nuno.wire.bus import Bus
 from nuno_schemas.errors import BadInput
 
 

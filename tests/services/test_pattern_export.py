@@ -24,11 +24,11 @@ from nuno.exports.meshes import export_mesh
 from nuno.exports.paint import paint_stretch
 from nuno.exports.pattern import export_pattern, strains
 from nuno.fit.measure import measure
-from nuno.handed import check_fabric
+from nuno.plugin_contract.results import check_fabric
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
-from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound
+from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig
 from nuno_schemas.colour import to_srgb

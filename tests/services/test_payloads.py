@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nuno.bus.encodings import BadMessage, check_protobuf, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.wire.arrays import BadMessage, check_protobuf, decode_arrays, decode_points, encode_arrays, encode_points
 
 
 def test_payloads_that_are_cut_or_changed_never_decode_to_something_else() -> None:
@@ -31,7 +31,7 @@ def test_payloads_that_are_cut_or_changed_never_decode_to_something_else() -> No
 
 
 def test_arrays_that_lie_about_themselves_are_refused() -> None:
-    from nuno.wire.arrays import _arrays_class
+    from nuno.bus.encodings import _arrays_class
 
     def message(text: str = "{}", **array: Any) -> bytes:
         found = _arrays_class()(text=text)

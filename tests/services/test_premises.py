@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from scenes import BALL, write_scene
 
-from nuno.choose.cloth import decide
-from nuno.premises import compare, leaves, premises_of
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import hub_at, spoke
+from nuno.consistency import compare, leaves, premises_of
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
+from nuno.solver_selection.cloth import decide
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
-from nuno.wire.bus import Bus
-from nuno.wire.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FrameStatus
 

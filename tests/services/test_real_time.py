@@ -11,11 +11,11 @@ from live_run import Run, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.ahead import keep_up
-from nuno.choose.cloth import decide
 from nuno.cli import main
+from nuno.runtime_estimate import keep_up
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
+from nuno.solver_selection.cloth import decide
 from nuno.stepping.driver import Clock
 from nuno_schemas.messages import STATE
 

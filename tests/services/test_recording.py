@@ -11,11 +11,11 @@ import pytest
 from mcap.reader import make_reader
 from recorded_sheet import GEOMETRY_VALUE, RATE, REPORT_TEXT, Sheet, items, metadata, poses, status, write
 
+from nuno.bus.encodings import BadMessage, encode_arrays, encode_points
 from nuno.collision.messages import decode_geometry
 from nuno.recording.reader import END, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter, check_target, part_of
-from nuno.wire.arrays import BadMessage, encode_arrays, encode_points
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CHECKPOINT, GEOMETRY, STATE, STATUS, Header, Status
 

@@ -16,13 +16,13 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno import registry
+from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
 from nuno.cli import main
+from nuno.plugin_contract.values import Wrong
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
-from nuno.stepping.stepped import check_kept
-from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
-from nuno.wrong import Wrong
-from nuno_contact.offset.meeting import Meeting
+from nuno.stepping.stepper import check_kept
+from nuno_contact.offset.contact_state import Meeting
 from nuno_integrators.compiled import _own_arrays
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory

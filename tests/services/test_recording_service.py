@@ -19,6 +19,9 @@ from recorded_sheet import REPORT_TEXT, Item, Sheet, items
 from scenes import write_scene
 
 import nuno
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import free_port, hub
 from nuno.recording import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
@@ -28,9 +31,6 @@ from nuno.scene.provenance import describe_run
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.simulation.run import Simulation
 from nuno.supervision import oversight
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import free_port, hub
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
 

@@ -15,6 +15,8 @@ import yaml
 from PIL import Image
 from refusals import Refused
 
+from nuno.bus.encodings import decode_picture
+from nuno.bus.messages import Inbox, Message, Question
 from nuno.cli import main
 from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
@@ -25,8 +27,6 @@ from nuno.service import Context, Options
 from nuno.supervision import supervisor
 from nuno.supervision.oversight import DRAWING, UNDRAWN
 from nuno.supervision.plan import make_plan
-from nuno.wire.arrays import decode_picture
-from nuno.wire.bus import Inbox, Message, Question
 from nuno_schemas.messages import PICTURE, REPORT, FrameStatus
 
 LEG = {"plugin": "mesh", "shape": "leg", "resolution": 16}

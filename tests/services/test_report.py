@@ -15,7 +15,7 @@ from nuno.cli import main
 from nuno.report.make import Report
 from nuno.report.show import brief, lines
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepped import Stepped
+from nuno.stepping.stepper import Stepped
 from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 

@@ -15,7 +15,7 @@ from nuno.recording.recorded import Checkpoint
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepped import copy_into
+from nuno.stepping.stepper import copy_into
 from nuno.supervision import supervisor
 
 INTEGRATORS = sorted(point.name for point in entry_points(group="nuno.integrators"))

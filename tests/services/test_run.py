@@ -18,6 +18,8 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.pending_reply import Asked
+from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, shipped
@@ -29,8 +31,6 @@ from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verification import verify
 from nuno.warnings import scene_warnings
-from nuno.wire.asked import Asked
-from nuno.wire.sessions import hub_at
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 

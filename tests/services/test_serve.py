@@ -14,10 +14,10 @@ from live_run import wait_until
 from scenes import write_scene
 
 import nuno
+from nuno.bus.sessions import free_port, hub
 from nuno.cli import main, serve
 from nuno.process import Terminated
 from nuno.simulation.run import Simulation
-from nuno.wire.sessions import free_port, hub
 from nuno_schemas.errors import RunFailed
 
 

@@ -15,9 +15,9 @@ import zenoh
 from scenes import write_scene
 
 import nuno
+from nuno.bus import sessions
+from nuno.bus.sessions import ATTEMPTS, PortTaken, hub_at
 from nuno.supervision import runs
-from nuno.wire import sessions
-from nuno.wire.sessions import ATTEMPTS, PortTaken, hub_at
 from nuno_schemas.errors import BadInput
 
 

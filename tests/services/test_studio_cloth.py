@@ -16,10 +16,10 @@ from studio_desk import FILE, SHEET
 import nuno
 from nuno.cli.control import NEEDS
 from nuno.exports.cloth import read_pieces
+from nuno.live_view.sources import see_scene
 from nuno.pages.guard import Refused
 from nuno.pages.server import page_files
 from nuno.scene import scene_file, shipped
-from nuno.seen.shown import see_scene
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
 from nuno.supervision import runs

@@ -11,9 +11,9 @@ from browser import Page
 from live_run import wait_until
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
+from nuno.live_view.sources import see_scene
 from nuno.pages.server import Server
 from nuno.scene import scene_file
-from nuno.seen.shown import see_scene
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
 

@@ -19,7 +19,7 @@ from nuno.dye.run import build_cloth
 from nuno.scene import scene_file, shipped
 from nuno.studio import arrivals, offers
 from nuno.studio.desk import Desk
-from nuno.studio.seen import look
+from nuno.studio.file_summary import look
 from nuno_schemas.errors import BadInput
 
 OWN = shipped.folder()

@@ -8,10 +8,10 @@ import pytest
 import zenoh
 from live_run import Run, wait_until
 
+from nuno.bus.health import Health, ask_health
+from nuno.bus.messages import Bus
 from nuno.cli import main
 from nuno.cli.top import compare, table
-from nuno.wire.bus import Bus
-from nuno.wire.health import Health, ask_health
 
 SERVICES = {"simulation", "collision", "recorder", "supervisor"}
 

@@ -11,11 +11,11 @@ import pytest
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.encodings import decode_arrays, encode_arrays, encode_points
 from nuno.cli import main
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter
 from nuno.verification import Verification, verify
-from nuno.wire.arrays import decode_arrays, encode_arrays, encode_points
 from nuno_schemas.messages import Header
 
 Change = Callable[[Recorded], bytes]

@@ -17,6 +17,7 @@ from PIL import Image
 from test_viewer_file import read
 
 import nuno
+from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.dye.painter import DyePainter
 from nuno.scene import scene_file
@@ -25,7 +26,6 @@ from nuno.viewer.bridge import Bridge
 from nuno.viewer.file import RerunFile
 from nuno.viewer.live import Ring
 from nuno.viewer.stream import read_painter, scene_of
-from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
 
 PICTURE, COLUMN = "/dye/picture", "EncodedImage:blob"
@@ -171,7 +171,7 @@ def test_the_ring_gives_up_frames_of_dye_too() -> None:
 
 
 def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: Path) -> None:
-    from nuno.wire.arrays import BadMessage, encode_arrays
+    from nuno.bus.encodings import BadMessage, encode_arrays
 
     file = RerunFile(tmp_path / "a.rrd", "run", painter=DyePainter(scene_file.read(run / "scene.yaml")))
     with nuno.open(run / "run.mcap") as recording:

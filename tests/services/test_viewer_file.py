@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
+from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno.collision.surfaces import surface, vertex_normals
 from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import INSET, paint_yarns
@@ -22,7 +23,6 @@ from nuno.viewer.cloth import pack
 from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import require
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE

@@ -18,12 +18,12 @@ import pytest
 from scenes import write_scene
 from viewer_run import messages
 
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import free_port, hub
 from nuno.scene import scene_file
 from nuno.service import Options, ack_topic, run_service
 from nuno.viewer.live import LiveView, Ring, keep_page
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import free_port, hub
-from nuno.wire.watch import Watch
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
 from nuno_schemas.view import View
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import messages
 
+from nuno.bus.sessions import free_port
 from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
-from nuno.wire.sessions import free_port
 from nuno_schemas.view import View
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]

@@ -12,10 +12,10 @@ from scenes import write_scene
 from viewer_run import fabric, sheet
 
 import nuno
+from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.viewer.cloth import read_image
 from nuno.viewer.service import with_own_textures
-from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import FABRIC
 
 PIXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)

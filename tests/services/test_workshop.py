@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from nuno.pages.workshop import Workshop
+from nuno.pages.worker import Workshop
 from nuno.scene import yaml_lines
 from nuno_schemas.errors import BadInput
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import encode_arrays, encode_points
 from nuno.collision.messages import encode_geometry, encode_poses
-from nuno.wire.arrays import encode_arrays, encode_points
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.messages import (
     BODIES,

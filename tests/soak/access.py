@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno.access import certificates, folder
-from nuno.access.folder import Rights, read_rights
+from nuno.bus.sessions import free_port, hub, spoke
+from nuno.security import certificates, credentials_folder
+from nuno.security.credentials_folder import Rights, read_rights
 from nuno.supervision import supervisor
-from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import TOPICS
@@ -46,7 +46,7 @@ class Guarded:
 
     def __init__(self, where: Path) -> None:
         self.where, self.certs, port = where, where / "certs", free_port()
-        folder.make(self.certs, ("localhost",), folder.roles(), 1)
+        credentials_folder.make(self.certs, ("localhost",), credentials_folder.roles(), 1)
         self.endpoint, self.processes = f"tls/localhost:{port}", Processes(where)
         self.run, self.seen, self.forged, self.changed = self.processes.run, 0, 0, threading.Condition()
         listens = ("--listen", f"tls/127.0.0.1:{port}", "--config", self.config("router"))
@@ -185,7 +185,7 @@ def allowed(topics: tuple[str, ...], name: str) -> bool:
 def outsiders(guarded: Guarded) -> dict[str, tuple[str, str | None]]:
     """Endpoint and configuration of those who must not get in at all, by what they come with."""
     where = guarded.where
-    folder.make(where / "other", ("localhost",), ["operator"], 1)
+    credentials_folder.make(where / "other", ("localhost",), ["operator"], 1)
     own = json.loads(Path(guarded.config("operator")).read_bytes())
     foreign = json.loads((where / "other" / "operator.json5").read_bytes())
     tls = own["transport"]["link"]["tls"]
@@ -195,7 +195,7 @@ def outsiders(guarded: Guarded) -> dict[str, tuple[str, str | None]]:
     foreign["transport"]["link"]["tls"] |= kept
     key = (guarded.certs / "authority.key").read_bytes()
     authority = certificates.load((guarded.certs / "authority.pem").read_bytes(), key)
-    old = folder.configuration("operator", certificates.sign(authority, "operator", -1), authority)
+    old = credentials_folder.configuration("operator", certificates.sign(authority, "operator", -1), authority)
     shown = {
         "no certificate": json.dumps(own).encode(),
         "another authority's certificate": json.dumps(foreign).encode(),

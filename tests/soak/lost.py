@@ -16,13 +16,13 @@ from typing import Any
 
 import psutil
 
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import hub_at, identity
 from nuno.recording.gaps import count_gaps
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.service import SUPERVISOR
-from nuno.wire.bus import Bus
-from nuno.wire.sessions import hub_at, identity
-from nuno.wire.watch import Watch
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import psutil
 
+from nuno.bus.sessions import free_port
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
 from nuno.supervision import runs
-from nuno.wire.sessions import free_port
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import DYE_STATUS, STATUS
 

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from live_run import Live
 
-from nuno.choose.cloth import decide
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
+from nuno.solver_selection.cloth import decide
 from nuno.supervision.supervisor import Deployment
 from nuno.verification import verify
 from nuno_bench.report.result import Result

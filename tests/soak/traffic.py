@@ -17,13 +17,13 @@ from typing import IO, Any, cast
 
 import numpy as np
 
+from nuno.bus.encodings import encode_points
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import PATIENCE, identity, spoke
 from nuno.cli import main as nuno_main
 from nuno.recording import writer
 from nuno.service import ack_topic
 from nuno.stepping.driver import WINDOW
-from nuno.wire.arrays import encode_points
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import PATIENCE, identity, spoke
 from nuno_schemas.messages import STATE, Ack
 
 POINT_BYTES = 12

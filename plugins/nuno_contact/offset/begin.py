@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from nuno_contact.offset.bodies import STANDS, copy_part, find_behind, pose_solids
+from nuno_contact.offset.candidate_pairs import choose_near, make_list
+from nuno_contact.offset.ccd import all_close
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.hold import all_close
-from nuno_contact.offset.lists import choose_near, make_list
-from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import (
     LAST_STEP,
     LIST_BEGUN,

@@ -30,7 +30,7 @@ from nuno_schemas.skin import NO_SKIN, Skin, join_skins
 from nuno_schemas.vectors import norm
 
 if TYPE_CHECKING:
-    from nuno_contact.offset.meeting import Meeting
+    from nuno_contact.offset.contact_state import Meeting
 
 CATCH_UP = 1.0
 """A vertex that is behind its body follows by so much faster than that at most [m/s]."""

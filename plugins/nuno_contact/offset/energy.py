@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from nuno_contact.offset.bodies import copy_part
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.force import STEEPEST, across, corners_of, faces_of, touch
-from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import weigh
 from nuno_kernels import forced_inline, kernel

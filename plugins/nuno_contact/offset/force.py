@@ -7,7 +7,7 @@ Along the line between their closest points, at a distance d,
 
 which is smooth to its second derivative (Offset Geometric Contact, Chen et al., SIGGRAPH 2025). From h / 4 on it goes
 on as steeply as it is there: a barrier without bound would be stiffer than any step of an explicit method can follow,
-throw apart what has come that near, and is not needed, since steps are cut short (nuno_contact.offset.hold). And a
+throw apart what has come that near, and is not needed, since steps are cut short (nuno_contact.offset.ccd). And a
 dashpot that takes hold over the first quarter of h. It never attracts. Vertices of a pair share N by the
 weights of the closest points, so that momentum and its moment are kept.
 
@@ -30,7 +30,7 @@ import math
 from typing import NamedTuple
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.places import CHOICES, NEAR, SHARED
 from nuno_contact.offset.proximity import (
     AT_A,

@@ -1,10 +1,11 @@
 """How far a step of Newton's method may go, so that no iterate of cloth has passed through cloth.
 
 An iterate that has gone through cloth would be pushed on by it. From iterate y the step d is shortened vertex by
-vertex, until each pair has a plane that keeps its primitives apart at y and at y + d (nuno_contact.offset.parting).
+vertex, until each pair has a plane that keeps its primitives apart at y and at y + d
+(nuno_contact.offset.separating_plane).
 
 Not chosen: one share for all vertices, as Incremental Potential Contact has (Li et al. 2020, ACM Trans. Graph. 39,
-49), which keeps the direction, but lets the first to touch stop all; and the rule of nuno_contact.offset.hold, half
+49), which keeps the direction, but lets the first to touch stop all; and the rule of nuno_contact.offset.ccd, half
 way to a plane at rest, which holds for whatever the vertices have done before, where a step of Newton's only needs to
 get there in the end.
 """
@@ -14,11 +15,11 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, pose_solids
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.force import corners_of, faces_of, touch
-from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_WINDOW, NOW
 from nuno_contact.offset.plan import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
+from nuno_contact.offset.separating_plane import give_way
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float

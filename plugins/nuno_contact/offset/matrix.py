@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import copy_part
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
-from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel

@@ -10,8 +10,8 @@ foretell less for half a frame ahead than none (measured on a skirt that swings)
 
 from __future__ import annotations
 
-from nuno_contact.offset.lists import choose_near, renew_list
-from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.candidate_pairs import choose_near, renew_list
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.places import (
     CLOSE,
     LACKING,

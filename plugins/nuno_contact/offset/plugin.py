@@ -10,12 +10,12 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.offset.begin import begin_apart
 from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
+from nuno_contact.offset.ccd import hold_apart
+from nuno_contact.offset.contact_state import Meeting, make_meeting, tree_of
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
-from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
-from nuno_contact.offset.meeting import Meeting, make_meeting, tree_of
 from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOUCHING
 from nuno_contact.offset.plan import LONGEST
 from nuno_contact.offset.projection import project

@@ -13,7 +13,7 @@ inequality constraint of XPBD (Macklin, Mueller & Chentanez 2016) with the compl
 limit of short steps is what explicit and implicit methods have.
 
 What would still be nearer than a quarter of the thickness, and nearer than before the step, is stopped there without
-compliance, as in an inelastic encounter: what nuno_contact.offset.brake is to other methods.
+compliance, as in an inelastic encounter: what nuno_contact.offset.impulse is to other methods.
 
 Each pair's force is kept and taken back before it is found anew, so that the limit of repeated sweeps is the step
 itself. It acts where the pair is closest at the end of the way without it; of a pair that has passed through itself
@@ -35,13 +35,13 @@ import math
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
-from nuno_contact.offset.brake import BRAKED, LEVER
+from nuno_contact.offset.contact_state import Meeting
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
+from nuno_contact.offset.impulse import BRAKED, LEVER
 from nuno_contact.offset.iterate import cover
-from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.parting import on_the_way
 from nuno_contact.offset.places import CLOSE, NEAR
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_contact.offset.separating_plane import on_the_way
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.step.rows import all_finite, copy_rows

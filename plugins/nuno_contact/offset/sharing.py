@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks

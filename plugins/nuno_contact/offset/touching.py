@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, touch
-from nuno_contact.offset.meeting import IN_TURN, PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_contact.offset.sharing import share_out

@@ -8,7 +8,7 @@ many.
 
 Not chosen: to smooth over more of the mesh, or to let what takes no part follow as by springs. Both draw what has been
 freed of a crumpled skirt into itself again, and move more of it. Nor steps that never let a new crossing come up, by
-the bounds of nuno_contact.offset.hold: what has to pass through one sheet on its way out of another could not.
+the bounds of nuno_contact.offset.ccd: what has to pass through one sheet on its way out of another could not.
 """
 
 from __future__ import annotations

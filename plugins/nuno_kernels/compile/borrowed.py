@@ -18,7 +18,7 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.runtime import rtsys
 from numba.core.typed_passes import NopythonTypeInference
 
-from nuno_kernels.compile.apart import hands_over
+from nuno_kernels.compile.calling_convention import hands_over
 
 NOTHING = "".join(
     f"define linkonce_odr void @{name}(i8* %array) alwaysinline {{ ret void }}\n"

@@ -12,13 +12,13 @@ import zenoh
 from numpy.typing import ArrayLike, NDArray
 
 from nuno.api.words import in_python
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import spoke
 from nuno.collision.live import read_poses
 from nuno.collision.messages import TOLD_QUESTION
 from nuno.stepping.driver import CONTROL
 from nuno.supervision import runs
 from nuno.supervision.supervisor import CONTROL_TIMEOUT
-from nuno.wire.bus import Bus
-from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 from nuno_schemas.live import BodyPoses
 

@@ -10,15 +10,15 @@ from typing import Any
 
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
-from nuno.choose.budget import Budget
-from nuno.choose.cloth import decide
 from nuno.cloth import build
+from nuno.cloth.start_checks import start_warnings
 from nuno.cloth.texture import texture_size
-from nuno.cloth.worn import start_warnings
 from nuno.report.show import describe_start
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.solver_selection.budget import Budget
+from nuno.solver_selection.cloth import decide
 from nuno.supervision.plan import make_plan
 from nuno.warnings import scene_warnings
 from nuno_schemas.bodies import Geometry, Poses

@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
-    from nuno.moments import Acted, Moment
+    from nuno.frame_state import Acted, Moment
     from nuno.verification import Verification
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
@@ -60,11 +60,11 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]:
-    """Frames of a recording (default: all) as they were, in float64: see nuno.moments.states. Raises BadInput."""
-    from nuno import moments
+    """Frames of a recording (default: all) as they were, in float64: see nuno.frame_state.states. Raises BadInput."""
+    from nuno import frame_state
 
     with in_python(), opened(recording) as found:
-        yield from moments.states(found, frames, forces)
+        yield from frame_state.states(found, frames, forces)
 
 
 def verify(recording: Recorded, threads: int = 0) -> Verification:

@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nuno.ahead import keep_up
 from nuno.api.recordings import path_of
 from nuno.api.result import Folder, Result
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
-from nuno.choose.cloth import decide
 from nuno.process import SIGNALS
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import resumed_scene
 from nuno.report.make import make_report
+from nuno.runtime_estimate import keep_up
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
+from nuno.solver_selection.cloth import decide
 from nuno.supervision import runs, supervisor
 from nuno.supervision.oversight import Progress
 from nuno.supervision.supervisor import Deployment

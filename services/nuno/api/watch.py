@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from nuno.api.words import in_python
+from nuno.bus.encodings import decode_arrays, decode_picture, decode_points
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import ALL, Bus, Inbox, Message
+from nuno.bus.sessions import spoke
 from nuno.service import SUPERVISOR
 from nuno.supervision import runs
-from nuno.wire.arrays import decode_arrays, decode_picture, decode_points
-from nuno.wire.bus import ALL, Bus, Inbox, Message
-from nuno.wire.sessions import spoke
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.messages import MODELS, PICTURE, REPORT, STATE, TOPICS
 

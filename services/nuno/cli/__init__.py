@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from nuno import process
-from nuno.words import plain
+from nuno.formatting import plain
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 COMMANDS = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nuno.access import folder
-from nuno.access.folder import Kept
+from nuno.security import credentials_folder
+from nuno.security.credentials_folder import Kept
 
 HOSTS = "localhost,127.0.0.1"
 
@@ -19,17 +19,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="names and addresses by which hosts reach the router (default: %(default)s)",
     )
-    parser.add_argument("--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(folder.roles())}")
+    parser.add_argument(
+        "--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(credentials_folder.roles())}"
+    )
     parser.add_argument("--days", type=int, default=365, metavar="N", help="how long they hold (default: %(default)s)")
     parser.add_argument("--check", action="store_true", help="make none: name what has expired or does not fit")
 
 
 def main(args: argparse.Namespace) -> int:
     if args.check:
-        kept = folder.check(args.folder)
+        kept = credentials_folder.check(args.folder)
     else:
-        wanted = [role for role in args.roles.split(",") if role] if args.roles else folder.roles()
-        kept = folder.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
+        wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials_folder.roles()
+        kept = credentials_folder.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
     for each in kept:
         print(_line(each))
     wrong = [each for each in kept if each.wrong]

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.choose.budget import BUDGET, Budget
+from nuno.formatting import plain
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
-from nuno.words import plain
+from nuno.solver_selection.budget import BUDGET, Budget
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 

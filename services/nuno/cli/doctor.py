@@ -15,11 +15,11 @@ from pathlib import Path
 
 import psutil
 
+from nuno.bus.sessions import hub_at
 from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
-from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput
 
 LEAST_MEMORY = 2**29

@@ -11,10 +11,10 @@ from nuno.cli.common import add_config, add_scene
 from nuno.cli.studio import serve
 from nuno.draw.append import MARK, read_text
 from nuno.draw.shown import require_lines
+from nuno.live_view.sources import see_scene
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import apply_override, item_at
-from nuno.seen.shown import see_scene
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput

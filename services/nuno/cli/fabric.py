@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from nuno.begin.sheet import import_sheet, in_units
 from nuno.cli.presets import origins
 from nuno.cli.top import align
 from nuno.exports.target import writing
+from nuno.templates.laboratory_sheet import import_sheet, in_units
 from nuno_schemas.preset import Imported
 
 

@@ -7,12 +7,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from nuno.crossed import find_nearest, find_spells, spell_rows
+from nuno.formatting import plain
+from nuno.intersections import find_nearest, find_spells, spell_rows
 from nuno.recording.gaps import Lacks, find_lacks, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report.show import recorded_lines
 from nuno.supervision import runs
-from nuno.words import plain
 from nuno_schemas.messages import FRAMES
 
 

@@ -6,8 +6,8 @@ import argparse
 import shlex
 from pathlib import Path
 
-from nuno.begin.after import write_after
 from nuno.scene import shipped
+from nuno.templates.shipped import write_after
 from nuno_schemas.errors import BadInput, nearest
 
 KINDS = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 
 from nuno.api.plan import describe, line_of
-from nuno.choose.budget import Budget
 from nuno.cli.common import add_budget, add_scene, budget_of, load_scene
 from nuno.process import attended
+from nuno.solver_selection.budget import Budget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

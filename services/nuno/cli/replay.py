@@ -10,7 +10,12 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+from nuno.bus.health import offer_health
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import hub_at
 from nuno.cli.common import add_config, add_flags, warn
+from nuno.formatting import plain
 from nuno.process import state_of
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
@@ -20,11 +25,6 @@ from nuno.service import SUPERVISOR, Options, run_service
 from nuno.supervision import runs
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view
-from nuno.wire.bus import Bus
-from nuno.wire.health import offer_health
-from nuno.wire.sessions import hub_at
-from nuno.wire.watch import Watch
-from nuno.words import plain
 from nuno_schemas.errors import BadInput
 
 

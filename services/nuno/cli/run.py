@@ -9,8 +9,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno.ahead import keep_up
-from nuno.choose.cloth import decide
 from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
 from nuno.process import ending_at_once
 from nuno.progress import ProgressLine
@@ -18,8 +16,10 @@ from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report
 from nuno.report.show import row, show_report
+from nuno.runtime_estimate import keep_up
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
+from nuno.solver_selection.cloth import decide
 from nuno.supervision import log, runs, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.viewer.live import keep_page

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import zenoh
 
-from nuno.choose.budget import Budget
-from nuno.choose.cloth import decide
+from nuno.bus import sessions
+from nuno.bus.slow_consumers import LOOK_SECONDS, Laggards
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import SIGNALS, end_process
 from nuno.scene import scene_file, shipped
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
+from nuno.solver_selection.budget import Budget
+from nuno.solver_selection.cloth import decide
 from nuno.supervision import runs
 from nuno.supervision.launch import FINISH_TIMEOUT, LINGER
-from nuno.wire import sessions
-from nuno.wire.laggards import LOOK_SECONDS, Laggards
 from nuno_schemas.errors import BadInput, RunFailed
 
 LISTEN = "tcp/127.0.0.1:7447"

@@ -13,14 +13,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from nuno import registry
-from nuno.begin.worn import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
 from nuno.exports.target import replacing
+from nuno.formatting import many
 from nuno.scene import scene_file
-from nuno.scene.explain import explain
 from nuno.scene.files import SceneFiles, near
-from nuno.words import many
+from nuno.scene.validation_errors import explain
+from nuno.templates.garments import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark

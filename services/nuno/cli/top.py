@@ -10,12 +10,12 @@ import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from nuno.bus.health import Health, ask_health
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import spoke
 from nuno.cli.common import add_run, find_run
+from nuno.formatting import factor
 from nuno.service import SUPERVISOR
-from nuno.wire.bus import Bus
-from nuno.wire.health import Health, ask_health
-from nuno.wire.sessions import spoke
-from nuno.words import factor
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 3.0

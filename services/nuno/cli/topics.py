@@ -6,11 +6,11 @@ import argparse
 import json
 from collections.abc import Mapping
 
+from nuno.bus.health import Health
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import spoke
 from nuno.cli.common import add_run, find_run
 from nuno.cli.top import Line, align, look
-from nuno.wire.bus import Bus
-from nuno.wire.health import Health
-from nuno.wire.sessions import spoke
 
 HEADINGS = ("topic", "type", "encoding", "by", "messages", "bytes each", "a second", "MB/s")
 

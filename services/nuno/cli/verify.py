@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 from nuno.cli.common import warn
+from nuno.formatting import many, plain
 from nuno.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.supervision import runs
 from nuno.verification import Verification, verify
-from nuno.words import many, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from nuno.cloth.join import join_fabrics
+from nuno.cloth.start_checks import check_wearer, check_worn
 from nuno.cloth.texture import check_texture
-from nuno.cloth.worn import check_wearer, check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface, vertex_normals
-from nuno.scene.chosen import Chosen
+from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.plausible import with_doubts
 from nuno.scene.scene_file import Loaded
-from nuno.stepping.stepped import require_memory
+from nuno.stepping.stepper import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Float, Int, State

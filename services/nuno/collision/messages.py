@@ -7,8 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from nuno.wire.arrays import BadMessage, arrays_of, decode_arrays, encode_arrays
-from nuno.wrong import Wrong, check_field, check_layout, check_skins
+from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arrays
+from nuno.plugin_contract.values import Wrong, check_field, check_layout, check_skins
 from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
 from nuno_schemas.skin import Skin

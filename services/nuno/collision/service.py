@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
+from nuno.bus.messages import Inbox, Message
+from nuno.bus.query import Question
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import find_crossings
@@ -22,15 +25,12 @@ from nuno.collision.messages import (
 )
 from nuno.collision.pairs import Mesh, NearPairs, mesh_of
 from nuno.collision.surfaces import NO_SURFACES, surface
+from nuno.plugin_contract.values import Wrong, check_array
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
 from nuno.scene.scene_file import Loaded
 from nuno.service import LOOK_SECONDS, Context, each_message
-from nuno.stepping.stepped import fitting
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
-from nuno.wire.bus import Inbox, Message
-from nuno.wire.question import Question
-from nuno.wrong import Wrong, check_array
+from nuno.stepping.stepper import fitting
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float

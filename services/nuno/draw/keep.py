@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nuno import registry
 from nuno.cloth import build
 from nuno.draw.append import append_items
+from nuno.live_view.snapshot import Sight
+from nuno.live_view.sources import see_objects
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.seen.shown import see_objects
-from nuno.seen.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 

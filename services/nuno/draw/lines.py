@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno.cloth.build import Piece
-from nuno.seen.sight import Sight
+from nuno.live_view.snapshot import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

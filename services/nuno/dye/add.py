@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from nuno.scene import scene_file, yaml_lines
-from nuno.scene.explain import UNNUMBERED
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Loaded
+from nuno.scene.validation_errors import UNNUMBERED
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float

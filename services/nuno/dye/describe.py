@@ -6,8 +6,8 @@ import math
 
 from nuno.dye.run import DyeRun, estimate_memory
 from nuno.dye.supply import Entry
+from nuno.formatting import duration
 from nuno.scene.scene_file import Loaded
-from nuno.words import duration
 from nuno_schemas.dye import Dye
 
 

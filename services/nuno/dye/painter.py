@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from nuno.bus.encodings import BadMessage, decode_arrays
+from nuno.plugin_contract.values import Wrong, check_array
 from nuno.scene.scene_file import Loaded
-from nuno.wire.arrays import BadMessage, decode_arrays
-from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
 from nuno.service import Context
-from nuno.stepping.again import resume
-from nuno.stepping.attend import Attendant
 from nuno.stepping.driver import Driver
-from nuno.stepping.stepped import Stepped
-from nuno.wire.arrays import encode_arrays
+from nuno.stepping.resimulation import resume
+from nuno.stepping.stepper import Stepped
+from nuno.stepping.watchdog import Attendant
 from nuno_schemas.messages import CLOTH, STATUS
 
 

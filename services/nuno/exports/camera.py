@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
-from nuno.scene.explain import explain
 from nuno.scene.override import apply_override, overridden
+from nuno.scene.validation_errors import explain
 from nuno.scene.yaml_lines import Path
 from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.drawing import Camera, Mesh

@@ -12,10 +12,10 @@ import numpy as np
 from nuno.dye.painter import PICTURE_SIDE, DyePainter
 from nuno.exports.cloth import ShownPiece, find_message
 from nuno.exports.target import Progress, following
+from nuno.formatting import time_of
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
-from nuno.words import time_of
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView

@@ -13,6 +13,7 @@ import numpy as np
 from foxglove import messages
 from mcap.writer import CompressionType, Writer
 
+from nuno.bus.encodings import foxglove_schema
 from nuno.exports.camera import place_camera, read_view, z_up
 from nuno.exports.shapes import CLOTH, ROOT, Shape, Show, Turn
 from nuno.exports.target import Progress, check_target, opened, writing
@@ -20,7 +21,6 @@ from nuno.recording.mcap_file import CHUNK_BYTES
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
-from nuno.wire.arrays import foxglove_schema
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, EVENT, PENETRATION, STATE, STATUS, Event

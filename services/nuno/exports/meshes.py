@@ -8,6 +8,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from nuno.bus.encodings import origin_of
 from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
@@ -15,7 +16,6 @@ from nuno.exports.paint import BODY, PLAIN, paint_stretch
 from nuno.exports.target import Progress, following, make_folder, opened, together, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int

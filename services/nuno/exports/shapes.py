@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import origin_of
 from nuno.collision.messages import decode_poses
 from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_bodies
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch, paint_yarns
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame, Recorded
-from nuno.wire.arrays import origin_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput

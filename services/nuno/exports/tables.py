@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.exports.cloth import read_pressure
 from nuno.exports.target import opened, writing
-from nuno.moments import Acted, Moment, states
+from nuno.frame_state import Acted, Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import restored_scene

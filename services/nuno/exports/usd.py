@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from nuno.bus.encodings import origin_of
 from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
 from nuno.exports.dyed_pictures import read_dyed_object
@@ -19,7 +20,6 @@ from nuno.exports.target import Progress, check_target, following, load_extra, o
 from nuno.process import scratch
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -21,7 +21,7 @@ from nuno.exports.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
-from nuno.scene.chosen import Chosen
+from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh

@@ -15,7 +15,7 @@ from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
 from nuno.fit.seams import measure_seams
-from nuno.moments import Moment, states
+from nuno.frame_state import Moment, states
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Loaded

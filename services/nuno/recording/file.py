@@ -14,10 +14,10 @@ from typing import Any, BinaryIO, Self
 
 from mcap.records import Attachment, ChunkIndex, Message
 
+from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, decode_points
 from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import check_payload, part_of, topic_of
-from nuno.wire.arrays import MOST_TEXT, BadMessage, decode_arrays, decode_points
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

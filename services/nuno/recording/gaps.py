@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from nuno.formatting import counted
 from nuno.process import SIGNALS
 from nuno.recording.reader import END, Recording
 from nuno.recording.recorded import Recorded
-from nuno.words import counted
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE, STATUS
 
 FRAMES = ((STATUS.name, STATE.name), (DYE_STATUS.name, CONCENTRATION.name))

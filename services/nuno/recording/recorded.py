@@ -47,8 +47,8 @@ class Checkpoint:
 
     arrays  x and v (n, 3) [m, m/s], or of dye phi and fixed (dyes, 2, ny, nx); each array of the solver's memory as
             memory/NAME, in which the vertices of renumbered cloth are those of numbers (n,) in turn; of objects that
-            operations have changed fabric/...; energy (2,) [J], see nuno.simulation.growth; and resist (2, ny, nx), B
-            of the cells, where a resist was added during the run
+            operations have changed fabric/...; energy (2,) [J], see nuno.simulation.energy_growth; and resist
+            (2, ny, nx), B of the cells, where a resist was added during the run
     text    frame, t [s], digest, dt [s], steps, and what the service says beside the arrays
     """
 

@@ -6,15 +6,15 @@ import json
 import time
 from typing import Any
 
+from nuno.bus.encodings import BadMessage
+from nuno.bus.messages import ALL, Inbox, Message
+from nuno.bus.query import Question
 from nuno.process import SIGNALS
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.scene.provenance import assets, describe_run
 from nuno.service import Context, each_message
-from nuno.wire.arrays import BadMessage
-from nuno.wire.bus import ALL, Inbox, Message
-from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Header
 

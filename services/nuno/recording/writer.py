@@ -15,9 +15,9 @@ from typing import BinaryIO
 
 from pydantic import ValidationError
 
+from nuno.bus.encodings import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno.process import hold
 from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile
-from nuno.wire.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
 

@@ -23,7 +23,7 @@ or `nuno.Arrays`, and each recording holds their schemas. [Listen to a run](../h
 ARRAYS = """\
 ## nuno.Arrays
 
-Arrays by name, little-endian and in C order, and a JSON object of what is no array. `nuno.wire.arrays` decodes it.
+Arrays by name, little-endian and in C order, and a JSON object of what is no array. `nuno.bus.encodings` decodes it.
 
 ```proto
 message Array {

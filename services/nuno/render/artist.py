@@ -14,7 +14,7 @@ from nuno.exports.camera import z_up
 from nuno.exports.cloth import shape_bodies
 from nuno.exports.yarns import GROUP, STYLE, captioned, find_camera, put_on
 from nuno.recording.recorded import Frame
-from nuno.scene.chosen import Chosen
+from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput

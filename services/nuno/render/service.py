@@ -12,12 +12,12 @@ import threading
 import time
 from typing import Any
 
+from nuno.bus.encodings import BadMessage, decode_points, encode_picture
+from nuno.bus.messages import Inbox, Message
+from nuno.bus.query import Question
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
 from nuno.service import Context, asks_to_finish, each_message
-from nuno.wire.arrays import BadMessage, decode_points, encode_picture
-from nuno.wire.bus import Inbox, Message
-from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PICTURE, STATE
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from nuno import crossed
+from nuno import intersections
+from nuno.formatting import counted, duration, factor, many
 from nuno.report.make import Report
 from nuno.warnings import result_warnings
-from nuno.words import counted, duration, factor, many
 
 LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")
 """Rows that are left to the whole report."""
@@ -183,7 +183,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
-    rows += crossed.rows(report.get("cloth_contact"))
+    rows += intersections.rows(report.get("cloth_contact"))
     rows += [("followed", f"{body}: {_followed(told)}") for body, told in report.get("followed", {}).items()]
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"

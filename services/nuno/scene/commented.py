@@ -11,8 +11,8 @@ import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from nuno.scene.explain import models_in
 from nuno.scene.scene_file import Loaded
+from nuno.scene.validation_errors import models_in
 from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.scene import Scene
 

@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.scene.explain import NO_FIELD, models_in
 from nuno.scene.json_schema import PLACES
+from nuno.scene.validation_errors import NO_FIELD, models_in
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene
 from nuno_schemas.written import Path, dotted

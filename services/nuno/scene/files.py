@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from nuno.scene import yaml_lines
-from nuno.scene.explain import explain
+from nuno.scene.validation_errors import explain
 from nuno_schemas.errors import BadInput
 from nuno_schemas.written import Fields, Written
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from nuno.scene import yaml_lines
-from nuno.scene.explain import OVERRIDDEN
+from nuno.scene.validation_errors import OVERRIDDEN
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene

@@ -11,11 +11,11 @@ from pydantic import ValidationError
 
 from nuno.process import check_compiler
 from nuno.scene import shipped, yaml_lines
-from nuno.scene.chosen import Chosen, choose_operation, choose_plugin
+from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
 from nuno.scene.elsewhere import told_where
-from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
+from nuno.scene.validation_errors import UNNUMBERED, explain, located
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest

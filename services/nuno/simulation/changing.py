@@ -17,13 +17,13 @@ from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import beside
+from nuno.plugin_contract.values import Wrong, check_array
 from nuno.recording.recorded import Checkpoint
-from nuno.scene.chosen import Chosen
-from nuno.simulation.alter import fabric_arrays, fabric_from, frames_bound, parse
-from nuno.simulation.ordered import Ordered
+from nuno.scene.chosen_plugins import Chosen
+from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.relax import Stillness
-from nuno.stepping.stepped import Stepper, fitting
-from nuno.wrong import Wrong, check_array
+from nuno.simulation.renumbered_solver import Ordered
+from nuno.stepping.stepper import Stepper, fitting
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Int, State
@@ -274,7 +274,7 @@ class Changing(Stepper):
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
             fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, bound)
-            from nuno.handed import check_fabric  # it knows all that plugins give, dye too
+            from nuno.plugin_contract.results import check_fabric  # it knows all that plugins give, dye too
 
             check_fabric(fabrics[int(number)])
         sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.choose.cloth import decide
+from nuno.bus.encodings import decode_points, encode_points
 from nuno.cloth import build
 from nuno.cloth.numbering import renumber, require_any_numbering
 from nuno.collision.bodies import build_bodies
@@ -23,14 +23,14 @@ from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step, find_limit
-from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
+from nuno.simulation.coarse_start import settle
 from nuno.simulation.costs import Costs, Moment, Stage
-from nuno.simulation.growth import FINER, Growth, internal
+from nuno.simulation.energy_growth import FINER, Growth, internal
+from nuno.simulation.operations import carry
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
-from nuno.simulation.settle import settle
-from nuno.stepping.stepped import Stepped, copy_into, fitting, hash_of
-from nuno.wire.arrays import decode_points, encode_points
+from nuno.solver_selection.cloth import decide
+from nuno.stepping.stepper import Stepped, copy_into, fitting, hash_of
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State

@@ -12,24 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
+from nuno.bus.encodings import encode_arrays
+from nuno.bus.pending_reply import Asked, Refused, pauses
+from nuno.bus.sessions import PATIENCE
 from nuno.cloth.pressure import find_pressure, has_pressure
+from nuno.cloth.start_checks import start_warnings
 from nuno.cloth.tension import tension_arrays
-from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
-from nuno.simulation.alter import name_of
+from nuno.simulation.body_forces import feel, require_touched
+from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
-from nuno.simulation.touching import feel, require_touched
-from nuno.stepping.again import resume
-from nuno.stepping.attend import Attendant
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
-from nuno.stepping.stepped import Stepped
-from nuno.wire.arrays import encode_arrays
-from nuno.wire.asked import Asked, Refused, pauses
-from nuno.wire.sessions import PATIENCE
+from nuno.stepping.resimulation import resume
+from nuno.stepping.stepper import Stepped
+from nuno.stepping.watchdog import Attendant
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES

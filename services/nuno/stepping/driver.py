@@ -13,15 +13,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from nuno.bus.encodings import encode_arrays
+from nuno.bus.messages import Inbox, Message
+from nuno.bus.pending_reply import WAITING_AFTER
+from nuno.bus.query import Question
+from nuno.bus.sessions import PATIENCE
 from nuno.recording.recorded import Checkpoint
 from nuno.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
-from nuno.stepping.attend import Attendant
-from nuno.stepping.stepped import Stepped, Stepper
-from nuno.wire.arrays import encode_arrays
-from nuno.wire.asked import WAITING_AFTER
-from nuno.wire.bus import Inbox, Message
-from nuno.wire.question import Question
-from nuno.wire.sessions import PATIENCE
+from nuno.stepping.stepper import Stepped, Stepper
+from nuno.stepping.watchdog import Attendant
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 

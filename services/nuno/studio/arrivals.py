@@ -13,7 +13,7 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import TypeVar
 
-from nuno.studio.seen import KINDS
+from nuno.studio.file_summary import KINDS
 from nuno_schemas.errors import BadInput
 
 MOST = 2_000_000_000

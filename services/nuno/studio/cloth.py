@@ -13,18 +13,18 @@ from typing import Any
 
 import zenoh
 
+from nuno.bus.encodings import BadMessage
 from nuno.cloth import build
 from nuno.draw.keep import Trial
+from nuno.live_view.follower import Follower
+from nuno.live_view.snapshot import NO_FACES, NO_POINTS, Board, Sight
+from nuno.live_view.sources import see_objects
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
-from nuno.pages.workshop import Workshop
+from nuno.pages.worker import Workshop
 from nuno.scene.scene_file import Loaded
-from nuno.seen.follow import Follower
-from nuno.seen.shown import see_objects
-from nuno.seen.sight import NO_FACES, NO_POINTS, Board, Sight
 from nuno.studio import scenes
 from nuno.supervision import runs
-from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
 

@@ -13,7 +13,7 @@ from nuno import registry
 from nuno.draw.append import MARK, read_text
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, Server, Take
-from nuno.pages.workshop import Workshop
+from nuno.pages.worker import Workshop
 from nuno.recording.restore import resumed_scene
 from nuno.scene import edit, yaml_lines
 from nuno.scene.scene_file import Loaded

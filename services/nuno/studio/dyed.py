@@ -14,7 +14,7 @@ from nuno.dye.supply import Supplies
 from nuno.exports.paint import as_png
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND, whole
-from nuno.pages.workshop import Workshop
+from nuno.pages.worker import Workshop
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
 from nuno.studio.cloth import Start

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nuno.pages.child import Child
+from nuno.pages.command_process import Child
 from nuno.pages.guard import Refused
 from nuno.pages.server import NOT_FOUND
 from nuno.scene.files import stamp_of

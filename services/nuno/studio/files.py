@@ -13,7 +13,7 @@ from nuno.pages.server import NOT_FOUND
 from nuno.scene.files import stamp_of
 from nuno.studio import offers
 from nuno.studio.arrivals import MOST, Arrivals
-from nuno.studio.seen import KINDS, Seen, files_of, look
+from nuno.studio.file_summary import KINDS, Seen, files_of, look
 from nuno_schemas.errors import BadInput
 
 FILE_ACTS = ("files", "expect", "about", "make")

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import origin_of
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import NO_SURFACES, Surfaces
 from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
 from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
 from nuno.exports.paint import PLAIN, as_png
 from nuno.exports.shapes import sample
+from nuno.live_view.snapshot import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
+from nuno.live_view.sources import draw_bodies, size_of
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame, Recorded
-from nuno.seen.shown import draw_bodies, size_of
-from nuno.seen.sight import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
-from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

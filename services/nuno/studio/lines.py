@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from nuno.bus.encodings import BadMessage
 from nuno.draw import keep
 from nuno.draw.lines import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, to_obj
 from nuno.draw.shown import require_lines
+from nuno.live_view.snapshot import Sight
 from nuno.pages.server import describe
 from nuno.scene.scene_file import Loaded
-from nuno.seen.sight import Sight
 from nuno.studio.cloth import Start, Starts
 from nuno.studio.run import Run
-from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 
 # Refusals as the page shows them: beside the line that they are about.

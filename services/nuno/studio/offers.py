@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from nuno import registry
-from nuno.begin.after import write_after
-from nuno.begin.worn import Garment, describe_worn, name_garments, unit_for
 from nuno.scene import shipped
 from nuno.scene.override import as_override as _as
 from nuno.studio.arrivals import reserve
-from nuno.studio.seen import Seen, as_scale, files_of
+from nuno.studio.file_summary import Seen, as_scale, files_of
 from nuno.studio.weave import weave
+from nuno.templates.garments import Garment, describe_worn, name_garments, unit_for
+from nuno.templates.shipped import write_after
 from nuno_schemas.errors import BadInput, nearest
 
 # What can be chosen beside a file that a scene is made of: other files of the folder, and what comes with nuno.

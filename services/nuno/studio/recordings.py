@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nuno.pages.child import Child
+from nuno.pages.command_process import Child
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import restored_scene

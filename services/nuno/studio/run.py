@@ -13,13 +13,13 @@ from typing import Any
 
 import zenoh
 
-from nuno.pages.child import Child
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import spoke
+from nuno.live_view.follower import EVENTS, SAYS, order
+from nuno.pages.command_process import Child
 from nuno.scene.scene_file import Loaded
-from nuno.seen.follow import EVENTS, SAYS, order
 from nuno.studio.cloth import Live
 from nuno.supervision import runs
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, Event, FrameStatus
 from nuno_schemas.scene import Scene

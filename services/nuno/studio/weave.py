@@ -11,10 +11,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from nuno.begin.after import load_after, write_after
 from nuno.dye.run import build_cloth
 from nuno.scene.override import as_override as _as
 from nuno.studio.arrivals import reserve
+from nuno.templates.shipped import load_after, write_after
 from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput

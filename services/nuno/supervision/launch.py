@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import zenoh
 
+from nuno.bus.liveliness import Watch
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
 from nuno.supervision.plan import Plan
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 
 LINGER = 0.3

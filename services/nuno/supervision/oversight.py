@@ -9,19 +9,19 @@ from typing import Any
 
 import zenoh
 
-from nuno.premises import check_premises
+from nuno.bus.health import offer_health
+from nuno.bus.liveliness import Watch
+from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.sessions import identity
+from nuno.bus.slow_consumers import Laggards
+from nuno.consistency import check_premises
 from nuno.process import SIGNALS
-from nuno.scene.coarser import coarser
+from nuno.scene.coarse_scene import coarser
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import log
 from nuno.supervision.launch import FINISH_TIMEOUT
 from nuno.supervision.plan import Plan
-from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.health import offer_health
-from nuno.wire.laggards import Laggards
-from nuno.wire.sessions import identity
-from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 

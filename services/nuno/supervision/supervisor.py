@@ -10,7 +10,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from nuno import crossed
+from nuno import intersections
+from nuno.bus.messages import Bus
+from nuno.bus.sessions import cut_off, hub_at, identity, spoke
+from nuno.formatting import counted
 from nuno.process import SIGNALS, state_of
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
@@ -18,9 +21,6 @@ from nuno.supervision import launch, log, runs
 from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.supervision.plan import Plan, make_plan
 from nuno.warnings import scene_warnings
-from nuno.wire.bus import Bus
-from nuno.wire.sessions import cut_off, hub_at, identity, spoke
-from nuno.words import counted
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT = 120.0
@@ -62,7 +62,7 @@ class Outcome:
     def problem(self) -> str:
         """What went wrong, in words; empty where nothing did."""
         if self.state in ("done", "stopped"):
-            return crossed.problem(self.services.get("collision", {}).get("cloth_contact"))
+            return intersections.problem(self.services.get("collision", {}).get("cloth_contact"))
         if self.state in SIGNALS:
             return f"{self.state} by {SIGNALS[self.state]} before its end"
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"

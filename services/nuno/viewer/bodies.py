@@ -9,11 +9,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import BadMessage
 from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface, vertex_normals
 from nuno.exports.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
-from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import PLANE, SKIN, Geometry, Poses
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float

@@ -12,18 +12,18 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.cloth.tension import SPAN
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import cut_pieces
 from nuno.exports.paint import INSET
+from nuno.formatting import duration
 from nuno.viewer import layout
 from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.layout import BACKGROUND
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
-from nuno.words import duration
 from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from nuno.bus.encodings import decode_arrays
 from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
-from nuno.wire.arrays import decode_arrays
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.messages import DyeStatus
 

@@ -11,6 +11,7 @@ from typing import BinaryIO
 import rerun as rr
 from pydantic import ValidationError
 
+from nuno.bus.encodings import BadMessage
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import read_texture
 from nuno.recording.reader import Recording
@@ -19,7 +20,6 @@ from nuno.recording.writer import part_of
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.dyed import viewer_painter
-from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.view import View
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
+from nuno.bus.messages import Inbox, Message
 from nuno.exports.cloth import find_named
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
@@ -14,8 +16,6 @@ from nuno.service import Context, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
 from nuno.viewer.stream import scene_of
-from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
-from nuno.wire.bus import Inbox, Message
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, STATE, TOPICS, Topic
 

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from nuno.wire.sessions import free_port
+from nuno.bus.sessions import free_port
 from nuno_schemas.view import View
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
     Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
     which then skips frames, and keeps this process from collecting what nobody takes.
     """
+    from nuno.bus.encodings import BadMessage
     from nuno.viewer.bridge import Bridge
-    from nuno.wire.arrays import BadMessage
     from nuno_schemas.messages import FRAMES
 
     bridge = Bridge(recording, view, live=True, painter=painter)

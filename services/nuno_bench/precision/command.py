@@ -10,11 +10,11 @@ from collections.abc import Collection
 from functools import partial
 
 from nuno import registry
-from nuno.choose.cloth import decide
+from nuno.formatting import duration
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
+from nuno.solver_selection.cloth import decide
 from nuno.viewer.require import require as require_viewer
-from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.precision import page as shown
 from nuno_bench.precision.page import Findings

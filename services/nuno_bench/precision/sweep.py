@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
-from nuno.words import duration, roughly
+from nuno.formatting import duration, roughly
 from nuno_bench.precision.point import DONE, POINT, RAN_AWAY, Point, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem.dye import AnyProblem

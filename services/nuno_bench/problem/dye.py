@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from nuno import registry
 from nuno.dye.run import DyeRun
-from nuno.scene.chosen import Chosen
+from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno_bench.machine import cores
 from nuno_bench.problem.observe import Problem, Run, Series, advance_all, check_memory, make_problem

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup, escape
 
-from nuno.words import for_json
+from nuno.formatting import for_json
 from nuno_schemas.errors import BadInput
 
 BAD = ("failed", "missed", "diverged", "contradicts", "slower")

@@ -19,10 +19,10 @@ from nuno_bench.machine import cores
 from nuno_bench.problem.piles import pile, sheet
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import seconds
-from nuno_contact.offset.brake import SWEEPS, brake, farthest_way
-from nuno_contact.offset.hold import is_thorough, pass_by
-from nuno_contact.offset.lists import choose_near, make_list
-from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.candidate_pairs import choose_near, make_list
+from nuno_contact.offset.ccd import is_thorough, pass_by
+from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.impulse import SWEEPS, brake, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_kernels.step.acceleration import evaluate

@@ -15,14 +15,14 @@ import numpy as np
 import yaml
 
 import nuno
-from nuno.choose.cloth import decide
+from nuno.bus.messages import ALL, Bus, Inbox, Message
+from nuno.bus.sessions import spoke
 from nuno.collision.messages import decode_poses
 from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.solver_selection.cloth import decide
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
-from nuno.wire.bus import ALL, Bus, Inbox, Message
-from nuno.wire.sessions import spoke
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed

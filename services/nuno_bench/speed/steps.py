@@ -10,7 +10,7 @@ from nuno import registry
 from nuno.cloth.build import Piece
 from nuno.cloth.numbering import find_numbers, renumber
 from nuno.scene import scene_file, shipped
-from nuno.simulation.ordered import Ordered
+from nuno.simulation.renumbered_solver import Ordered
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
 from nuno_bench.problem.observe import run_own

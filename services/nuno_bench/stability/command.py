@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from nuno import registry
+from nuno.formatting import duration
 from nuno.scene import scene_file, shipped
 from nuno.viewer.require import require as require_viewer
-from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.problem.observe import Problem
 from nuno_bench.report import page, plots

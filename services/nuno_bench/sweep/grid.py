@@ -24,8 +24,8 @@ from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
-from nuno.scene.explain import GIVEN
 from nuno.scene.scene_file import Loaded
+from nuno.scene.validation_errors import GIVEN
 from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.result import number

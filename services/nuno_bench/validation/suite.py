@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nuno import registry
-from nuno.words import roughly
+from nuno.formatting import roughly
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.validation.laws import contacts, dye, dye_spread, nets, oscillator, statics

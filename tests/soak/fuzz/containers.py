@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.wire.arrays import decode_arrays, encode_arrays
+from nuno.bus.encodings import decode_arrays, encode_arrays
 from soak.fuzz.mutate import mutate_bytes, mutate_text
 
 PNG = b"\x89PNG\r\n\x1a\n"

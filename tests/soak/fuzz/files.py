@@ -1,6 +1,7 @@
 """Files that a scene names, each read by the plugin that a scene would give it to.
 
-What a plugin makes of one is held against what its kind owes (`nuno.handed`), as results of foreign plugins are.
+The results of a plugin are checked against the contract of its kind (`nuno.plugin_contract.results`), as those of
+foreign plugins are.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno import handed, registry
+from nuno import registry
+from nuno.plugin_contract import results
 from nuno.scene.files import SceneFiles
 from soak.fuzz.containers import ARRAYS, IMAGE, mutate_glb
 from soak.fuzz.kind import TAU3, Kind, Read, require, require_finite
@@ -35,7 +37,7 @@ def made(group: str, plugin: Any, config: Any, files: Any) -> None:
 
     def call(method: str, *args: Any) -> Any:
         found = getattr(plugin, method)(*args)
-        handed.check(group, method, found, args)
+        results.check(group, method, found, args)
         return found
 
     if group == "nuno.models":

@@ -18,8 +18,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from nuno.bus.encodings import decode_arrays, encode_arrays
 from nuno.recording.mcap_file import McapFile
-from nuno.wire.arrays import decode_arrays, encode_arrays
 from soak.fuzz.containers import RECORDING, mcap_record, mutate_arrays
 from soak.fuzz.mutate import mutate_bytes
 

@@ -12,6 +12,9 @@ from typing import Any
 
 import yaml
 
+from nuno.bus.encodings import BadMessage, encode_picture
+from nuno.bus.messages import Bus, Inbox
+from nuno.bus.query import Question
 from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
@@ -22,11 +25,8 @@ from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver
-from nuno.stepping.attend import Attendant
+from nuno.stepping.watchdog import Attendant
 from nuno.studio.desk import Desk
-from nuno.wire.arrays import BadMessage, encode_picture
-from nuno.wire.bus import Bus, Inbox
-from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, PICTURE, TOPICS, Ack, Header
 from soak.fuzz.containers import mutate_arrays, mutate_json
@@ -230,7 +230,7 @@ def _texts(name: str) -> list[bytes]:
 
 def _topic(name: str) -> Kind:
     change = mutate_arrays if TOPICS[name].encoding == "protobuf" else mutate_json
-    follows = ("nuno.wire.arrays", "nuno.collision.messages", "nuno_schemas.messages", "nuno.viewer.bridge",
+    follows = ("nuno.bus.encodings", "nuno.collision.messages", "nuno_schemas.messages", "nuno.viewer.bridge",
                "nuno.dye.painter", "nuno.viewer.dyed")  # fmt: skip
     return Kind(f"message {name}", partial(_payloads, name), partial(_message, name), change, follows, (BadMessage,))
 
@@ -242,7 +242,7 @@ HEADERS = [
     for seq in (0, 3)
 ]
 MESSAGES = (
-    Kind("message header", lambda folder: HEADERS, _header, mutate_json, ("nuno.wire.bus",), (BadMessage,)),
+    Kind("message header", lambda folder: HEADERS, _header, mutate_json, ("nuno.bus.messages",), (BadMessage,)),
     *(_topic(name) for name in TOPICS if name not in UNDECODED),
     _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.service")),
     _question("finish", _finish, ("nuno.service",)),

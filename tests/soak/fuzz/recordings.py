@@ -139,6 +139,6 @@ RECORDINGS = (
     Kind("scene YAML", _scenes, _scene, lambda data, random: mutate_text(data, random, WORDS),
          ("nuno.scene", "nuno_schemas")),
     Kind("MCAP", lambda folder: list(recorded()), _recording, _mutate,
-         ("nuno.recording", "nuno.wire.arrays", "mcap", "nuno.exports.cloth", "nuno.collision.messages"),
+         ("nuno.recording", "nuno.bus.encodings", "mcap", "nuno.exports.cloth", "nuno.collision.messages"),
          longest=80_000),
 )  # fmt: skip

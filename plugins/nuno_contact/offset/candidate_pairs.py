@@ -1,0 +1,299 @@
+"""The list of pairs made from what the tree finds, and those of it that are near: what forces and steps look at."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nuno_contact.offset.contact_state import EDGES, IN_TURN, PARTS, Meeting, close_up, tree_of
+from nuno_contact.offset.places import CHOICES, LACKING, LISTED, LISTS_MADE, NEAR
+from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
+from nuno_contact.offset.search import find_near, near_leaves
+from nuno_contact.offset.tree import fit_tree, less
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.bodies.poses import Index, Vector
+from nuno_kernels.step.blocks import Long
+from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.terms import over_blocks
+from nuno_schemas.fabric import Float
+
+MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
+"""Weights of the way between the middles of two edges, and of a vertex and a triangle."""
+SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
+"""The golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)."""
+EMPTY = -(1 << 63)
+
+
+@forced_inline
+def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
+    """The share of the stiffness that a pair of cloth and a body has, by the first of each primitive's vertices: a
+    piece of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
+    """
+    first = m.size.shape[0] - m.local.shape[0]
+    cloth, body = (m.size[i], m.size[l]) if i < first else (m.size[l], m.size[i])
+    finer: float = less(1.0, body / cloth)
+    return finer if of_edges else 1.0 if i < first else finer * finer
+
+
+@forced_inline
+def begun_apart(m: Meeting, p: int) -> float:
+    """How far apart a listed pair starts [m]."""
+    s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
+    begun = (point(s, i), point(s, j), point(s, k), point(s, l))
+    distance: float = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))[1]
+    return distance
+
+
+@block_kernel
+def measure(m: Meeting, p: int) -> None:
+    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held.
+
+    Cloth that starts nearer to itself than the thickness, as beside the tip of a dart, is as thin as that there.
+    """
+    i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
+    least, mass = np.inf, np.inf
+    for v in (i, j, k, l):
+        if m.mass[v] > 0.0:
+            least, mass = less(least, m.stiffness[v]), less(mass, m.mass[v])
+    stiffness = 0.0 if mass == np.inf else 0.5 * least * (EDGES if m.of[p] < 0 else 1.0)
+    mu, damping = m.law[1], m.law[2]
+    body = max(m.piece[i], m.piece[l]) - (m.meets.shape[0] - m.body_law.shape[0])
+    if body >= 0:
+        mu, damping = m.body_law[body, 0], m.body_law[body, 1]
+        stiffness *= share_of(m, i, l, m.of[p] < 0)
+    m.reach[p] = less(m.law[0], begun_apart(m, p)) if m.piece[i] == m.piece[l] else m.law[0]
+    m.pair_stiffness[p], m.pair_friction[p] = stiffness, mu
+    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
+
+
+@block_kernel
+def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
+    """Into ways (n, 8), for each vertex in one line of the cache: where it is, where it goes, and its spread."""
+    for i in range(x.shape[1]):
+        for row in range(3):
+            ways[i, row], ways[i, 3 + row] = x[row, i], x[row, i] + u[row, i]
+        ways[i, 6] = spread[i]
+
+
+@forced_inline
+def begin_of(ways: Float, i: Index) -> Vector:
+    """Where vertex i is."""
+    return ways[i, 0], ways[i, 1], ways[i, 2]
+
+
+@forced_inline
+def end_of(ways: Float, i: Index) -> Vector:
+    """Where it goes."""
+    return ways[i, 3], ways[i, 4], ways[i, 5]
+
+
+@forced_inline
+def gap_along(of_edges: bool, n: Vector, ways: Float, i: Index, j: Index, k: Index, l: Index) -> float:  # noqa: E741
+    """How far apart a plane across n keeps a pair all along its way, strays included."""
+    r = (ways[i, 6], ways[j, 6], ways[k, 6], ways[l, 6])
+    begin = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
+    end = (end_of(ways, i), end_of(ways, j), end_of(ways, k), end_of(ways, l))
+    return less(spread_between(of_edges, n, begin, r), spread_between(of_edges, n, end, r))
+
+
+@forced_inline
+def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, l: Index, thickness: float) -> bool:  # noqa: E741
+    """Whether the plane across the line between their middles keeps a pair apart, as it does most neighbours in the
+    cloth. Not the plane that the pair had last: a resumed run has no other than those across closest points.
+    """
+    here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
+    n, _ = unit(weigh(MIDDLES[0] if of_edges else MIDDLES[1], here))
+    return gap_along(of_edges, n, ways, i, j, k, l) > thickness
+
+
+@forced_inline
+def vertices_of(m: Meeting, e: int, f: int) -> tuple[int, int, int, int]:
+    """Of a vertex e and a triangle f, or of edges -1 - e and f."""
+    if e < 0:
+        return m.edges[-1 - e, 0], m.edges[-1 - e, 1], m.edges[f, 0], m.edges[f, 1]
+    return e, m.faces[f, 0], m.faces[f, 1], m.faces[f, 2]
+
+
+@block_kernel
+def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
+    """Of `count` primitives found (c, 2) keep those that do not stay apart, in place and in their order, with the
+    planes (c, 3) across their closest points; how many.
+    """
+    ways, thickness = m.ways, m.law[0]
+    kept, number = 0, 0
+    # All are looked at without asking, since to guess wrongly takes longer.
+    for c in range(count):
+        of_edges = found[c, 0] < 0
+        i, j, k, l = vertices_of(m, found[c, 0], found[c, 1])  # noqa: E741
+        apart = apart_at_middles(of_edges, ways, i, j, k, l, thickness)
+        found[kept, 0], found[kept, 1] = found[c, 0], found[c, 1]
+        kept += 0 if apart or not m.meets[m.piece[i], m.piece[l]] else 1
+    for c in range(kept):
+        e, f = found[c, 0], found[c, 1]
+        i, j, k, l = vertices_of(m, e, f)  # noqa: E741
+        here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
+        n, _ = unit(weigh(closest(e < 0, here).weights, here))
+        if gap_along(e < 0, n, ways, i, j, k, l) > thickness:
+            continue
+        found[number, 0], found[number, 1] = e, f
+        normal[number, 0], normal[number, 1], normal[number, 2] = n
+        number += 1
+    return number
+
+
+@block_kernel
+def search_part(part: int, m: Meeting, leaves: Long, found: Long, normal: Float, number: Long) -> None:
+    """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
+
+    Into number (PARTS, 2) how many, or, below 0, for how many more there is no room, and how many of them are of a
+    vertex and a triangle.
+    """
+    room, count = found.shape[0] // PARTS, leaves.shape[0]
+    mine, across = found[part * room : (part + 1) * room], normal[part * room : (part + 1) * room]
+    met = find_near(tree_of(m), m.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
+    number[part, 0] = room - met if met > room else keep_near(m, mine, across, met)
+    number[part, 1] = 0
+    for c in range(number[part, 0]):
+        number[part, 1] += 1 if mine[c, 0] >= 0 else 0
+
+
+@block_kernel
+def enlist_part(part: int, m: Meeting, found: Long, normal: Float, number: Long) -> None:
+    """Put what a part has found into the list, as far as there are places: all pairs of a vertex and a triangle, then
+    all of edges, part by part. Pairs of a list then stand in the next one in the same order, wherever parts begin:
+    forces are summed, and constraints solved, in that order, in which what rests is to stay at rest.
+    """
+    room, edges, faces = found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
+    first, own = [0, number[:, 1].sum()], number[part, 1]
+    for before in range(part):
+        first[0] += number[before, 1]
+        first[1] += number[before, 0] - number[before, 1]
+    for c in range(number[part, 0]):
+        at, of = (first[0] + c if c < own else first[1] + c - own), part * room + c
+        if at < m.pair.shape[0]:
+            e, f = found[of, 0], found[of, 1]
+            m.pair[at, 0], m.pair[at, 1], m.pair[at, 2], m.pair[at, 3] = vertices_of(m, e, f)
+            m.of[at], m.reach[at] = -1 if e < 0 else f, -1.0
+            m.key[at] = (1 + e) * edges - 1 - f if e < 0 else e * faces + f
+            for row in range(3):
+                m.normal[at, row] = normal[of, row]
+
+
+search_parts = over_blocks(search_part, "m, leaves, found, normal, number", order=IN_TURN)
+enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TURN)
+
+
+@block_kernel
+def search(m: Meeting, threads: int | None) -> None:
+    """List the pairs by the tree, which is fitted already, as m.ways are."""
+    leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
+    number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
+    lacking = 1
+    while lacking > 0:
+        if m.leave[0] != 0:
+            m.number[LISTED] = m.number[LACKING] = 0
+            return
+        found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
+        search_parts(m, leaves, found, normal, number, PARTS, threads)
+        lacking, total = 0, 0
+        for part in range(PARTS):
+            lacking, total = max(lacking, -number[part, 0]), total + number[part, 0]
+        room += lacking
+    enlist_parts(m, found, normal, number, PARTS, threads)
+    m.number[LISTED], m.number[LACKING] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
+
+
+@block_kernel
+def choose_part(part: int, m: Meeting, number: Long) -> None:
+    """Choose of a part of the listed pairs; their numbers into m.near from the part's first on, and how many."""
+    pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
+    first, end = part * m.number[LISTED] // PARTS, (part + 1) * m.number[LISTED] // PARTS
+    kept = first
+    # Without asking for each, since to guess wrongly takes longer than to look.
+    for p in range(first, end):
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        apart = apart_at_middles(of[p] < 0, ways, i, j, k, l, thickness)
+        anchored[p] &= not apart
+        near[kept] = p
+        kept += 0 if apart else 1
+    chosen = first
+    for q in range(first, kept):
+        p = near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
+        n, _ = unit(weigh(closest(of[p] < 0, here).weights, here))
+        if gap_along(of[p] < 0, n, ways, i, j, k, l) > thickness:
+            anchored[p] = False
+            continue
+        normal[p, 0], normal[p, 1], normal[p, 2] = n
+        if m.reach[p] < 0.0:
+            measure(m, p)
+        near[chosen] = p
+        chosen += 1
+    number[part] = chosen - first
+
+
+choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
+
+
+@block_kernel
+def choose_near(m: Meeting, threads: int | None) -> None:
+    """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
+    lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
+    number = np.empty(PARTS, np.int64)
+    choose_parts(m, number, PARTS, threads)
+    m.number[NEAR], m.number[CHOICES] = close_up(m.near, m.number[LISTED], number), m.number[CHOICES] + 1
+    copy_rows(m.reference[3:], m.listed[3:6])
+    copy_rows(m.motion[3:], m.listed[9:12])
+    copy_rows(m.spread[1:], m.listed[13:])
+
+
+@block_kernel
+def make_list(m: Meeting, threads: int | None) -> None:
+    """List the pairs for the present plan; anchors are left alone."""
+    x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
+    fit_tree(tree_of(m), x, u, spread)
+    lay_out(x, u, spread, m.ways)
+    copy_rows(x, m.listed[:3])
+    copy_rows(u, m.listed[6:9])
+    copy_rows(m.spread[:1], m.listed[12:13])
+    search(m, threads)
+    m.number[LISTS_MADE] += 1
+
+
+@forced_inline
+def slot(key: int, table: Long) -> int:
+    """Where a key stands in a table of keys, a power of two long, or would (Knuth, vol. 3, 6.4: linear probing)."""
+    at = (key * SCATTER >> 32) & (table.shape[0] - 1)
+    while table[at] != EMPTY and table[at] != key:
+        at = (at + 1) & (table.shape[0] - 1)
+    return int(at)
+
+
+@block_kernel
+def renew_list(m: Meeting, threads: int | None) -> None:
+    """The same, anchors going with their pairs, and the shares of friction that an xpbd step has just given them."""
+    held, size = 0, 64
+    for p in range(m.number[LISTED]):
+        held += 1 if m.anchored[p] else 0
+    while size < 2 * held:
+        size *= 2
+    table, anchors, share = np.empty(size, np.int64), np.empty((size, 4)), np.empty(size)
+    for at in range(size):
+        table[at] = EMPTY
+    for p in range(m.number[LISTED]):
+        if m.anchored[p]:
+            at = slot(m.key[p], table)
+            table[at], share[at] = m.key[p], m.pulled[p, 3] if m.kept[p] else -1.0
+            for corner in range(4):
+                anchors[at, corner] = m.anchor[p, corner]
+            m.anchored[p] = False
+    make_list(m, threads)
+    for p in range(m.number[LISTED] if held > 0 else 0):
+        at = slot(m.key[p], table)
+        m.anchored[p] = table[at] != EMPTY
+        if m.anchored[p]:
+            m.kept[p], m.pulled[p, 3] = share[at] >= 0.0, share[at]
+            for corner in range(4):
+                m.anchor[p, corner] = anchors[at, corner]

@@ -1,0 +1,300 @@
+"""What keeps cloth from ever passing through itself: every step is looked at before it counts.
+
+A step takes vertices from `last`, where no primitives meet, to x, in straight lines. Each listed pair has a plane that
+keeps its primitives apart at `last`; where the plane does so at x as well, it has done so all the while (see
+nuno_contact.offset.search). Where it does not, the closest points at `last` give another. Where that does not
+either, the pair may have met: none of its vertices may then go farther than a quarter of the distance short of the
+plane midway between. A vertex' step is shortened as a whole, to the shortest of what its pairs allow, and then
+its other pairs are looked at again, until all are apart. Pairs that are not listed are too far away to meet.
+
+The proof needs nothing of the solver, the step or the forces. A vertex whose step is cut short, which forces prevent
+from happening often, is counted, and its velocity shortened as much, which takes momentum and energy: to keep the
+velocity of what does not move stretches the springs to those that do, and throws it off later. Not chosen: bounds on
+how far a vertex may move at all (half of its least distance), which cloth that moves along together uses up many times
+a frame; continuous collision detection, whose cubic equations need care with rounding and which says where paths meet,
+but not what to do then.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.force import corners_of
+from nuno_contact.offset.impulse import BRAKED, SWEEPS, brake, farthest_way, push_on
+from nuno_contact.offset.places import (
+    CHOICES,
+    CLOSE,
+    CUT,
+    HELD_CUT,
+    LACKING,
+    LAST_STEP,
+    NEAR,
+    NEAR_WINDOW,
+    NOW,
+    STEPS,
+    STILL,
+)
+from nuno_contact.offset.plan import CHOSEN, LIST, holds, plan, set_out
+from nuno_contact.offset.proximity import between, closest, unit, weigh
+from nuno_contact.offset.separating_plane import give_way, on_the_way, plane_along
+from nuno_contact.offset.touching import drag_anchors, find_touching
+from nuno_contact.offset.tree import more
+from nuno_kernels import block_kernel, forced_inline, kernel
+from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.lanes.triples import dot
+from nuno_kernels.step.blocks import Long
+from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows
+from nuno_kernels.terms import over_blocks
+from nuno_schemas.fabric import Float
+
+CLOSEST, FLOOR = 0.02, 0.001
+"""A pair may come as near as the first share of its thickness; from there on, at most half as near in a step; from the
+second share on not any nearer."""
+
+
+@forced_inline
+def nearest(reach: float, distance: float) -> float:
+    """How near a pair may come in a step that begins at a distance [m]."""
+    return min(CLOSEST * reach, max(0.5 * distance, min(FLOOR * reach, distance)))
+
+
+@forced_inline
+def is_thorough(m: Meeting) -> bool:
+    """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
+    return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
+
+
+@block_kernel
+def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: Long) -> None:
+    """Of a part of the near pairs: see pass_by. How many are close, into m.close from the part's first on, and how many
+    no plane keeps apart.
+    """
+    pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
+    thorough, fails = is_thorough(m), 0
+    first, end = part * m.number[NEAR] // PARTS, (part + 1) * m.number[NEAR] // PARTS
+    at = first
+    for q in range(first, end):
+        p = near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
+        low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        if low - high > more(reach[p], BRAKED * reach[p] + 2.0 * way):
+            m.anchored[p] = False
+            continue
+        close[at] = p
+        at += 1
+        if low - high >= CLOSEST * reach[p]:
+            continue
+        here = corners_of(last, i, j, k, l)
+        n, distance = unit(weigh(closest(of_edges, here).weights, here))
+        normal[p, 0], normal[p, 1], normal[p, 2] = n
+        low, high = between(of_edges, n, there)
+        gap = low - high
+        if thorough and gap < nearest(reach[p], distance):
+            n, gap = plane_along(of_edges, here, there, nearest(reach[p], distance))
+            if gap >= nearest(reach[p], distance):
+                normal[p, 0], normal[p, 1], normal[p, 2] = n
+        fails += 0 if gap >= nearest(reach[p], distance) else 1
+    number[part], lost[part] = at - first, fails
+
+
+pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
+
+
+@block_kernel
+def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
+    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
+
+    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
+    m.close.
+    """
+    number, lost = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
+    pass_parts(m, x, way, number, lost, PARTS, m.number[NEAR], threads)
+    m.number[CLOSE] = close_up(m.close, m.number[NEAR], number)
+    return int(lost.sum())
+
+
+@block_kernel
+def all_close(m: Meeting) -> None:
+    """Note all that is near as close."""
+    m.number[CLOSE] = m.number[NEAR]
+    for q in range(m.number[NEAR]):
+        m.close[q] = m.near[q]
+
+
+@forced_inline
+def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float) -> float:
+    """How much of its way a vertex goes that may not go below `least` along n; `share` at most."""
+    start, down = dot(n, here), dot(n, here) - dot(n, there)
+    if share * down <= start - least:
+        return share
+    room: float = (1.0 - 1e-12) * (start - least) / down
+    return max(0.0, room)
+
+
+@block_kernel
+def shorten(m: Meeting, x: Float) -> None:
+    """Into m.share how much of its way from `last` to x each vertex can go."""
+    pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
+    share[:] = 1.0
+    again = True
+    while again and m.leave[0] == 0:
+        again = False
+        for q in range(m.number[NEAR]):
+            p = m.near[q]
+            i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+            here, there, of_edges = corners_of(last, i, j, k, l), corners_of(x, i, j, k, l), of[p] < 0
+            n = (normal[p, 0], normal[p, 1], normal[p, 2])
+            end = on_the_way(here, there, (share[i], share[j], share[k], share[l]))
+            low, high = between(of_edges, n, end)
+            if low - high >= CLOSEST * reach[p]:
+                continue
+            n, distance = unit(weigh(closest(of_edges, here).weights, here))
+            normal[p, 0], normal[p, 1], normal[p, 2] = n
+            low, high = between(of_edges, n, end)
+            if low - high >= nearest(reach[p], distance):
+                continue
+            low, high = between(of_edges, n, here)
+            middle, room = 0.5 * (low + high), 0.5 * nearest(reach[p], low - high)
+            back = (-n[0], -n[1], -n[2])
+            for corner in range(4):
+                v = pair[p, corner]
+                first = corner == 0 or (of_edges and corner == 1)
+                least = room + (middle if first else -middle)
+                allowed = shortened(here[corner], there[corner], n if first else back, least, share[v])
+                if allowed < share[v]:
+                    share[v], again = allowed, True
+
+
+@kernel
+def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+    dt = (s - m.clock[NOW]) * m.span[0]
+    if m.local.shape[0] == 0:
+        if hold_whole(m, x, v, s, threads) and m.swept[0] == 0:
+            brake(m, v, dt, SWEEPS[0], threads)
+        m.swept[0] = 0
+        return
+    n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
+    pose_solids(m, s)
+    limit_ways(m, n, dt)
+    copy_part(x, goal, 0, n)
+    copy_part(v, velocity, 0, n)
+    if hold_whole(m, goal, velocity, s, threads):
+        copy_part(goal, x, 0, n)
+        if m.still[0] != PLACED:
+            pose_solids(m, s)
+            find_behind(m, n)
+            catch_up(m, n, dt)
+        brake(m, velocity, dt, SWEEPS[1], threads)
+        copy_part(velocity, v, 0, n)
+    m.swept[0] = 0
+
+
+@block_kernel
+def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
+    """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
+
+    Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
+    """
+    way = s - m.clock[NOW]
+    ahead = way if m.local.shape[0] > 0 else 0.0
+    renew = not holds(m, LIST, x, s, ahead)
+    if renew or not holds(m, CHOSEN, x, s, ahead):
+        if not all_finite(x):
+            return False
+        plan(m, sum_rows(x, -1.0, m.last), way, ahead, renew, threads)
+    return True
+
+
+@block_kernel
+def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
+    """The same of cloth and bodies; False, and nothing done, where something is lost."""
+    if m.leave[0] != 0:
+        return False
+    m.so_far[STEPS] += 1
+    dt = (s - m.clock[NOW]) * m.span[0]
+    # Bodies push on with the lists that there are, and where others find more to be met, with those.
+    passes = False
+    for _ in range(3 if m.local.shape[0] > 0 else 0):
+        passes = m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
+        if m.number[LACKING] == 0 and not passes:
+            push_on(m, x, v, dt, threads)
+        lists = m.number[CHOICES]
+        if not list_for(m, x, s, threads):
+            return False
+        if m.number[CHOICES] == lists:
+            break
+        passes = False
+    if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
+        return False
+    if not passes and (
+        m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0
+    ):
+        cut_short(m, x, v, s, threads)
+        all_close(m)
+    else:
+        m.share[:] = 1.0
+    copy_rows(x, m.last)
+    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.step[0] == 0.0 else 0.0
+    find_touching(m, threads)
+    drag_anchors(m, v, threads)
+    return True
+
+
+@block_kernel
+def cut_short(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Shorten vertices' ways to x, at fraction s of the interval, in place, and their velocities v (3, n) as much."""
+    last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
+    for i in range(x.shape[1]):
+        a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
+        farthest = max(farthest, np.sqrt(a * a + b * b + c * c))
+    if 2.0 * farthest > 0.9 * m.law[0]:
+        if m.number[LACKING] == 0:
+            # A pair that is not listed stays apart as long as vertices are where the plans allow. Where shortened ways
+            # end there, they lead there: all that could be met is listed.
+            to, at, counts = x.copy(), v.copy(), m.so_far.copy()
+            fit(m, x, v, threads)
+            if holds(m, LIST, x, s, 0.0) and holds(m, CHOSEN, x, s, 0.0):
+                return
+            copy_rows(to, x)
+            copy_rows(at, v)
+            m.so_far[:] = counts
+        # One that stays behind strays by its way: whatever could be met by that is listed.
+        for i in range(x.shape[1]):
+            a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
+            spread[i] = max(spread[i], np.sqrt(a * a + b * b + c * c))
+        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], True, threads)
+    if m.number[LACKING] > 0:
+        # What is not listed might be met: nothing moves.
+        m.so_far[STILL] += 1
+        share[:] = 0.0
+        go_partly(m, x, v)
+        return
+    fit(m, x, v, threads)
+
+
+@block_kernel
+def fit(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
+    """Shorten ways to x and velocities v (3, n) in place, by the pairs that are near."""
+    if is_thorough(m) and give_way(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
+        go_partly(m, x, v)
+        if pass_by(m, x, 0.0, threads) == 0:
+            return
+    shorten(m, x)
+    go_partly(m, x, v)
+
+
+@block_kernel
+def go_partly(m: Meeting, x: Float, v: Float) -> None:
+    """Take the shares of ways to x and, but for bodies, of velocities v (3, n), in place, and count them."""
+    last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
+    for i in range(x.shape[1]):
+        if share[i] < 1.0:
+            m.so_far[CUT if m.mass[i] > 0.0 else HELD_CUT] += 1
+            for row in range(3):
+                x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
+                if i < cloth:
+                    v[row, i] *= share[i]

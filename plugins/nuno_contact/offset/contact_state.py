@@ -1,0 +1,296 @@
+"""What cloth contact works on: the mesh, the pairs of primitives that may come near, and what has been of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_contact.offset.bodies import Solids, parts_of_bodies, size_of
+from nuno_contact.offset.tree import Tree, beside, make_tree, rings
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.step.blocks import Long, block_count
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
+
+PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
+"""Most pairs that are listed for each vertex of cloth, of bodies, and besides."""
+EDGES = 0.25
+"""Share of the stiffness that two edges have: see nuno_contact.offset.force."""
+ROWS = 4
+PARTS = ROWS * ROWS
+"""Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
+WORTH = 256
+"""Pairs from which on that is worth it."""
+IN_TURN = f"block % {ROWS} * {ROWS} + block // {ROWS}"
+"""The order in which threads take parts, each some from everywhere: pairs of vertices and triangles, which stand first,
+take longer than those of edges.
+"""
+
+
+class Meeting(NamedTuple):
+    """Cloth, and bodies behind it, of n vertices, e edges and f triangles, and P places for pairs.
+
+    boxes ... vertex_boxes are the tree's (nuno_contact.offset.tree).
+    """
+
+    boxes: Float
+    faces: Int
+    edges: Int
+    vertices: Int
+    face_start: Int
+    face: Int
+    edge_start: Int
+    edge: Int
+    vertex_start: Int
+    vertex: Int
+    face_boxes: Float
+    edge_boxes: Float
+    vertex_boxes: Float
+    beside: Int
+    """(f, 3) number of the triangle on the other side of the edges a-b, b-c, c-a; -1 where there is none"""
+    ring_start: Int
+    """(n + 1,) bounds of each vertex' neighbours in ring"""
+    ring: Int
+    first_face: Int
+    """(n,) lowest number of the triangles at each vertex, -1 where there are none"""
+    start: Float
+    """(3, n) vertices at the start [m]: what is nearer than the thickness there keeps the distance that it has"""
+    piece: Int
+    """(n,) the object that a vertex is of"""
+    meets: Bool
+    """(o, o) which objects and bodies meet each other"""
+    stiffness: Float
+    """(n,) what a vertex can bear [N/m]"""
+    mass: Float
+    """(n,) [kg], 0 for those that are held or carried, and for bodies"""
+    law: Float
+    """(3,) thickness [m], Coulomb coefficient, damping as a ratio of critical"""
+    pair: Int
+    """(P, 4) vertices of each pair: see nuno_contact.offset.proximity"""
+    of: Int
+    """(P,) number of the triangle of a vertex and a triangle, -1 for two edges"""
+    key: NDArray[np.int64]
+    """(P,) a number of the pair, the same in every list"""
+    reach: Float
+    """(P,) distance within which a pair pushes [m]; negative where it was not near so far, and nothing is known"""
+    pair_stiffness: Float
+    """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
+    pair_damping: Float
+    """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
+    eased: Float
+    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease_part"""
+    pair_friction: Float
+    """(P,) Coulomb coefficient of a pair"""
+    normal: Float
+    """(P, 3) of a plane that keeps the pair apart at `last`"""
+    near: Int
+    """(P,) which of them are near"""
+    number: NDArray[np.int64]
+    """(8,) counts: see LISTED"""
+    block_start: Int
+    """(B + 1,) bounds of the pairs of each block of cloth, of those near, in"""
+    block_pair: Int
+    """(4 P,)"""
+    close: Int
+    """(P,) those of them that may touch after the last step, or come too near in the next"""
+    touching: Int
+    """(P,) pairs that touch at `last`; touch_start (B + 1,) and touch_pair (4 P,) share them out as above"""
+    touch_start: Int
+    touch_pair: Int
+    weights: Float
+    """(P, 4) at the closest points of those that touch"""
+    distance: Float
+    """(P,) of those that touch [m]"""
+    fresh: Bool
+    """(1,) whether forces are asked for at `last`"""
+    anchor: Float
+    """(P, 4) weights of the points that friction holds together: part of the state"""
+    anchored: Bool
+    """(P,) which pairs have an anchor: part of the state"""
+    reference: Float
+    """(6, n) vertices where the list was made, and where what is near was chosen [m]; NaN before: part of the state"""
+    motion: Float
+    """(6, n) how far they are taken to go from there over the windows [m]: part of the state"""
+    spread: Float
+    """(2, n) how far they may be from there, in the list's plan and in that of what is near [m]: part of the state"""
+    unrest: Float
+    """(2, n) how much they strayed in the last plans, over the square of the time that they lasted [m]: part of the
+    state"""
+    last: Float
+    """(3, n) vertices after the last step [m]: part of the state"""
+    clock: Float
+    """(7,) times and shares: see NOW; part of the state"""
+    span: Float
+    """(1,) of the interval [s]"""
+    listed: Float
+    """(14, n) references, motions and spreads that the lists were made for"""
+    nothing: Float
+    """(3, n) zeros"""
+    ways: Float
+    """(n, 8) scratch: see nuno_contact.offset.candidate_pairs.lay_out"""
+    step: Float
+    """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
+    velocity: Float
+    """(3, n) scratch of an implicit method: where forces were found last [m/s]"""
+    expected: Bool
+    """(P,) scratch of an implicit method: which pairs are taken to touch after its next Newton step"""
+    calm: NDArray[np.int64]
+    """(1,) scratch of an implicit method: Newton steps since one was shortened"""
+    frozen: Bool
+    """(1,) scratch of an implicit method: whether pairs touch as it is kept in"""
+    kept_weights: Float
+    """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
+    kept_normal: Float
+    kept: Bool
+    pulled: Float
+    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and the share of its friction
+    that each gets, 1 where it sticks"""
+    swept: NDArray[np.int64]
+    """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
+    share: Float
+    """(n,) scratch: of a step, how much of it each vertex makes"""
+    rate: Float
+    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease_part [1/s]"""
+    local: Float
+    """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
+    frame: Int
+    body_law: Float
+    """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
+    size: Float
+    """(n,) see nuno_contact.offset.bodies.size_of [m]"""
+    rotation0: Float
+    """and the rest as nuno_kernels.bodies.poses has it"""
+    origin0: Float
+    spin: Float
+    shift: Float
+    frames: Float
+    skin_joint: Int
+    """Of the s of them that are of skins: (s, k) which carriers they go with, and skin_weight (s, k); skin_place (e, 3)
+    where the carriers lie as the skins are bound [m], skin_frame (e,) which frames they are"""
+    skin_weight: Float
+    skin_place: Float
+    skin_frame: Int
+    skin_begin: Float
+    """Of all bodies' vertices, where there are skins: (b, 3) where those of skins begin in the interval [m], skin_end
+    (b, 3) where they end, and skin_pace (1,) over its duration [1/s]"""
+    skin_end: Float
+    skin_pace: Float
+    whole: Float
+    """Of a meeting with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
+    whole_velocity: Float
+    goal: Float
+    """(3, n) scratch: where a step leads to, bodies' vertices where their bodies are"""
+    way: Float
+    """(3, n) scratch of an implicit method: the way to its next iterate"""
+    behind: Bool
+    """(b,) which of the bodies' vertices are behind their bodies at `last`"""
+    still: NDArray[np.int64]
+    """(1,) what bodies do in the interval: see nuno_contact.offset.bodies.MOVES"""
+    so_far: NDArray[np.int64]
+    """(5,) counts of the whole run: see CUT; part of the state"""
+    leave: Long
+    """(1,) see nuno_kernels.step.acceleration.Packed"""
+
+
+@forced_inline
+def tree_of(m: Meeting) -> Tree:
+    """The tree."""
+    return Tree(
+        m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
+        m.face_boxes, m.edge_boxes, m.vertex_boxes,
+    )  # fmt: skip
+
+
+@block_kernel
+def close_up(found: Int, count: int, number: Long) -> int:
+    """Bring together what was found in each part of `count`, number (PARTS,) from the part's first on; how many."""
+    at = 0
+    for part in range(PARTS):
+        first = part * count // PARTS
+        for q in range(first, first + number[part]):
+            found[at] = found[q]
+            at += 1
+    return at
+
+
+def room_for_pairs(places: int) -> dict[str, Any]:
+    """Of the arrays of P places."""
+    return {
+        "pair": np.zeros((places, 4), np.int32),
+        "of": np.zeros(places, np.int32),
+        "key": np.zeros(places, np.int64),
+        "reach": np.zeros(places),
+        "pair_stiffness": np.zeros(places),
+        "pair_damping": np.zeros(places),
+        "eased": np.zeros(places),
+        "pair_friction": np.zeros(places),
+        "normal": np.zeros((places, 3)),
+        "near": np.zeros(places, np.int32),
+        "block_pair": np.zeros(4 * places, np.int32),
+        "close": np.zeros(places, np.int32),
+        "touching": np.zeros(places, np.int32),
+        "touch_pair": np.zeros(4 * places, np.int32),
+        "weights": np.zeros((places, 4)),
+        "distance": np.zeros(places),
+        "anchor": np.zeros((places, 4)),
+        "anchored": np.zeros(places, np.bool_),
+        "expected": np.zeros(places, np.bool_),
+        "kept_weights": np.zeros((places, 4)),
+        "kept_normal": np.zeros((places, 3)),
+        "kept": np.zeros(places, np.bool_),
+        "pulled": np.zeros((places, 4)),
+    }
+
+
+def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids) -> Meeting:
+    """Of a fabric with triangles and bodies, without a list; the pieces (n,) are of both."""
+    b = len(solids.x)
+    n, places = fabric.number + b, PER_VERTEX * fabric.number + OF_BODIES * b + FEWEST
+    x = np.concatenate([fabric.position, solids.x])
+    faces = np.concatenate([fabric.faces, solids.faces + np.int32(fabric.number)])
+    tree = make_tree(x, faces, len(fabric.faces))
+    wide = n if b else 0
+    ring_start, ring = rings(tree.edges, n)
+    first_face = np.full(n, -1, np.int32)
+    corners = faces.ravel()
+    first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
+    return Meeting(
+        **tree._asdict(),
+        **room_for_pairs(places),
+        **parts_of_bodies(solids, wide),
+        beside=beside(faces),
+        ring_start=ring_start,
+        ring=ring,
+        first_face=first_face,
+        start=np.ascontiguousarray(x.T),
+        piece=piece.astype(np.int32),
+        meets=meets,
+        stiffness=np.concatenate([stiffness, np.zeros(b)]),
+        mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
+        law=law,
+        number=np.zeros(8, np.int64),
+        block_start=np.zeros(block_count(fabric.number) + 1, np.int32),
+        touch_start=np.zeros(block_count(fabric.number) + 1, np.int32),
+        fresh=np.zeros(1, np.bool_),
+        reference=np.full((6, n), np.nan),
+        motion=np.zeros((6, n)),
+        last=np.zeros((3, n)),
+        spread=np.zeros((2, n)),
+        unrest=np.zeros((2, n)),
+        clock=np.zeros(7),
+        span=np.zeros(1),
+        listed=np.zeros((14, n)),
+        nothing=np.zeros((3, n)),
+        ways=np.zeros((n, 8)),
+        step=np.zeros(1),
+        velocity=np.zeros((3, n)),
+        calm=np.zeros(1, np.int64),
+        frozen=np.zeros(1, np.bool_),
+        swept=np.zeros(1, np.int64),
+        share=np.ones(n),
+        rate=np.zeros(n),
+        size=size_of(x, faces),
+        so_far=np.zeros(5, np.int64),
+        leave=np.zeros(1, np.int64),
+    )

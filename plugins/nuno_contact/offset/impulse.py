@@ -1,0 +1,143 @@
+"""What slows cloth down that comes too fast for forces to stop it.
+
+A method whose step is long sees what arrives at 3 m/s for the first time when it has gone through the thickness. What
+would be nearer than a quarter of it after the next step gets an impulse along the line between the closest points, as
+in an inelastic encounter, just large enough; a few sweeps in the list's order, each of which keeps momentum and takes
+energy ("speculative contacts" in games). Steps are then seldom cut short. xpbd does without: it has them in its
+constraints (nuno_contact.offset.projection).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.force import corners_of
+from nuno_contact.offset.places import CLOSE
+from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.lanes.choose import higher, lane
+from nuno_kernels.lanes.simd import WIDTH, splat
+from nuno_kernels.lanes.triples import dot, read_triple
+from nuno_kernels.step.blocks import Long
+from nuno_kernels.step.rows import sum_rows
+from nuno_kernels.terms import over_blocks
+from nuno_schemas.fabric import Float, Int
+
+BRAKED, SWEEPS = 0.25, (4, 32)
+"""What would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps; in the
+second number where there are bodies, which do not give way, and have many vertices below a triangle of cloth.
+"""
+
+LEVER = 0.25
+"""Beside what is held an impulse at the closest point would need a long lever: a vertex whose share of that point is w
+would get the speed over w, without bound. A pair moves at least as easily as a point of this share, in the square, of
+its heaviest vertex: in all sweeps together no vertex is made more than eight times as fast as what comes. Triangles
+and edges that are free have a third and more: for them nothing changes.
+"""
+
+
+@block_kernel
+def farthest_way(v: Float, dt: float) -> float:
+    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
+    fastest, most = splat(0.0), 0.0
+    for i in range(0, v.shape[1], WIDTH):
+        own = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
+        fastest = higher(dot(own, own), fastest)
+    for k in range(WIDTH):
+        most = max(most, lane(fastest, k))
+    return dt * math.sqrt(most)
+
+
+@block_kernel
+def fast_part(part: int, m: Meeting, v: Float, dt: float, fast: Int, number: Long) -> None:
+    """Which of a part of the close pairs would come too near: into `fast` from the part's first on, and how many."""
+    pair, of, reach, normal, last, close = m.pair, m.of, m.reach, m.normal, m.last, m.close
+    first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
+    at = first
+    for q in range(first, end):
+        p = close[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        here, go = corners_of(last, i, j, k, l), corners_of(v, i, j, k, l)
+        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ahead(here, go, dt))
+        if low - high < BRAKED * reach[p]:
+            fast[at] = p
+            at += 1
+    number[part] = at - first
+
+
+fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
+
+
+@block_kernel
+def brake(m: Meeting, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
+    """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
+    pair, of, reach, mass, last = m.pair, m.of, m.reach, m.mass, m.last
+    fast, found = np.empty(m.number[CLOSE], np.int32), np.empty(PARTS, np.int64)
+    fast_parts(m, v, dt, fast, found, PARTS, m.number[CLOSE], threads)
+    number = close_up(fast, m.number[CLOSE], found)
+    weights, normal, lacks, mobility = np.empty((number, 4)), np.empty((number, 3)), np.empty(number), np.zeros(number)
+    for q in range(number):
+        p = fast[q]
+        here = corners_of(last, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
+        w = closest(of[p] < 0, here).weights
+        n, distance = unit(weigh(w, here))
+        weights[q, 0], weights[q, 1], weights[q, 2], weights[q, 3] = w
+        normal[q, 0], normal[q, 1], normal[q, 2] = n
+        lacks[q] = min(0.0, BRAKED * reach[p] - distance)
+        heaviest = 0.0
+        for corner in range(4):
+            i = pair[p, corner]
+            mobility[q] += w[corner] * w[corner] / mass[i] if mass[i] > 0.0 else 0.0
+            heaviest = max(heaviest, mass[i])
+        mobility[q] = max(mobility[q], LEVER / heaviest if heaviest > 0.0 else 0.0)
+    for _ in range(sweeps):
+        slowed = False
+        for q in range(number):
+            p, n = fast[q], (normal[q, 0], normal[q, 1], normal[q, 2])
+            w = (weights[q, 0], weights[q, 1], weights[q, 2], weights[q, 3])
+            go = corners_of(v, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
+            lacking = lacks[q] - dt * dot(n, weigh(w, go))
+            if lacking > 0.0 and mobility[q] > 0.0:
+                slowed = True
+                for corner in range(4):
+                    i = pair[p, corner]
+                    if mass[i] > 0.0:
+                        change = w[corner] / mass[i] * lacking / (mobility[q] * dt)
+                        for row in range(3):
+                            v[row, i] += change * n[row]
+        if not slowed:
+            break
+
+
+@block_kernel
+def push_on(m: Meeting, x: Float, v: Float, dt: float, threads: int | None) -> None:
+    """Have bodies push cloth before them in a step of dt [s] from `last` to x (3, n), in place, that they would meet it
+    in all the same: what forces have done to it in the step is known now.
+    """
+    mean = sum_rows(x, -1.0, m.last)
+    for row in range(3):
+        for i in range(x.shape[1]):
+            mean[row, i] /= dt
+    before = mean.copy()
+    brake(m, mean, dt, SWEEPS[1], threads)
+    for i in range(x.shape[1] - m.local.shape[0]):
+        for row in range(3):
+            if mean[row, i] != before[row, i]:
+                x[row, i] = m.last[row, i] + dt * mean[row, i]
+                v[row, i] += mean[row, i] - before[row, i]
+
+
+@forced_inline
+def ahead(x: Corners, v: Corners, dt: float) -> Corners:
+    """Four vertices after dt."""
+    a, b, c, d = x
+    e, f, g, h = v
+    return (
+        (a[0] + dt * e[0], a[1] + dt * e[1], a[2] + dt * e[2]),
+        (b[0] + dt * f[0], b[1] + dt * f[1], b[2] + dt * f[2]),
+        (c[0] + dt * g[0], c[1] + dt * g[1], c[2] + dt * g[2]),
+        (d[0] + dt * h[0], d[1] + dt * h[1], d[2] + dt * h[2]),
+    )

@@ -1,0 +1,144 @@
+"""The plane that keeps a pair apart all along its vertices' straight ways, if any across one direction does; and how
+far vertices can go so that every pair has one.
+
+Along n the primitives are apart at a time if n.(p - q) > 0 for all vertices p of the first and q of the second; all the
+while, if they are at both ends. The best n is along the shortest vector to the convex hull of these differences, six or
+eight at both ends, which Gilbert's algorithm finds (1966, SIAM J. Control 4, 61-80).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.force import corners_of
+from nuno_contact.offset.places import NEAR
+from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.lanes.triples import dot, plus
+from nuno_schemas.fabric import Float
+
+MOST = 1000
+"""Turns of Gilbert's algorithm, which takes few where there is room, and many past the ends of long edges."""
+SWEEPS = 16
+"""Over all pairs, after which what still has no plane is left so."""
+
+
+@block_kernel
+def plane_along(of_edges: bool, here: Corners, there: Corners, enough: float) -> tuple[Vector, float]:
+    """A plane's direction, and the gap between the primitives along it [m], the smaller of both ends: `enough` or more
+    if such a plane was found.
+    """
+    ways, number = np.empty((8, 3)), 0
+    for i in range(2 if of_edges else 1):
+        for j in range(2 if of_edges else 1, 4):
+            for axis in range(3):
+                ways[number, axis] = here[i][axis] - here[j][axis]
+                ways[number + 1, axis] = there[i][axis] - there[j][axis]
+            number += 2
+    x, y, z = ways[0, 0], ways[0, 1], ways[0, 2]
+    length, gap = 0.0, -np.inf
+    for _ in range(MOST):
+        square, least, at = x * x + y * y + z * z, np.inf, 0
+        for k in range(number):
+            along = x * ways[k, 0] + y * ways[k, 1] + z * ways[k, 2]
+            if along < least:
+                least, at = along, k
+        length = np.sqrt(square)
+        gap = least / length if length > 0.0 else 0.0
+        if gap >= enough or length <= enough:
+            break
+        a, b, c = ways[at, 0] - x, ways[at, 1] - y, ways[at, 2] - z
+        share = min(1.0, -(x * a + y * b + z * c) / (a * a + b * b + c * c))
+        if not share > 0.0:
+            break
+        x, y, z = x + share * a, y + share * b, z + share * c
+    return (x / length, y / length, z / length), gap
+
+
+@forced_inline
+def on_the_way(here: Corners, there: Corners, share: Four) -> Corners:
+    """Four vertices, each after a share of its way."""
+    return partly(here[0], there[0], share[0]), partly(here[1], there[1], share[1]), partly(
+        here[2], there[2], share[2]), partly(here[3], there[3], share[3])  # fmt: skip
+
+
+@forced_inline
+def partly(a: Vector, b: Vector, share: float) -> Vector:
+    """A share of the way from a to b, b itself where that is all."""
+    if share == 1.0:
+        return b
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
+
+
+@block_kernel
+def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
+    """Into m.share how much of d (3, n) each vertex can go from y (3, n) so that pairs come as near as `stop` of their
+    thickness, and half as near as they were at most; whether that is less than all for any.
+
+    Each pair is to have a plane that keeps it apart at y and at the end. Of one that has none, what comes nearer stops
+    at the other's end, or, where both come nearer, between them in proportion. A side that goes away does not stop the
+    other where it is now, so that layers that fall together go on together; and as shares only get smaller, each
+    pair's demand can be met whatever the others do. After SWEEPS over all pairs what is left is left, and so is
+    cloth that is held; bodies are not.
+    """
+    pair, of, reach, normal, share, near = m.pair, m.of, m.reach, m.normal, m.share, m.near
+    cloth = share.shape[0] - m.local.shape[0]
+    share[:] = 1.0
+    hindered = False
+    for _ in range(SWEEPS):
+        again = False
+        for q in range(m.number[NEAR]):
+            p = near[q]
+            i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+            here, of_edges = corners_of(y, i, j, k, l), of[p] < 0
+            go = corners_of(d, i, j, k, l)
+            there = moved_by(here, go)
+            end = on_the_way(here, there, (share[i], share[j], share[k], share[l]))
+            n, room = (normal[p, 0], normal[p, 1], normal[p, 2]), stop * reach[p]
+            low, high = between(of_edges, n, end)
+            if low - high >= room:
+                low, high = between(of_edges, n, here)
+                if low - high >= room:
+                    continue
+            n, distance = unit(weigh(closest(of_edges, here).weights, here))
+            room = min(room, 0.5 * distance)
+            low, high = between(of_edges, n, end)
+            if low - high >= room or plane_along(of_edges, here, end, room)[1] >= room:
+                continue
+            first, second = between(of_edges, n, here)
+            down, up = first - low, high - second
+            level = (
+                first - (first - second - room) * down / (down + up)
+                if down > 0.0 and up > 0.0
+                else (high + room if down > 0.0 else low)
+            )
+            for corner in range(4):
+                v = pair[p, corner]
+                if m.mass[v] == 0.0 and v < cloth:
+                    continue
+                upper = corner == 0 or (of_edges and corner == 1)
+                least = level if upper else room - level
+                allowed = reached(dot(n, here[corner]), dot(n, go[corner]), 1.0 if upper else -1.0, least, share[v])
+                if allowed < share[v]:
+                    share[v], again = allowed, True
+        hindered = hindered or again
+        if not again:
+            break
+    return hindered
+
+
+@forced_inline
+def moved_by(x: Corners, d: Corners) -> Corners:
+    """Four vertices moved."""
+    return plus(x[0], d[0]), plus(x[1], d[1]), plus(x[2], d[2]), plus(x[3], d[3])
+
+
+@forced_inline
+def reached(start: float, way: float, side: float, least: float, share: float) -> float:
+    """How much of its way a vertex goes whose height is side times start + share times way and not below `least`."""
+    height, down = side * start, -side * way
+    if height - share * down >= least or down <= 0.0:
+        return share
+    return max(0.0, (1.0 - 1e-12) * (height - least) / down)

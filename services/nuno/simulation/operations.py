@@ -1,0 +1,128 @@
+"""Operations on cloth while its simulation goes on: how they are named, and what is carried over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from nuno import registry
+from nuno.bus.encodings import arrays_of
+from nuno.scene import yaml_lines
+from nuno.scene.chosen_plugins import Chosen, choose_operation
+from nuno.scene.files import SceneFiles
+from nuno.scene.scene_file import Loaded
+from nuno.scene.validation_errors import UNNUMBERED, explain
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Binding, Fabric, Int
+from nuno_schemas.operation import arranges
+from nuno_schemas.scene import Applied
+
+NAME = "add"
+"""What errors call the text of an added operation."""
+ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
+PARTS = ("springs", "hinges", "membrane", "bending", "friction", "corners")
+"""Of a fabric, beside arrays, those among them that it may lack."""
+
+
+def name_of(item: str) -> str:
+    """`wrinkle` of `wrinkle: {lines: [...]}`; "" for a text that is no mapping of one name."""
+    value = yaml_lines.parse_value(item)
+    return str(next(iter(value))) if isinstance(value, dict) and len(value) == 1 else ""
+
+
+def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
+    """The object's number, the operation, and the text with what its files hold in the place of their names.
+
+    Raises BadInput.
+    """
+    name, known = name_of(item), sorted(registry.installed("nuno.operations"))
+    if name not in known:
+        remedy = "for example wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}"
+        problem, limit = "cloth that moves is changed by an operation", nearest(name, known)
+        raise BadInput(problem, NAME, value=item, limit=limit, remedy=remedy)
+    fields = yaml_lines.parse_value(item)[name]
+    if not isinstance(fields, dict):
+        raise BadInput("an operation is given by a mapping of fields", NAME, value=item)
+    if "at" in fields:
+        raise BadInput("what is added is applied at once", NAME, field="at", remedy="leave it out")
+    data = {"plugin": name, **fields}
+    lines = dict.fromkeys(yaml_lines.places(data), UNNUMBERED)
+    try:
+        applied = Applied.model_validate(data)
+    except ValidationError as error:
+        raise explain(error, data, (), NAME, lines, Applied) from None
+    names = [spec.name for spec in loaded.scene.objects]
+    of = applied.object or (names[0] if len(names) == 1 else "")
+    if of not in names:
+        remedy = nearest(of, names)
+        raise BadInput("say which object it changes", NAME, field="object", value=applied.object, remedy=remedy)
+    files = SceneFiles(loaded.files.folder, loaded.files.roots)
+    chosen = choose_operation(applied, (), NAME, lines, files)
+    if arranges(chosen.plugin):
+        raise BadInput("this operation is for the start, before the first frame", NAME, value=name,
+                       remedy=f"run the scene again with operations: [{{plugin: {name}}}]")  # fmt: skip
+    if files.used:
+        own = {} if applied.object is None else {"object": applied.object}
+        said = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        item = json.dumps({chosen.name: own | said})
+    return names.index(of), chosen, item
+
+
+def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[Any]:
+    """A solver's array for a changed fabric: of old vertices what `values` has, of new ones what `target` begins with.
+
+    source (n,) the vertex that each was, -1 for a new one. An array of the same shape stays as it is; one that grows by
+    something else than vertices, such as the pairs that may come near, begins anew.
+    """
+    axes = [i for i, (old, new) in enumerate(zip(values.shape, target.shape, strict=True)) if old != new]
+    if not axes:
+        return values
+    if target.shape[axes[0]] != len(source):
+        return target
+    carried = np.moveaxis(target.copy(), axes[0], 0)
+    old = source >= 0
+    carried[old] = np.moveaxis(values, axes[0], 0)[source[old]]
+    return np.ascontiguousarray(np.moveaxis(carried, 0, axes[0]))
+
+
+def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
+    """All arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the way back."""
+    arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
+    for part in PARTS:
+        if (held := getattr(fabric, part)) is not None:
+            arrays |= arrays_of(held, f"{part}.")
+    for i, binding in enumerate(fabric.bindings):
+        arrays[f"bindings.{i}"] = binding.vertices
+        arrays |= {} if binding.local is None else {f"bindings.{i}.local": binding.local}
+    return arrays
+
+
+def frames_bound(fabric: Fabric) -> list[tuple[str, str | None]]:
+    """Body and frame of each binding of a fabric, for a checkpoint."""
+    return [(binding.body, binding.frame) for binding in fabric.bindings]
+
+
+def fabric_from(
+    arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float], bound: Sequence[tuple[str, str | None]]
+) -> Fabric:
+    """The fabric that a checkpoint holds, `built` being that of the scene and `bound` what its `frames_bound` were.
+    Raises BadInput where it is damaged.
+    """
+    try:
+        parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
+        for part in PARTS:  # panels stay as they are cut: no operation changes triangles of corners
+            if (own := getattr(built, part)) is not None:
+                parts[part] = replace(own, **{name: arrays[f"{part}.{name}"] for name in arrays_of(own)})
+        bindings = tuple(
+            Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
+            for i, (body, frame) in enumerate(bound)
+        )
+    except KeyError as error:
+        raise BadInput(f"the checkpoint lacks {error} of a changed fabric") from None
+    return replace(built, **parts, bindings=bindings, origin=origin)

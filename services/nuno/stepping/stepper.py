@@ -1,0 +1,264 @@
+"""What is stepped frame by frame, cloth or dye, independent of how it is sent."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from nuno.formatting import factor, megabytes, roughly
+from nuno.plugin_contract.values import Wrong, check_array
+from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Memory
+from nuno_schemas.messages import Event, Topic
+
+COPIED, HASHED, CALLS = 1e8, 4, 600_000
+"""Bytes that may be copied before a frame, for each second that the last one took: a few hundredths of its time. Those
+of the state are also hashed, which takes so many times as long, and what Python does takes as long as so many more.
+"""
+
+
+@dataclass
+class Stepped:
+    """A frame that has been stepped: its number, what the solver says of it, wall time [s] and the state's hash."""
+
+    number: int
+    report: Any
+    seconds: float
+    digest: str
+
+
+GROWN, FEW = 4, 1000
+"""A scene may seem to have so many times the vertices that were recorded, and so many more: models count roughly."""
+FINEST = 1000
+"""Of so many steps one may be made by what is changed while a run goes on."""
+
+
+class Stepper(ABC):
+    """A scene's cloth, or its dye: a state, a solver with its memory, and the frame that it is in.
+
+    dt [s] is the step, of which a frame has `steps`.
+    """
+
+    part: ClassVar[str]
+    """cloth or dye"""
+    service: ClassVar[str]
+    """The service that steps it."""
+    status: ClassVar[Topic]
+    published: ClassVar[Topic]
+    kept: ClassVar[Topic]
+    """Topics of what is said of each frame, and of its float32 and its float64 arrays."""
+    quantities: ClassVar[Mapping[str, str]]
+    """What the arrays of the state are called in words."""
+
+    loaded: Loaded
+    frame: int
+    memory: Memory
+    steps: int
+    dt: float
+
+    leave: NDArray[np.int64]
+    """(1,) see nuno_schemas.system.System"""
+    taken: float = math.inf
+    """Wall time of the last frame [s]."""
+
+    @property
+    def t(self) -> float:
+        """Time of the scene [s], from the frame number so that it never drifts."""
+        return float(self.frame / self.loaded.scene.frame_rate)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene's last frame is done."""
+        return self.frame >= self.loaded.scene.frames
+
+    @abstractmethod
+    def arrays(self) -> Arrays:
+        """The float64 state itself, by name."""
+
+    @abstractmethod
+    def step(self) -> Stepped:
+        """Step one frame."""
+
+    @abstractmethod
+    def present(self) -> Stepped:
+        """The present frame, without a step; compiles what steps need."""
+
+    @abstractmethod
+    def about(self) -> str:
+        """How the solver's kernels run, in words."""
+
+    @abstractmethod
+    def set(self, item: str) -> None:
+        """Change a field of the running scene. Raises BadInput."""
+
+    @abstractmethod
+    def add(self, item: str) -> str:
+        """Add an item, `list: {...}`, to the running scene; what is to be known of it. Raises BadInput."""
+
+    @abstractmethod
+    def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
+        """Go on from a checkpoint, with the control events of this service until then, in order.
+
+        Raises BadInput where it does not fit.
+        """
+
+    @abstractmethod
+    def encode(self) -> bytes:
+        """The state as it is published, float32."""
+
+    @staticmethod
+    @abstractmethod
+    def decode(payload: bytes) -> Arrays:
+        """What was published, by the names of the state's arrays. Raises BadMessage."""
+
+    @abstractmethod
+    def place(self, index: Sequence[int]) -> str:
+        """An index of one of the state's arrays in words."""
+
+    def digest(self) -> str:
+        """Hash of the float64 state: equal digests mean equal bits."""
+        return hash_of([np.int64(self.frame), *self.digested()])
+
+    def digested(self) -> Iterable[NDArray[Any]]:
+        """What a digest is of, beside the frame's number."""
+        return self.arrays().values()
+
+    def keep(self) -> Checkpoint:
+        """A copy of the whole present state, enough to go on from in the same bits."""
+        arrays, text = self.whole()
+        return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
+
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays and text of a checkpoint of the present state: its own arrays, which the next frame changes."""
+        arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
+        text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
+        return arrays, text
+
+    def copied(self) -> Checkpoint | None:
+        """The present state apart, in case that the next frame is left; None where to copy it would take as long as a
+        frame does.
+        """
+        size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
+        size += HASHED * sum(array.nbytes for array in self.arrays().values())
+        return self.keep() if size < COPIED * self.taken else None
+
+    def holds(self) -> str:
+        """What holds up the frame that is being stepped, in words; called while it is."""
+        return ""
+
+    def check_time(self, point: Checkpoint) -> None:
+        """Raises BadInput for a checkpoint of a time or a step that no frame of this scene has."""
+        with fitting(self.loaded):
+            steps, dt = int(point.text["steps"]), float(point.text["dt"])
+            if point.frame < 0 or not math.isclose(point.t * self.loaded.scene.frame_rate, point.frame, abs_tol=1e-6):
+                raise Wrong(f"the checkpoint's frame {point.frame} is not at t = {point.t:g} s")
+            whole = self.steps * self.dt
+            if not (0 < steps <= FINEST * self.steps and math.isclose(steps * dt, whole, rel_tol=1e-9)):
+                raise Wrong(f"the checkpoint's {steps} steps of dt = {dt:g} s are no frame, which is {whole:g} s")
+
+    def take_over(self, point: Checkpoint) -> None:
+        """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit, before any of
+        it is taken.
+        """
+        with fitting(self.loaded):
+            check_kept(self.memory, point.memory)
+        copy_into(self.arrays(), point.state)
+        copy_into(self.memory.arrays, point.memory)
+        self.frame = point.frame
+
+    @property
+    def checkpoints(self) -> int:
+        """How many a run keeps."""
+        return math.ceil(self.loaded.scene.frames / self.loaded.scene.checkpoint_frames)
+
+    def describe_step(self, solver: str, limit: float) -> str:
+        """A solver by its name, its step and the longest stable one [s], for `nuno plan`."""
+        most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
+        return f"{solver}, dt {self.dt * 1e3:.4g} ms, {self.steps} steps a frame; {most}"
+
+    def describe_cost(self, seconds: float, size: int, memory: int, more: str = "") -> list[tuple[str, str]]:
+        """What a run will take, by the seconds of a frame, bytes recorded and bytes of memory, for `nuno plan`."""
+        scene = self.loaded.scene
+        rate = factor(1 / scene.frame_rate / seconds)
+        return [
+            ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),
+            ("time", f"{roughly(seconds * scene.frames)}, {rate} real time (by a frame)"),
+            ("storage", f"{megabytes(size)} recorded, at most {megabytes(memory)} of memory for the cloth"),
+        ]
+
+    def time_frame(self) -> float:
+        """Wall time of the second frame from here on [s]; the first one may compile."""
+        self.step()
+        start = time.perf_counter()
+        self.step()
+        return max(time.perf_counter() - start, 1e-9)
+
+
+@contextmanager
+def fitting(loaded: Loaded) -> Iterator[None]:
+    """What is wrong with what was recorded, whatever it is, as BadInput."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except (Wrong, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        text = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        problem, remedy = f"the recording is damaged: {text}", "take another copy, or run its scene again"
+        raise BadInput(problem, loaded.file, remedy=remedy) from None
+
+
+def check_kept(memory: Memory, given: Arrays) -> None:
+    """Raises Wrong for entries out of the bounds that a solver gives for its memory: see `Memory.bounds`."""
+    for name, values in given.items():
+        if name in memory.bounds:
+            check_array(MEMORY + name, values, values.dtype.type, values.shape, memory.bounds[name])
+        elif name in memory.arrays and values.dtype.kind in "iu":
+            raise Wrong(f"{MEMORY}{name} holds integers that its solver gives no bounds for, in Memory.bounds")
+
+
+def require_memory(loaded: Loaded, field: str, number: int, noun: str, size: int, remedy: str) -> None:
+    """Raises BadInput, at the scene's `field`, for so many vertices or cells that take more bytes than are free, or are
+    far more than the recording that the scene is from has.
+    """
+    value, known = f"{number:,} {noun}", loaded.recorded_sizes.get(noun)
+    if known is not None and number > GROWN * known + FEW:
+        remedy = "take another copy of the recording"
+        error = BadInput("the scene is not the one that was recorded", value=value, limit=f"{known:,}", remedy=remedy)
+        raise loaded.at(field, error)
+    available = psutil.virtual_memory().available
+    if size > available:
+        value, limit = f"{value}, about {size / 2**30:.1f} GiB", f"{available / 2**30:.1f} GiB are free"
+        error = BadInput("the scene does not fit in memory", value=value, limit=limit, remedy=remedy)
+        raise loaded.at(field, error)
+
+
+def hash_of(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
+    """Hash of the bits of some arrays."""
+    hasher = hashlib.blake2b(digest_size=16)
+    for values in arrays:
+        hasher.update(np.ascontiguousarray(values).data)
+    return hasher.hexdigest()
+
+
+def copy_into(held: Arrays, given: Arrays, some: bool = False) -> None:
+    """Have the values of arrays of the same names, or of only some of them. Raises BadInput for others."""
+    for name in given if some else held | given:
+        here, there = (f"{a[name].dtype} {a[name].shape}" if name in a else "nothing" for a in (held, given))
+        if here != there:
+            problem, remedy = "the checkpoint does not fit this scene", "resume with the recording's own scene"
+            raise BadInput(problem, value=f"{name}, {there}", limit=here, remedy=remedy)
+    for name, values in given.items():
+        np.copyto(held[name], values)

@@ -1,0 +1,262 @@
+"""What a file is, in figures, and what is wrong with it in the words of the command line."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nuno import registry
+from nuno.draw.append import MARK, read_text
+from nuno.exports.paint import as_png
+from nuno.pages.server import describe
+from nuno.recording.gaps import shortcoming
+from nuno.recording.reader import open_recording
+from nuno.scene import yaml_lines
+from nuno.scene.files import SceneFiles
+from nuno.studio import scenes
+from nuno.templates.laboratory_sheet import import_sheet, in_units
+from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
+from nuno_schemas.colour import as_rgb
+from nuno_schemas.draft import DrawnDraft
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric
+from nuno_schemas.pattern import Checked
+from nuno_schemas.plugin import BodyShape
+
+Rows = list[tuple[str, str]]
+GATHER = 1.1
+"""As `nuno sew --check`: seams of edges that differ by more are told of."""
+NO_MESH = ("cannot be read", "the mesh has no triangles")
+"""How it begins what is said of a file that holds no mesh at all."""
+HEIGHT, WAIST = 1.65, 0.1
+"""Of the body of `skirt-walk`, and of its waist above its hips [m]."""
+MOST_PIXELS = 100_000_000
+LIKE = "interlock"
+"""What a laboratory's sheet does not tell is as of this fabric."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A file.
+
+    kind      of KINDS, or what a text is
+    title     what it is, in a few words
+    rows      figures, by name
+    mistakes  as the page shows them
+    is_body, is_cloth  of a mesh: whether a body, or cloth, can be made of it
+    crosses   of a mesh: whether it passes through itself
+    scale     of a mesh: how long its unit is, where that is hardly the metre
+    low, high  (3,) of a mesh: corners of the box about it, in metres
+    longest   of a mesh: the longest side of that box, in the file's unit
+    joint, waist  of a motion: what a skirt can be held by, and (3,) [m] where its waist begins on a body of HEIGHT
+    fabric    of a laboratory's sheet: as scenes take it
+    picture   PNG, where there is one to be shown
+    """
+
+    kind: str
+    title: str
+    rows: Rows
+    mistakes: list[dict[str, Any]] = field(default_factory=list)
+    is_body: bool = False
+    is_cloth: bool = False
+    crosses: bool = False
+    scale: str = ""
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    longest: float = 0.0
+    joint: str = ""
+    waist: tuple[float, ...] = ()
+    fabric: Mapping[str, str] = field(default_factory=dict)
+    picture: bytes = b""
+
+
+def look(path: Path) -> Seen:
+    """Raises BadInput for what is not what its name says."""
+    try:
+        return KINDS[path.suffix.lower()](path)
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", path.name) from None
+    except BadInput as error:
+        if error.file is not None and Path(error.file).name == path.name:
+            error.file = path.name
+        raise
+
+
+def _mesh(path: Path) -> Seen:
+    files, name = SceneFiles(path.parent), path.name
+    body = registry.load("nuno.colliders", "mesh")
+    cloth = registry.load("nuno.models", "mesh")
+    mistakes, rows, crosses = list[BadInput](), Rows(), False
+    try:
+        shape: BodyShape = body.build(body.Config(file=name), None, files)
+        x, faces = shape.vertices, shape.faces
+        rows, crosses = [("remark", note) for note in shape.notes], bool(shape.notes)
+        title, closed, is_cloth = "a closed mesh", True, path.suffix.lower() != ".glb"
+    except BadInput as not_closed:
+        if not_closed.problem.startswith(NO_MESH):
+            raise
+        closed, is_cloth, title = False, False, "a mesh with mistakes"
+        x, faces, mistakes = np.zeros((0, 3)), np.zeros((0, 3), np.int32), [not_closed]
+        try:
+            fabric: Fabric = cloth.build(cloth.Config(file=name, merge=path.suffix.lower() == ".obj"), files, 0)
+            x, faces, is_cloth, title = fabric.position, fabric.faces, True, "a mesh that is not closed"
+            rows, mistakes = [("as a body", f"{not_closed.problem}: {not_closed.field}")], []
+        except BadInput as no_cloth:
+            mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
+    if not len(x):
+        return Seen("mesh", title, rows, [_told(one, name) for one in mistakes])
+    longest = float(np.ptp(x, axis=0).max())
+    person = unit_of(longest) or "1m"
+    # What is not too small or too large in metres may be a ball as well as a person.
+    unit = "1m" if SMALLEST <= longest <= LARGEST else person
+    size = np.ptp(x, axis=0) * UNITS[unit]
+    low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
+    rows = [
+        ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "yes" if closed else "no"),
+        ("size", " x ".join(f"{side:.3g}" for side in size) + " m (x, y, z; y is up)"), *rows,
+    ]  # fmt: skip
+    if unit != "1m":
+        rows.append(("unit", f"taken as {unit}: in metres it would be {longest:.3g} m long"))
+    elif person != "1m":
+        rows.append(("unit", f"taken as metres: a person if it were in {person}, {longest * UNITS[person]:.3g} m long"))
+    corners = tuple(map(float, low)), tuple(map(float, high))
+    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses,
+                as_scale(unit), *corners, longest)  # fmt: skip
+
+
+def as_scale(unit: str) -> str:
+    """As a scene says it; empty for the metre."""
+    return re.sub(r"(\d)(?=[a-z])", r"\1 ", unit) if unit != "1m" else ""
+
+
+def _pattern(path: Path) -> Seen:
+    model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
+    found: Checked = model.check_pattern(SceneFiles(path.parent), path.name, GATHER)
+    wrong = [one for one in found.remarks if one.wrong]
+    mistakes = [
+        BadInput(f"{one.kind}: {one.text}", path.name, one.line, one.field or one.where, remedy=one.remedy)
+        for one in wrong
+    ]
+    openings = ", ".join(f"{100 * one.length:.1f} cm" for one in found.openings)
+    rows: Rows = [
+        ("panels", f"{len(found.panels)}: {', '.join(one.name for one in found.panels)}"),
+        ("seams", f"{found.seams}, of {found.length:.2f} m in all"), ("openings", openings or "none"),
+        ("cloth", f"{sum(one.area for one in found.panels):.2f} m²"),
+    ]  # fmt: skip
+    rows += [("remark", f"{one.kind}, {one.where}: {one.text}") for one in found.remarks if not one.wrong]
+    title = "a sewing pattern" if not wrong else "a sewing pattern that cannot be sewn"
+    return Seen("pattern", title, rows, [describe(one) for one in mistakes])
+
+
+def _motion(path: Path) -> Seen:
+    motion = registry.offering("nuno.motions", "describe_motion", "reads captured motion")
+    facts = dict(motion.describe_motion(path))
+    up = "z" if facts.get("stands", "").startswith("along z") else "y"
+    mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, up=up, travel=False), SceneFiles(path.parent))
+    joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
+    hips = mover.pose(0.0)[1][mover.joints.index(joint)]
+    waist = tuple(round(float(at), 3) for at in hips + np.array([0.0, WAIST, 0.0]))
+    return Seen("motion", "a captured motion", list(facts.items()), joint=joint, waist=waist)
+
+
+def _draft(path: Path) -> Seen:
+    cloth = registry.offering("nuno.dye_cloths", "draw_draft", "draws drafts")
+    drawn: DrawnDraft = cloth.draw_draft(path)
+    return Seen("draft", "a weaving draft", list(drawn.facts.items()), picture=as_png(drawn.picture))
+
+
+def _picture(path: Path) -> Seen:
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as picture:
+            width, height = picture.size
+            if width * height > MOST_PIXELS:
+                raise BadInput("too large a picture", path.name, value=f"{width} x {height} pixels",
+                               limit=f"{MOST_PIXELS} pixels")  # fmt: skip
+            kind = f"{picture.format}, {picture.mode}"
+            seen = Image.fromarray(as_rgb(picture))
+            rows: Rows = [("size", f"{seen.width} x {seen.height} pixels"), ("kind", kind)]
+            seen.thumbnail((640, 640))
+            small = as_png(np.asarray(seen))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
+    return Seen("picture", "a picture", rows, picture=small)
+
+
+def _net(path: Path) -> Seen:
+    model = registry.load("nuno.models", "net")
+    fabric: Fabric = model.build(model.Config(file=path.name), SceneFiles(path.parent), 0)
+    springs = len(fabric.springs.k) if fabric.springs is not None else 0
+    rows: Rows = [
+        ("masses", f"{len(fabric.mass):,}, of {fabric.mass.sum():.4g} kg in all"), ("springs", f"{springs:,}"),
+        ("held", f"{int(fabric.pinned.sum()):,}"),
+        ("size", " x ".join(f"{side:.3g}" for side in np.ptp(fabric.position, axis=0)) + " m"),
+    ]  # fmt: skip
+    return Seen("net", "a net of masses and springs", rows)
+
+
+def _sheet(path: Path) -> Seen:
+    found, head = import_sheet(path, LIKE)
+    fabric = in_units(found, found.fabric)
+    rows: Rows = [("from", line) for line in head]
+    rows += [(name, f"{text}  ({found.how[name]})") for name, text in fabric.items()]
+    return Seen("sheet", "a laboratory's sheet of a fabric", rows, fabric=fabric)
+
+
+def _text(path: Path) -> Seen:
+    """A scene, a pattern or a laboratory's sheet."""
+    text = read_text(path).removeprefix(MARK)
+    if scenes.IS_SCENE.search(text):
+        told = scenes.check(text, path)
+        data = told["data"] or {}
+        rows: Rows = [(name, str(data[name])) for name in ("name", "description", "duration") if data.get(name)]
+        return Seen("scene", "a scene", rows, told["mistakes"])
+    data, _ = yaml_lines.parse(text, path.name)
+    if "instrument" in data:
+        return _sheet(path)
+    if "pattern" in data:
+        return _pattern(path)
+    limit = "nuno: 1 in a scene, pattern: in a sewing pattern, instrument: in a laboratory's sheet"
+    raise BadInput("neither a scene nor a pattern nor a laboratory's sheet", path.name, limit=limit)
+
+
+def _recording(path: Path) -> Seen:
+    with open_recording(path) as recording:
+        lacks = shortcoming(recording)
+        rows: Rows = [("scene", str(recording.scene.get("name", ""))), ("lasts", f"{recording.span[1]:.4g} s")]
+    return Seen("recording", "a recording", rows + ([("lacks", lacks)] if lacks else []))
+
+
+def _told(error: BadInput, name: str) -> dict[str, Any]:
+    error.file = name if error.file is None or Path(error.file).name == name else error.file
+    return describe(error)
+
+
+KINDS: Mapping[str, Callable[[Path], Seen]] = {
+    **dict.fromkeys((".obj", ".ply", ".stl", ".glb"), _mesh),
+    **dict.fromkeys((".yaml", ".yml"), _text),
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), _picture),
+    ".json": _pattern,
+    ".bvh": _motion,
+    ".wif": _draft,
+    ".npz": _net,
+    ".csv": _sheet,
+    ".mcap": _recording,
+}
+"""By the ending of a file's name."""
+
+
+def files_of(folder: Path, kinds: Sequence[str]) -> list[Path]:
+    """Files of a folder with such endings, the newest first."""
+    found = []
+    for path in folder.glob("*"):
+        if path.suffix.lower() in kinds and path.is_file():
+            with contextlib.suppress(OSError):  # it was removed meanwhile
+                found.append((-path.stat().st_mtime_ns, path.name, path))
+    return [path for *_, path in sorted(found)]
