@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 COLUMN = re.compile(r"^(\s*)(\S+(?: \S+)*?) {2,}(\S.*)$")
 """A name and, two blanks or more to the right, what it is."""
 
-NOT_CALLED = (".Recording", ".Result", ".Plan", ".Heard", ".Moment", ".Config")
+NOT_CALLED = (".Recording", ".Result", ".Plan", ".Heard", ".FrameState", ".Config")
 """Classes whose objects nuno makes."""
 
 

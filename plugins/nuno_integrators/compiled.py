@@ -18,7 +18,7 @@ from nuno_integrators.nonfinite import find_first, find_lost, say_lost
 from nuno_integrators.profile import profile_steps
 from nuno_integrators.residual import unbalance
 from nuno_integrators.stability import measure_rates, stable_step
-from nuno_integrators.thread_tuning import Pace
+from nuno_integrators.thread_tuning import ThreadTuning
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
@@ -51,12 +51,12 @@ class Work:
     x: Float
     v: Float
     stages: Float
-    pace: Pace | None = field(default=None, init=False)
+    pace: ThreadTuning | None = field(default=None, init=False)
     """None where one thread runs."""
 
     def __post_init__(self) -> None:
         if self.packed.threads is not None:
-            self.pace = Pace(self.packed.threads)
+            self.pace = ThreadTuning(self.packed.threads)
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """Arrays that are part of the state."""

@@ -17,7 +17,7 @@ BETTER = 0.95
 """What a change must promise, as a share of the time now taken: times vary by a few percent."""
 
 
-class Pace:
+class ThreadTuning:
     """Chooses between one thread and `most` by the time that an evaluation took with each."""
 
     def __init__(self, most: int) -> None:

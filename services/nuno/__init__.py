@@ -20,13 +20,27 @@ if TYPE_CHECKING:
     from nuno.api.run import resume, run
     from nuno.api.scene import Scene
     from nuno.api.watch import Heard, watch
-    from nuno.frame_state import Moment
+    from nuno.frame_state import FrameState
     from nuno.recording.reader import Recording
     from nuno_bench.sweep.grid import sweep
 
 __all__ = [
-    "Heard", "Moment", "Plan", "Recording", "Result", "Scene", "drive", "export", "open", "plan", "resume", "run",
-    "states", "sweep", "verify", "watch",
+    "FrameState",
+    "Heard",
+    "Plan",
+    "Recording",
+    "Result",
+    "Scene",
+    "drive",
+    "export",
+    "open",
+    "plan",
+    "resume",
+    "run",
+    "states",
+    "sweep",
+    "verify",
+    "watch",
 ]  # fmt: skip
 PLACES = {
     "nuno.api.drive": ("drive",),
@@ -36,7 +50,7 @@ PLACES = {
     "nuno.api.run": ("resume", "run"),
     "nuno.api.scene": ("Scene",),
     "nuno.api.watch": ("Heard", "watch"),
-    "nuno.frame_state": ("Moment",),
+    "nuno.frame_state": ("FrameState",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),
 }

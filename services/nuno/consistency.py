@@ -14,7 +14,7 @@ from typing import Any
 import zenoh
 
 from nuno.bus.messages import Bus
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno.scene.provenance import assets, plugins, versions
@@ -75,7 +75,7 @@ def offer_premises(bus: Bus, loaded: Loaded, resumes: bool) -> None:
     key = bus.key(f"{PREMISES}/{bus.service}")
 
     def answer(query: zenoh.Query) -> None:
-        question = Question(PREMISES, key, query)
+        question = Query(PREMISES, key, query)
         try:
             question.answer_json(premises_of(loaded, resumes))
         except BadInput as error:

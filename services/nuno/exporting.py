@@ -68,7 +68,7 @@ YARNS = ("samples", "radius", "curl")
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
-class Asked(BaseModel):
+class ExportRequest(BaseModel):
     """Files by the names of FILES, and settings, as flags of `nuno export` have them."""
 
     model_config = ConfigDict(extra="forbid")
@@ -107,12 +107,12 @@ class Asked(BaseModel):
     overrides: tuple[str, ...] = ()
 
 
-def ask(**fields: Any) -> Asked:
+def ask(**fields: Any) -> ExportRequest:
     """What is asked for. Raises BadInput for a name or a value that is none, by its flag."""
     try:
-        return Asked(**fields)
+        return ExportRequest(**fields)
     except ValidationError as error:
-        found = explain(error, fields, (), "export", {}, Asked)
+        found = explain(error, fields, (), "export", {}, ExportRequest)
         raise replace(found, file=None, field=f"--{found.field}") from None
 
 
@@ -122,14 +122,14 @@ def show_progress(done: int, total: int) -> None:
         print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
 
-def write(recording: Recording, asked: Asked, progress: Progress = show_progress) -> list[Path]:
+def write(recording: Recording, asked: ExportRequest, progress: Progress = show_progress) -> list[Path]:
     """All that is asked for, or nothing; `progress` is told how far it is. Raises BadInput."""
     _check(recording, asked)
     with together():
         return _export(recording, asked, progress)
 
 
-def _export(recording: Recording, asked: Asked, progress: Progress) -> list[Path]:
+def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> list[Path]:
     """Write what is asked for, what takes long last: each writer takes of the settings those that it has. Raises
     BadInput.
     """
@@ -149,7 +149,7 @@ def _export(recording: Recording, asked: Asked, progress: Progress) -> list[Path
     return written
 
 
-def export_curves(recording: Recording, path: Path, asked: Asked) -> Path:
+def export_curves(recording: Recording, path: Path, asked: ExportRequest) -> Path:
     """Write a knit's yarns as curves, and say what was done to them. Raises BadInput."""
     from nuno.exports.curves import export_yarns
 
@@ -174,7 +174,7 @@ def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
     return f"{text}; deepest of {count['samples']} samples: {1e6 * facts['deepest']:.3g} um"
 
 
-def _check(recording: Recording, asked: Asked) -> None:
+def _check(recording: Recording, asked: ExportRequest) -> None:
     """Raises BadInput where what is asked for does not go together, or is not what such a recording has."""
     from nuno.exports.animations import check_animation
     from nuno.viewer.require import require
@@ -220,7 +220,7 @@ def _check(recording: Recording, asked: Asked) -> None:
     _check_frames(recording, asked)
 
 
-def _check_files(asked: Asked) -> None:
+def _check_files(asked: ExportRequest) -> None:
     """Raises BadInput for a file that could not be written, and for two of one name."""
     from nuno.exports.pictures import check_sides
 
@@ -244,7 +244,7 @@ def _check_files(asked: Asked) -> None:
             check_folder(path)
 
 
-def _check_frames(recording: Recording, asked: Asked) -> None:
+def _check_frames(recording: Recording, asked: ExportRequest) -> None:
     """Raises BadInput for frames and times that are not in the recording, and the pressure of what is no knit."""
     from nuno.exports.dyed_pictures import choose_amounts
     from nuno.exports.pictures import choose_frames, require_pressure
@@ -259,7 +259,7 @@ def _check_frames(recording: Recording, asked: Asked) -> None:
         require_pressure(recording)
 
 
-def _check_dye(recording: Recording, asked: Asked) -> None:
+def _check_dye(recording: Recording, asked: ExportRequest) -> None:
     """Raises BadInput where a recording of dyed cloth alone is asked for what moves, or one of cloth for dye."""
     if recording.dyed_alone:
         shapes = [name for name in (*SHAPED, *(m[1:] for m in MESHES)) if getattr(asked, name)]
@@ -280,7 +280,7 @@ def _check_dye(recording: Recording, asked: Asked) -> None:
             raise BadInput(problem, str(recording.path), field=f"--{name}", remedy="leave it out")
 
 
-def _changes(asked: Asked) -> Changes:
+def _changes(asked: ExportRequest) -> Changes:
     """Of all pictures but those of a style, whose own settings are none of theirs."""
     from nuno.exports.dyed_pictures import Changes
 

@@ -12,7 +12,7 @@ import numpy as np
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import control_events, restored_scene
-from nuno.stepping.resimulation import Again
+from nuno.stepping.resimulation import Resimulation
 from nuno.stepping.stepper import Stepper
 from nuno.verification import steppers
 from nuno_schemas.errors import BadInput
@@ -21,7 +21,7 @@ from nuno_schemas.system import Forces
 
 
 @dataclass(frozen=True)
-class Moment:
+class FrameState:
     """One frame of a run.
 
     x (n, 3) [m] and v (n, 3) [m/s] are float64 with the run's own bits, of which digest is the hash. fabric has
@@ -42,7 +42,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Acted(Moment):
+class Acted(FrameState):
     """A moment with what acted in it: of cloth that moves, which then has a fabric and forces."""
 
     fabric: Fabric
@@ -51,7 +51,7 @@ class Acted(Moment):
 
 def states(
     recording: Recording, frames: Iterable[int] | None = None, forces: bool = False, threads: int = 0
-) -> Iterator[Moment]:
+) -> Iterator[FrameState]:
     """Frames by their numbers (default: all), in order, each from the nearest checkpoint before it.
 
     What is simulated again is what was recorded: each frame's digest is compared. Raises BadInput for a recording
@@ -72,16 +72,16 @@ def states(
             yield _moment(frame, at.get("cloth"), at.get("dye"), forces)
 
 
-def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> Moment:
+def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> FrameState:
     """`cloth` is a simulation, `dye` a dyeing, None for what the scene has not."""
     phi, fixed = (dye.state.phi.copy(), dye.state.fixed.copy()) if dye is not None else (None, None)
     if cloth is None:
         none = np.zeros((0, 3))
-        return Moment(frame, dye.t, dye.digest(), none, none, phi=phi, fixed=fixed)
+        return FrameState(frame, dye.t, dye.digest(), none, none, phi=phi, fixed=fixed)
     x, v = cloth.state.x.copy(), cloth.state.v.copy()
     if forces:
         return Acted(frame, cloth.t, cloth.digest(), x, v, deepcopy(cloth.fabric), cloth.present_forces(), phi, fixed)
-    return Moment(frame, cloth.t, cloth.digest(), x, v, deepcopy(cloth.fabric), None, phi, fixed)
+    return FrameState(frame, cloth.t, cloth.digest(), x, v, deepcopy(cloth.fabric), None, phi, fixed)
 
 
 class _Part:
@@ -93,7 +93,7 @@ class _Part:
         self._times = {frame: time for time, (frame, _) in marks.items()}
         self._digests = dict(marks.values())
         self._changed = {event.frame for event in control_events(recording)}
-        self._again: Again | None = None
+        self._again: Resimulation | None = None
 
     def at(self, frame: int) -> Stepper:
         """The same at a frame. Raises BadInput where its digest is another."""
@@ -103,7 +103,7 @@ class _Part:
             if again is None or not number <= again.stepper.frame <= frame:
                 if again is not None:  # the first time, with what has not begun yet
                     self._stepper = self._make()
-                again = self._again = Again(self._recording, self._stepper, start)
+                again = self._again = Resimulation(self._recording, self._stepper, start)
         again.go_to(frame)
         if not again.comes_to(self._digests.get(frame)):
             part = again.stepper.part

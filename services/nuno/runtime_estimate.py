@@ -12,7 +12,7 @@ from nuno.verification import steppers
 
 
 @dataclass
-class Pace:
+class RuntimeEstimate:
     """What is left of several pieces of work.
 
     expected  wall time that each was found to take beforehand [s], by its name; only their ratios matter once one is

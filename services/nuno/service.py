@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from nuno.bus.health import offer_health
 from nuno.bus.liveliness import Watch
 from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.consistency import offer_premises
 from nuno.process import SIGNALS, state_of, working_folder
 from nuno.scene.scene_file import Loaded
@@ -141,7 +141,7 @@ class Finish(BaseModel):
         return self.error or ("" if self.state in ("done", "stopped") else f"it ended as {self.state}")
 
 
-def asks_to_finish(inbox: Inbox, question: Question) -> bool:
+def asks_to_finish(inbox: Inbox, question: Query) -> bool:
     """Whether the run is over; a question that cannot be read is refused and counted."""
     try:
         inbox.failure = Finish.model_validate_json(question.payload).failure
@@ -156,9 +156,9 @@ def each_message(
     context: Context,
     inbox: Inbox,
     handle: Callable[[Message], None],
-    answer: Callable[[Question], None] | None = None,
+    answer: Callable[[Query], None] | None = None,
     between: Callable[[], float] = lambda: LOOK_SECONDS,
-) -> Question:
+) -> Query:
     """Be alive, handle messages and questions as they come, until asked to finish.
 
     `between` is called between two of them; it says for how long [s] the next may be waited for, at most LOOK_SECONDS.
@@ -171,7 +171,7 @@ def each_message(
             item = inbox.get(between())
             if isinstance(item, Message):
                 handle(item)
-            elif isinstance(item, Question):
+            elif isinstance(item, Query):
                 if item.name == finish:
                     if asks_to_finish(inbox, item):
                         return item

@@ -18,7 +18,7 @@ from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
 from nuno.scene.provenance import plugins, versions
 from nuno.scene.scene_file import Loaded
-from nuno.stepping.resimulation import Again
+from nuno.stepping.resimulation import Resimulation
 from nuno.stepping.stepper import Stepper
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -104,7 +104,7 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
         loaded.settled = None  # from the scene alone
         found = Verification(0, lacks=find_lacks(recording))
         for part, make in steppers(loaded, threads).items():
-            now = compare(recording, Again(recording, make()), progress)
+            now = compare(recording, Resimulation(recording, make()), progress)
             dyed = part == "dye" and loaded.scene.moves
             own = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
             kept, published = found.kept + now.kept, found.published + now.published
@@ -114,7 +114,7 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
         return found
 
 
-def compare(recording: Recording, again: Again, progress: Progress | None = None) -> Verification:
+def compare(recording: Recording, again: Resimulation, progress: Progress | None = None) -> Verification:
     """Step through the frames of a recording. Raises BadInput where it has no digests, RunFailed where
     damage hides them.
     """
@@ -159,7 +159,9 @@ def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, 
             yield status["digest"], status["frame"], messages
 
 
-def _first_difference(recording: Recording, again: Again, digest: str, messages: list[Recorded]) -> Difference | None:
+def _first_difference(
+    recording: Recording, again: Resimulation, digest: str, messages: list[Recorded]
+) -> Difference | None:
     """Of the state here from what is kept of the frame: of its float64 arrays, or else of what was published."""
     stepper = again.stepper
     for message in (m for m in messages if m.topic == stepper.kept.name):

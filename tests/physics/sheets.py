@@ -9,7 +9,7 @@ import numpy as np
 from nuno import registry
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import DOWN, pile, sheet
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import StepReport
 
@@ -47,6 +47,6 @@ class Pile:
         return self.oracle.crossed(self.state.x)
 
     @property
-    def meeting(self) -> Meeting:
+    def meeting(self) -> ContactState:
         """The term itself."""
-        return next(term for term in self.memory.work.packed.bodies if isinstance(term, Meeting))  # type: ignore[attr-defined]
+        return next(term for term in self.memory.work.packed.bodies if isinstance(term, ContactState))  # type: ignore[attr-defined]

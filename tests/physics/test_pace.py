@@ -11,11 +11,11 @@ import pytest
 from nuno.cloth import build
 from nuno.scene import scene_file, shipped
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.thread_tuning import BETTER, TRY_AGAIN, Pace
+from nuno_integrators.thread_tuning import BETTER, TRY_AGAIN, ThreadTuning
 from nuno_schemas.system import System, Term
 
 
-def frames(pace: Pace, number: int, seconds: dict[int, float]) -> list[int]:
+def frames(pace: ThreadTuning, number: int, seconds: dict[int, float]) -> list[int]:
     """Threads of each frame where a step takes so long with 1 and with 2."""
     used = []
     for _ in range(number):
@@ -26,13 +26,13 @@ def frames(pace: Pace, number: int, seconds: dict[int, float]) -> list[int]:
 
 @pytest.mark.parametrize("faster", [1, 2])
 def test_takes_what_is_faster(faster: int) -> None:
-    used = frames(Pace(2), 10 * TRY_AGAIN, {faster: 1.0, 3 - faster: 3.0})
+    used = frames(ThreadTuning(2), 10 * TRY_AGAIN, {faster: 1.0, 3 - faster: 3.0})
     assert used.count(3 - faster) <= 12
     assert {1, 2} == set(used[:3])
 
 
 def test_notices_that_the_machine_has_changed() -> None:
-    pace = Pace(2)
+    pace = ThreadTuning(2)
     assert frames(pace, 10, {1: 2.0, 2: 1.0})[-1] == 2
     assert frames(pace, 2 * TRY_AGAIN, {1: 2.0, 2: 9.0})[-2] == 1
     assert frames(pace, 2 * TRY_AGAIN, {1: 2.0, 2: 1.0})[-2] == 2
@@ -40,11 +40,11 @@ def test_notices_that_the_machine_has_changed() -> None:
 
 def test_changes_for_no_difference_that_is_noise() -> None:
     close = (1.0 + BETTER) / 2.0
-    assert frames(Pace(2), 5 * TRY_AGAIN, {1: close, 2: 1.0}).count(1) <= 7
+    assert frames(ThreadTuning(2), 5 * TRY_AGAIN, {1: close, 2: 1.0}).count(1) <= 7
 
 
 def test_a_single_slow_frame_changes_nothing() -> None:
-    pace = Pace(2)
+    pace = ThreadTuning(2)
     frames(pace, 10, {1: 1.5, 2: 1.0})
     assert frames(pace, 1, {1: 1.5, 2: 9.0}) == [2]
     assert set(frames(pace, 5, {1: 1.5, 2: 1.0})) == {2}

@@ -13,7 +13,7 @@ from nuno import progress
 from nuno.cli import main
 from nuno.formatting import roughly
 from nuno.progress import ProgressLine
-from nuno.runtime_estimate import Pace, run_seconds
+from nuno.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery import command as gallery
@@ -25,7 +25,7 @@ from nuno_bench.validation.laws.base import Outcome
 
 def test_what_is_left_follows_from_what_is_done() -> None:
     """Twice as slow as expected so far: so is the rest taken to be."""
-    pace = Pace({"a": 1.0, "b": 2.0, "c": 3.0})
+    pace = RuntimeEstimate({"a": 1.0, "b": 2.0, "c": 3.0})
     assert pace.left == 6.0
     pace.taken["b"] = 4.0
     assert pace.left == 8.0

@@ -87,7 +87,7 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
             sender.put(bytes(SIZE), number)
         assert foreign.stdout.readline() == "called\n"
         names, early, said = {identity(run, "recorder"): "recorder"}, list[str](), list[str]()
-        watch = slow_consumers.Laggards(session, names)
+        watch = slow_consumers.SlowConsumers(session, names)
         for number in range(COUNT):
             message = inbox.get(20.0)
             assert isinstance(message, Message)
@@ -98,7 +98,7 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
         assert not inbox.counts.missing[STATE.name]
         # While all was on its way the recorder may have been behind, too; now it is not.
         early = [text for text in early if "recorder" not in text]
-        watch, begin = slow_consumers.Laggards(session, names), time.monotonic()
+        watch, begin = slow_consumers.SlowConsumers(session, names), time.monotonic()
 
         def is_named() -> bool:
             watch.look(said.append)

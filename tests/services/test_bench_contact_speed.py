@@ -12,7 +12,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
 from nuno_bench.speed.contact import Parts
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.places import LISTED
 from nuno_schemas.errors import RunFailed
 
@@ -53,7 +53,7 @@ def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypa
     for side in contact.SIDES:
         system = pile(*contact.layers(side))
         (meeting,) = system.terms[-1].data  # type: ignore[misc]
-        assert isinstance(meeting, Meeting)
+        assert isinstance(meeting, ContactState)
         contact.listing(meeting)()
         both = meeting.piece[meeting.pair[: meeting.number[LISTED]]][:, [0, 3]]
         shares.append(float((both[:, 0] != both[:, 1]).sum()) / system.fabric.number)

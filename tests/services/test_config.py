@@ -11,7 +11,7 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
 from nuno.supervision import runs, supervisor
@@ -58,7 +58,7 @@ def test_control_is_let_in(config: str, capsys: pytest.CaptureFixture[str]) -> N
 
         def reply() -> None:
             question = inbox.get(20.0)
-            assert isinstance(question, Question)
+            assert isinstance(question, Query)
             question.answer_json(answer)
 
         thread = threading.Thread(target=reply, daemon=True)

@@ -20,7 +20,7 @@ from nuno.cloth.numbering import renumber
 from nuno.exports.cloth import cut_pieces, read_pieces
 from nuno.exports.meshes import export_mesh
 from nuno.plugin_contract.results import check_fabric
-from nuno.plugin_contract.values import Wrong
+from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
@@ -114,9 +114,9 @@ def test_corners_follow_renumbered_and_joined_cloth(fabric: Fabric) -> None:
 def test_corners_of_other_vertices_are_wrong(fabric: Fabric) -> None:
     assert fabric.corners is not None
     other = replace(fabric.corners, vertex=np.roll(fabric.corners.vertex, 1))
-    with pytest.raises(Wrong, match=r"corners\.faces are of other vertices than faces at row 0"):
+    with pytest.raises(ContractError, match=r"corners\.faces are of other vertices than faces at row 0"):
         check_fabric(replace(fabric, corners=other))
-    with pytest.raises(Wrong, match=r"corners\.faces is \d+ at row 0"):
+    with pytest.raises(ContractError, match=r"corners\.faces is \d+ at row 0"):
         check_fabric(replace(fabric, corners=replace(fabric.corners, faces=fabric.corners.faces + np.int32(9999))))
 
 

@@ -11,7 +11,7 @@ import pytest
 from foreign import DEEP, header
 
 from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.bus.sessions import free_port, hub
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import ACK, STATE
@@ -83,5 +83,5 @@ def test_a_question_on_its_way_while_an_inbox_closes_is_dropped() -> None:
     query = SimpleNamespace(drop=lambda: dropped.append("dropped"))
     with inbox() as (box, _):
         box.close()
-        box._ask(Question("poses", "nuno/run/poses", query))  # type: ignore[arg-type]
+        box._ask(Query("poses", "nuno/run/poses", query))  # type: ignore[arg-type]
         assert dropped == ["dropped"] and box.get(0.0) is None

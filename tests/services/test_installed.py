@@ -137,7 +137,7 @@ def look() -> None:
         assert_type(moment.forces.parts["springs"] + moment.x, Array)
         assert_type(moment.fabric, Fabric)
     for each in nuno.states(result.recording):
-        assert_type(each, nuno.Moment)
+        assert_type(each, nuno.FrameState)
         assert_type((each.fabric, each.forces), tuple[Fabric | None, Forces | None])
     assert_type(nuno.export(result, png="out.png"), list[Path])
     assert_type([(row[0], row[1]) for row in nuno.plan("skirt-hula")], list[tuple[str, str]])

@@ -24,7 +24,7 @@ from nuno.simulation.run import Simulation
 from nuno.solver_selection.budget import Budget
 from nuno.solver_selection.cloth import decide
 from nuno.stepping import watchdog
-from nuno.stepping.watchdog import Attendant
+from nuno.stepping.watchdog import FrameWatchdog
 from nuno_schemas.errors import BadInput
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
@@ -98,7 +98,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
         bus=SimpleNamespace(service="simulation"), orphaned=lambda: False,
         event=lambda kind, text, frame, t: said.append((kind, text, frame)),
     )  # fmt: skip
-    attendant = Attendant(context)
+    attendant = FrameWatchdog(context)
     attendant.holds = lambda: "12 vertices of skirt pinched"
     for number in range(1, 6):
         with attendant.frame(number, 0.1 * number):
@@ -115,7 +115,7 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     """What is measured between frames, and at the end, is not cut short by a stop that came before."""
     context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=lambda: False)
     question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
-    attendant = Attendant(context)
+    attendant = FrameWatchdog(context)
     attendant.prepared()
     attendant.hear(question)
     time.sleep(watchdog.PATIENCE + 4 * watchdog.LOOKS)
@@ -127,7 +127,7 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
 
 def test_preparation_is_left_where_the_supervisor_goes() -> None:
     context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
-    attendant = Attendant(context)
+    attendant = FrameWatchdog(context)
     wait_until(lambda: bool(attendant.leave[0]))
     wait_until(lambda: all(thread.name != "dye attendant" for thread in threading.enumerate()))
 

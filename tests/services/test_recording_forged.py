@@ -18,11 +18,11 @@ import nuno
 from nuno import registry
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
 from nuno.cli import main
-from nuno.plugin_contract.values import Wrong
+from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.stepping.stepper import check_kept
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_integrators.compiled import _own_arrays
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
@@ -136,7 +136,7 @@ def test_integers_need_bounds_to_come_out_of_a_file() -> None:
     """Of every solver and contact: what a third party's memory does not say is not taken from a file."""
     memory = Memory({"place": np.zeros(3, np.int32), "rate": np.zeros(3)})
     check_kept(memory, {"rate": np.ones(3)})
-    with pytest.raises(Wrong, match="memory/place holds integers"):
+    with pytest.raises(ContractError, match="memory/place holds integers"):
         check_kept(memory, {"place": np.zeros(3, np.int32)})
 
 
@@ -151,14 +151,14 @@ def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value:
     kept = {"anchor": np.zeros((5, 4)), "anchored": np.zeros(5, bool), "reference": np.full((6, 3), np.nan)}
     kept |= {name: np.zeros((rows, 3)) for name, rows in {"motion": 6, "spread": 2, "unrest": 2, "last": 3}.items()}
     kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64)}
-    term = Meeting(*[None] * len(Meeting._fields))._replace(**kept)
+    term = ContactState(*[None] * len(ContactState._fields))._replace(**kept)
     packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(kept=dict)
     arrays, bounds = _own_arrays(cast(Any, packed), cast(Any, work))
     memory = Memory(arrays, None, bounds)
     check_kept(memory, arrays)
     wrong = arrays[name].copy()
     wrong.flat[-1] = value
-    with pytest.raises(Wrong, match=f"memory/{name} is "):
+    with pytest.raises(ContractError, match=f"memory/{name} is "):
         check_kept(memory, {name: wrong})
 
 
@@ -173,7 +173,7 @@ def test_the_checks_of_plugins_ask_for_bounds_of_integers() -> None:
         Subject("nuno.integrators", "own", solver, Config(), SceneFiles(Path())),
         integrators.oscillator(),
     )
-    with pytest.raises(Wrong, match="memory/place holds integers that its solver gives no bounds for"):
+    with pytest.raises(ContractError, match="memory/place holds integers that its solver gives no bounds for"):
         integrators.run(subject, system, 0.1, 1)
     memory.bounds["place"] = Bounds(0, 2)
     integrators.run(subject, system, 0.1, 1)

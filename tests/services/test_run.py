@@ -18,7 +18,7 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus.pending_reply import Asked
+from nuno.bus.pending_reply import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events
@@ -66,11 +66,11 @@ def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monk
     """Each frame's once, in order, and none after the last."""
     asked, ahead = list[int](), list[int]()
 
-    def ask(context: Context, frame: int) -> Asked:
+    def ask(context: Context, frame: int) -> PendingReply:
         asked.append(frame)
         return ask_poses(context, frame)
 
-    def take(context: Context, frame: int, answer: Asked) -> Poses:
+    def take(context: Context, frame: int, answer: PendingReply) -> Poses:
         ahead.append(asked[-1] - frame)
         return take_poses(context, frame, answer)
 

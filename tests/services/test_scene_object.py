@@ -16,7 +16,7 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno.cli.export import add_arguments
-from nuno.exporting import Asked
+from nuno.exporting import ExportRequest
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene as Fields
 
@@ -152,4 +152,4 @@ def test_export_takes_every_flag_of_the_command() -> None:
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     names = {action.dest for action in parser._actions} - {"help", "recording", "progress"}
-    assert names == set(Asked.model_fields)
+    assert names == set(ExportRequest.model_fields)

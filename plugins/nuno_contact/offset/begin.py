@@ -5,7 +5,7 @@ from __future__ import annotations
 from nuno_contact.offset.bodies import STANDS, copy_part, find_behind, pose_solids
 from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import all_close
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.places import (
     LAST_STEP,
@@ -26,7 +26,7 @@ from nuno_schemas.fabric import Float
 
 
 @kernel
-def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
+def begin_apart(m: ContactState, x: Float, span: float, threads: int | None) -> None:
     """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
     n, goal = x.shape[1], x
     if m.local.shape[0] > 0:
@@ -39,7 +39,7 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
 
 
 @block_kernel
-def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
+def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
     """The same of cloth and bodies, whose cloth is where it was left or not."""
     clock, m.span[0] = m.clock, span
     m.share[:] = 1.0  # a run that is resumed does not know it
@@ -69,7 +69,7 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
 
 
 @block_kernel
-def renew_planes(m: Meeting) -> None:
+def renew_planes(m: ContactState) -> None:
     """Give each near pair the plane across its closest points at `last`."""
     for q in range(m.number[NEAR]):
         p = m.near[q]

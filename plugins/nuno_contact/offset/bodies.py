@@ -30,7 +30,7 @@ from nuno_schemas.skin import NO_SKIN, Skin, join_skins
 from nuno_schemas.vectors import norm
 
 if TYPE_CHECKING:
-    from nuno_contact.offset.contact_state import Meeting
+    from nuno_contact.offset.contact_state import ContactState
 
 CATCH_UP = 1.0
 """A vertex that is behind its body follows by so much faster than that at most [m/s]."""
@@ -127,7 +127,7 @@ def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
     }
 
 
-def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
+def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
     """Write the interval into a meeting that has bodies."""
     if not len(m.local):
         return
@@ -141,7 +141,7 @@ def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
 
 
 @block_kernel
-def pose_solids(m: Meeting, s: float) -> None:
+def pose_solids(m: ContactState, s: float) -> None:
     """Put the bodies' vertices in m.goal, m.whole_velocity where they are at fraction s of the interval."""
     if m.still[0] == PLACED:
         return
@@ -168,7 +168,7 @@ def copy_part(x: Float, to: Float, start: int, stop: int) -> None:
 
 
 @kernel
-def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
+def place_solids(m: ContactState, x: Float, v: Float, s: float) -> None:
     """Have the bodies' vertices for forces at fraction s: those that are not behind where their bodies are. In an
     implicit step they are where the iterate has them.
     """
@@ -183,14 +183,14 @@ def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
             whole[row, n + b] = last[row, n + b] if m.behind[b] else goal[row, n + b]
 
 
-def is_waiting(m: Meeting) -> bool:
+def is_waiting(m: ContactState) -> bool:
     """Whether an iterate has bodies' vertices that are not at m.goal."""
     first = m.goal.shape[1] - len(m.local)
     return bool(len(m.local)) and float(np.abs(m.goal[:, first:] - m.whole[:, first:]).max()) > SAME
 
 
 @kernel
-def limit_ways(m: Meeting, n: int, dt: float) -> None:
+def limit_ways(m: ContactState, n: int, dt: float) -> None:
     """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""
     goal, last, v = m.goal, m.last, m.whole_velocity
     for i in range(n, goal.shape[1] if m.still[0] != PLACED else n):
@@ -203,7 +203,7 @@ def limit_ways(m: Meeting, n: int, dt: float) -> None:
 
 
 @kernel
-def catch_up(m: Meeting, n: int, dt: float) -> None:
+def catch_up(m: ContactState, n: int, dt: float) -> None:
     """Velocities at which those that are behind will follow in a step of dt [s]."""
     goal, last, v = m.goal, m.last, m.whole_velocity
     for b in range(m.local.shape[0]):
@@ -220,7 +220,7 @@ def catch_up(m: Meeting, n: int, dt: float) -> None:
 
 
 @kernel
-def find_behind(m: Meeting, n: int) -> None:
+def find_behind(m: ContactState, n: int) -> None:
     """Which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
     goal, last, whole = m.goal, m.last, m.whole
     late = False

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import EDGES, IN_TURN, PARTS, Meeting, close_up, tree_of
+from nuno_contact.offset.contact_state import EDGES, IN_TURN, PARTS, ContactState, close_up, tree_of
 from nuno_contact.offset.places import CHOICES, LACKING, LISTED, LISTS_MADE, NEAR
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_near, near_leaves
@@ -26,7 +26,7 @@ EMPTY = -(1 << 63)
 
 
 @forced_inline
-def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
+def share_of(m: ContactState, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
     """The share of the stiffness that a pair of cloth and a body has, by the first of each primitive's vertices: a
     piece of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
     """
@@ -37,7 +37,7 @@ def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
 
 
 @forced_inline
-def begun_apart(m: Meeting, p: int) -> float:
+def begun_apart(m: ContactState, p: int) -> float:
     """How far apart a listed pair starts [m]."""
     s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
@@ -46,7 +46,7 @@ def begun_apart(m: Meeting, p: int) -> float:
 
 
 @block_kernel
-def measure(m: Meeting, p: int) -> None:
+def measure(m: ContactState, p: int) -> None:
     """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held.
 
     Cloth that starts nearer to itself than the thickness, as beside the tip of a dart, is as thin as that there.
@@ -108,7 +108,7 @@ def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, 
 
 
 @forced_inline
-def vertices_of(m: Meeting, e: int, f: int) -> tuple[int, int, int, int]:
+def vertices_of(m: ContactState, e: int, f: int) -> tuple[int, int, int, int]:
     """Of a vertex e and a triangle f, or of edges -1 - e and f."""
     if e < 0:
         return m.edges[-1 - e, 0], m.edges[-1 - e, 1], m.edges[f, 0], m.edges[f, 1]
@@ -116,7 +116,7 @@ def vertices_of(m: Meeting, e: int, f: int) -> tuple[int, int, int, int]:
 
 
 @block_kernel
-def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
+def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
     """Of `count` primitives found (c, 2) keep those that do not stay apart, in place and in their order, with the
     planes (c, 3) across their closest points; how many.
     """
@@ -143,7 +143,7 @@ def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
 
 
 @block_kernel
-def search_part(part: int, m: Meeting, leaves: Long, found: Long, normal: Float, number: Long) -> None:
+def search_part(part: int, m: ContactState, leaves: Long, found: Long, normal: Float, number: Long) -> None:
     """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
 
     Into number (PARTS, 2) how many, or, below 0, for how many more there is no room, and how many of them are of a
@@ -159,7 +159,7 @@ def search_part(part: int, m: Meeting, leaves: Long, found: Long, normal: Float,
 
 
 @block_kernel
-def enlist_part(part: int, m: Meeting, found: Long, normal: Float, number: Long) -> None:
+def enlist_part(part: int, m: ContactState, found: Long, normal: Float, number: Long) -> None:
     """Put what a part has found into the list, as far as there are places: all pairs of a vertex and a triangle, then
     all of edges, part by part. Pairs of a list then stand in the next one in the same order, wherever parts begin:
     forces are summed, and constraints solved, in that order, in which what rests is to stay at rest.
@@ -185,7 +185,7 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TUR
 
 
 @block_kernel
-def search(m: Meeting, threads: int | None) -> None:
+def search(m: ContactState, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
     leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
     number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
@@ -205,7 +205,7 @@ def search(m: Meeting, threads: int | None) -> None:
 
 
 @block_kernel
-def choose_part(part: int, m: Meeting, number: Long) -> None:
+def choose_part(part: int, m: ContactState, number: Long) -> None:
     """Choose of a part of the listed pairs; their numbers into m.near from the part's first on, and how many."""
     pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
     first, end = part * m.number[LISTED] // PARTS, (part + 1) * m.number[LISTED] // PARTS
@@ -238,7 +238,7 @@ choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
 
 
 @block_kernel
-def choose_near(m: Meeting, threads: int | None) -> None:
+def choose_near(m: ContactState, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
     lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
     number = np.empty(PARTS, np.int64)
@@ -250,7 +250,7 @@ def choose_near(m: Meeting, threads: int | None) -> None:
 
 
 @block_kernel
-def make_list(m: Meeting, threads: int | None) -> None:
+def make_list(m: ContactState, threads: int | None) -> None:
     """List the pairs for the present plan; anchors are left alone."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
     fit_tree(tree_of(m), x, u, spread)
@@ -272,7 +272,7 @@ def slot(key: int, table: Long) -> int:
 
 
 @block_kernel
-def renew_list(m: Meeting, threads: int | None) -> None:
+def renew_list(m: ContactState, threads: int | None) -> None:
     """The same, anchors going with their pairs, and the shares of friction that an xpbd step has just given them."""
     held, size = 0, 64
     for p in range(m.number[LISTED]):

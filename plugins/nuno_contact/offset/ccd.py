@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.impulse import BRAKED, SWEEPS, brake, farthest_way, push_on
 from nuno_contact.offset.places import (
@@ -61,13 +61,13 @@ def nearest(reach: float, distance: float) -> float:
 
 
 @forced_inline
-def is_thorough(m: Meeting) -> bool:
+def is_thorough(m: ContactState) -> bool:
     """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
     return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
 
 
 @block_kernel
-def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: Long) -> None:
+def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, lost: Long) -> None:
     """Of a part of the near pairs: see pass_by. How many are close, into m.close from the part's first on, and how many
     no plane keeps apart.
     """
@@ -104,7 +104,7 @@ pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
 
 
 @block_kernel
-def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
+def pass_by(m: ContactState, x: Float, way: float, threads: int | None) -> int:
     """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
 
     Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
@@ -117,7 +117,7 @@ def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
 
 
 @block_kernel
-def all_close(m: Meeting) -> None:
+def all_close(m: ContactState) -> None:
     """Note all that is near as close."""
     m.number[CLOSE] = m.number[NEAR]
     for q in range(m.number[NEAR]):
@@ -135,7 +135,7 @@ def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float
 
 
 @block_kernel
-def shorten(m: Meeting, x: Float) -> None:
+def shorten(m: ContactState, x: Float) -> None:
     """Into m.share how much of its way from `last` to x each vertex can go."""
     pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
     share[:] = 1.0
@@ -169,7 +169,7 @@ def shorten(m: Meeting, x: Float) -> None:
 
 
 @kernel
-def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+def hold_apart(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
     dt = (s - m.clock[NOW]) * m.span[0]
     if m.local.shape[0] == 0:
@@ -194,7 +194,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
+def list_for(m: ContactState, x: Float, s: float, threads: int | None) -> bool:
     """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
 
     Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
@@ -210,7 +210,7 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 
 
 @block_kernel
-def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
+def hold_whole(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies; False, and nothing done, where something is lost."""
     if m.leave[0] != 0:
         return False
@@ -245,7 +245,7 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def cut_short(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Shorten vertices' ways to x, at fraction s of the interval, in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
     for i in range(x.shape[1]):
@@ -277,7 +277,7 @@ def cut_short(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> 
 
 
 @block_kernel
-def fit(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
+def fit(m: ContactState, x: Float, v: Float, threads: int | None) -> None:
     """Shorten ways to x and velocities v (3, n) in place, by the pairs that are near."""
     if is_thorough(m) and give_way(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
         go_partly(m, x, v)
@@ -288,7 +288,7 @@ def fit(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
 
 
 @block_kernel
-def go_partly(m: Meeting, x: Float, v: Float) -> None:
+def go_partly(m: ContactState, x: Float, v: Float) -> None:
     """Take the shares of ways to x and, but for bodies, of velocities v (3, n), in place, and count them."""
     last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):

@@ -28,7 +28,7 @@ take longer than those of edges.
 """
 
 
-class Meeting(NamedTuple):
+class ContactState(NamedTuple):
     """Cloth, and bodies behind it, of n vertices, e edges and f triangles, and P places for pairs.
 
     boxes ... vertex_boxes are the tree's (nuno_contact.offset.tree).
@@ -194,7 +194,7 @@ class Meeting(NamedTuple):
 
 
 @forced_inline
-def tree_of(m: Meeting) -> Tree:
+def tree_of(m: ContactState) -> Tree:
     """The tree."""
     return Tree(
         m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
@@ -243,7 +243,9 @@ def room_for_pairs(places: int) -> dict[str, Any]:
     }
 
 
-def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids) -> Meeting:
+def make_contact_state(
+    fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids
+) -> ContactState:
     """Of a fabric with triangles and bodies, without a list; the pieces (n,) are of both."""
     b = len(solids.x)
     n, places = fabric.number + b, PER_VERTEX * fabric.number + OF_BODIES * b + FEWEST
@@ -255,7 +257,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
     first_face = np.full(n, -1, np.int32)
     corners = faces.ravel()
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
-    return Meeting(
+    return ContactState(
         **tree._asdict(),
         **room_for_pairs(places),
         **parts_of_bodies(solids, wide),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import STEEPEST, across, corners_of, faces_of, touch
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import weigh
@@ -25,7 +25,7 @@ def stored(k: float, h: float, distance: float) -> float:
 
 
 @kernel
-def measure_pairs(m: Meeting, x: Float) -> float:
+def measure_pairs(m: ContactState, x: Float) -> float:
     """Energy [J] of all contacts at x (3, n), that of friction's springs included, with bodies as they are."""
     if m.local.shape[0] > 0:
         copy_part(x, m.whole, 0, x.shape[1])

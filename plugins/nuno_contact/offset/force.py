@@ -30,7 +30,7 @@ import math
 from typing import NamedTuple
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.places import CHOICES, NEAR, SHARED
 from nuno_contact.offset.proximity import (
     AT_A,
@@ -62,7 +62,7 @@ RAMP = 0.25
 
 
 class Faces(NamedTuple):
-    """The arrays of Meeting of these names."""
+    """The arrays of ContactState of these names."""
 
     faces: Int
     beside: Int
@@ -82,7 +82,7 @@ class Touch(NamedTuple):
 
 
 @forced_inline
-def faces_of(m: Meeting) -> Faces:
+def faces_of(m: ContactState) -> Faces:
     """What tells features of the mesh apart."""
     return Faces(m.faces, m.beside, m.ring_start, m.ring, m.first_face)
 
@@ -132,7 +132,7 @@ def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> 
 
 
 @forced_inline
-def kept_touch(m: Meeting, p: int, corners: Corners) -> Touch:
+def kept_touch(m: ContactState, p: int, corners: Corners) -> Touch:
     """How a pair touches whose features are kept; see nuno_contact.offset.iterate.freeze."""
     w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
     n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
@@ -183,7 +183,7 @@ def in_place(x: Float, last: Float, mass: Float) -> bool:
 
 
 @kernel
-def is_fresh(m: Meeting, x: Float, v: Float) -> None:
+def is_fresh(m: ContactState, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
     carried, which have gone ahead by a step; share out to blocks what is near where they are not, and where a matrix is
     made of it. Put bodies behind them, where there are any.
@@ -201,7 +201,7 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
 
 
 @kernel
-def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
     if m.local.shape[0] > 0:
         x, v = m.whole, m.whole_velocity

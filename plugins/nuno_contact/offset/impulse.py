@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.places import CLOSE
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
@@ -52,7 +52,7 @@ def farthest_way(v: Float, dt: float) -> float:
 
 
 @block_kernel
-def fast_part(part: int, m: Meeting, v: Float, dt: float, fast: Int, number: Long) -> None:
+def fast_part(part: int, m: ContactState, v: Float, dt: float, fast: Int, number: Long) -> None:
     """Which of a part of the close pairs would come too near: into `fast` from the part's first on, and how many."""
     pair, of, reach, normal, last, close = m.pair, m.of, m.reach, m.normal, m.last, m.close
     first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
@@ -72,7 +72,7 @@ fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
 
 
 @block_kernel
-def brake(m: Meeting, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
+def brake(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
     """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
     pair, of, reach, mass, last = m.pair, m.of, m.reach, m.mass, m.last
     fast, found = np.empty(m.number[CLOSE], np.int32), np.empty(PARTS, np.int64)
@@ -113,7 +113,7 @@ def brake(m: Meeting, v: Float, dt: float, sweeps: int, threads: int | None) -> 
 
 
 @block_kernel
-def push_on(m: Meeting, x: Float, v: Float, dt: float, threads: int | None) -> None:
+def push_on(m: ContactState, x: Float, v: Float, dt: float, threads: int | None) -> None:
     """Have bodies push cloth before them in a step of dt [s] from `last` to x (3, n), in place, that they would meet it
     in all the same: what forces have done to it in the step is known now.
     """

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, pose_solids
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_WINDOW, NOW
 from nuno_contact.offset.plan import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
@@ -35,7 +35,7 @@ STOP = 0.25
 
 
 @block_kernel
-def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
+def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was.
     Bodies go on to where they are at that time, as far as cloth lets them.
     """
@@ -61,7 +61,7 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
 
 
 @block_kernel
-def restrain_whole(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
+def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies."""
     lists = m.number[CHOICES]
     cover(m, sum_rows(y, 1.0, d), s, threads)
@@ -85,7 +85,7 @@ def restrain_whole(m: Meeting, y: Float, d: Float, s: float, threads: int | None
 
 
 @block_kernel
-def freeze(m: Meeting, y: Float) -> None:
+def freeze(m: ContactState, y: Float) -> None:
     """From here on keep which features meet, where and across what, as at y (3, n).
 
     That pairs touch in other features, and count or do not, changes forces by jumps, between which Newton's method
@@ -105,7 +105,7 @@ def freeze(m: Meeting, y: Float) -> None:
 
 
 @block_kernel
-def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
+def cover(m: ContactState, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
     renew = not holds(m, LIST, end, s, 0.0)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
@@ -37,7 +37,7 @@ Six = tuple[float, float, float, float, float, float]
 
 @by_reference
 class Touching(NamedTuple):
-    """What the matrix holds of each block's pairs that touch, from the block's first place in Meeting.block_pair on.
+    """The matrix of each block's pairs that touch, from the block's first place in ContactState.block_pair on.
 
     number (B,) how many they are
     which  (4 P,) their numbers in the list
@@ -51,7 +51,7 @@ class Touching(NamedTuple):
     stiff: Float
 
 
-def make_touching(m: Meeting) -> Touching:
+def make_touching(m: ContactState) -> Touching:
     """Room for the matrix of a meeting; of memory it takes what is used of it."""
     places, blocks = m.block_pair.shape[0], m.block_start.shape[0] - 1
     return Touching(
@@ -93,7 +93,7 @@ def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
 
 
 @block_kernel
-def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
+def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
     """Which near pairs, apart at x (3, n), touch after d (3, n) where they keep their closest points: into m.expected,
     and what they pull with in out (3, n), as if they had touched; whether they are others than before.
     """
@@ -126,7 +126,7 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
 
 @kernel
 def fill_pairs(
-    m: Meeting, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
+    m: ContactState, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Linearise the block's pairs at x (3, n), whose forces were found last, with dv/dx = `rate` [1/s]."""
     if m.local.shape[0] > 0:
@@ -169,7 +169,7 @@ def fill_pairs(
 
 
 @kernel
-def add_diagonal(m: Meeting, rows: Touching, block: int, origin: int, out: Float) -> None:
+def add_diagonal(m: ContactState, rows: Touching, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks to out (6, w), whose last columns take what is of other blocks."""
     pair, which, weight, stiff = m.pair, rows.which, rows.weight, rows.stiff
     width = out.shape[1] - PADDING
@@ -189,7 +189,7 @@ def way_of(u: Float, i: int, n: int) -> Vector:
 
 
 @kernel
-def multiply_pairs(m: Meeting, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
+def multiply_pairs(m: ContactState, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the product with u (3, n) to out (3, w), whose last columns take what is of other blocks. Bodies stay."""
     pair, which, weight, s = m.pair, rows.which, rows.weight, rows.stiff
     width, n = out.shape[1] - PADDING, u.shape[1]

@@ -11,7 +11,7 @@ foretell less for half a frame ahead than none (measured on a skirt that swings)
 from __future__ import annotations
 
 from nuno_contact.offset.candidate_pairs import choose_near, renew_list
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.places import (
     CLOSE,
     LACKING,
@@ -58,14 +58,14 @@ AHEAD = 3.0
 
 
 @forced_inline
-def off_plan(m: Meeting, which: int, x: Float, share: float, i: int, count: int) -> Triple:
+def off_plan(m: ContactState, which: int, x: Float, share: float, i: int, count: int) -> Triple:
     """How far `count` vertices of x (3, n) from number i on are from where they are in a plan after a share of it."""
     way = minus(read_triple(x, 0, i, count), read_triple(m.reference, 3 * which, i, count))
     return minus(way, times(splat(share), read_triple(m.motion, 3 * which, i, count)))
 
 
 @block_kernel
-def strays(m: Meeting, which: int, x: Float, share: float) -> bool:
+def strays(m: ContactState, which: int, x: Float, share: float) -> bool:
     """Whether a vertex of x (3, n) is farther from where it is in a plan after a share of that than it may be."""
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
@@ -76,14 +76,14 @@ def strays(m: Meeting, which: int, x: Float, share: float) -> bool:
 
 
 @block_kernel
-def holds(m: Meeting, which: int, x: Float, s: float, ahead: float) -> bool:
+def holds(m: ContactState, which: int, x: Float, s: float, ahead: float) -> bool:
     """Whether a plan holds for vertices x (3, n) at fraction s of the interval, and until `ahead` after that."""
     begun, window = m.clock[BEGUN[which]], m.clock[LASTS[which]]
     return s + ahead <= begun + window and not strays(m, which, x, (s - begun) / window)
 
 
 @block_kernel
-def learn(m: Meeting, which: int, x: Float, gone: float, share: float) -> None:
+def learn(m: ContactState, which: int, x: Float, gone: float, share: float) -> None:
     """Into m.unrest how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval ago,
     and of which a share is over.
     """
@@ -96,7 +96,7 @@ def learn(m: Meeting, which: int, x: Float, gone: float, share: float) -> None:
 
 
 @block_kernel
-def allow(m: Meeting, spread: Float, unrest: Float, window: float, least: float, most: float) -> None:
+def allow(m: ContactState, spread: Float, unrest: Float, window: float, least: float, most: float) -> None:
     """Into spread (n,) how far each vertex may stray in a plan of so long a window: thicknesses at least and most."""
     h = m.law[0]
     for i in range(spread.shape[0]):
@@ -126,7 +126,7 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, ahead: float, renew: bool, threads: int | None) -> None:
+def plan(m: ContactState, u: Float, way: float, ahead: float, renew: bool, threads: int | None) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in a step of `way`: for shorter than before where to look at
     what is near and does not touch is dearer than to choose it, or where the last plan came to half of its time; for
     longer where that was lived out. One that is to hold for a step `ahead` is used up where another goes beyond its
@@ -145,7 +145,7 @@ def plan(m: Meeting, u: Float, way: float, ahead: float, renew: bool, threads: i
 
 
 @block_kernel
-def set_out(m: Meeting, u: Float, way: float, window: float, renew: bool, threads: int | None) -> None:
+def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, threads: int | None) -> None:
     """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says, of a list that is made
     anew or the one that there is.
     """

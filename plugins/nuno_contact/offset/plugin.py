@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from nuno_contact.offset.begin import begin_apart
 from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
 from nuno_contact.offset.ccd import hold_apart
-from nuno_contact.offset.contact_state import Meeting, make_meeting, tree_of
+from nuno_contact.offset.contact_state import ContactState, make_contact_state, tree_of
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
 from nuno_contact.offset.iterate import restrain
@@ -59,17 +59,17 @@ def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
     return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * elastic_stiffness(fabric)))
 
 
-def take_step(m: Meeting, rate: float) -> None:
-    """Have forces act as at the end of steps of 1 / rate [s]; see Meeting.step."""
+def take_step(m: ContactState, rate: float) -> None:
+    """Have forces act as at the end of steps of 1 / rate [s]; see ContactState.step."""
     m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
 
 
-def no_batches(m: Meeting, vertices: int) -> tuple[()]:
+def no_batches(m: ContactState, vertices: int) -> tuple[()]:
     """Its constraints are none that could be laid out beforehand; see nuno_contact.offset.projection."""
     return ()
 
 
-def count_meetings(m: Meeting) -> dict[str, int]:
+def count_meetings(m: ContactState) -> dict[str, int]:
     """Counts for a step's report."""
     behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
     return behind | {
@@ -81,7 +81,7 @@ def count_meetings(m: Meeting) -> dict[str, int]:
     }
 
 
-def find_pinched(m: Meeting) -> tuple[Int, Float]:
+def find_pinched(m: ContactState) -> tuple[Int, Float]:
     """Pieces (k,) and places (k, 3) [m] of vertices that the last step has cut short, or left behind their bodies, or
     where nothing moves, and bodies pass through each other, of those there.
     """
@@ -99,14 +99,14 @@ def find_pinched(m: Meeting) -> tuple[Int, Float]:
     return m.piece[caught], m.last[:, caught].T
 
 
-def count_cut(m: Meeting, held: Bool) -> None:
+def count_cut(m: ContactState, held: Bool) -> None:
     """Count vertices (n,) that a step leaves behind."""
     free = m.mass[: len(held)] > 0.0
     m.so_far[CUT] += int((held & free).sum())
     m.so_far[HELD_CUT] += int((held & ~free).sum())
 
 
-def act_alone(m: Meeting, body: int) -> Meeting:
+def act_alone(m: ContactState, body: int) -> ContactState:
     """The same meeting in which cloth meets one of the bodies alone: all other pairs neither push nor rub."""
     near = m.near[: m.number[NEAR]]
     own = (m.piece[m.pair[near]] == len(m.meets) - len(m.body_law) + body).any(axis=1)
@@ -116,7 +116,7 @@ def act_alone(m: Meeting, body: int) -> Meeting:
 
 
 register(
-    Meeting,
+    ContactState,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
     bounds=lambda term: {
@@ -180,7 +180,7 @@ class Offset:
         meets = np.ones((len(pieces), len(pieces)), bool)
         meets[:cloth, :cloth], meets[cloth:, cloth:] = meet, False
         piece = np.concatenate([piece, cloth + solids.body])
-        term = make_meeting(fabric, piece, meets, stiffness, law, solids)
+        term = make_contact_state(fabric, piece, meets, stiffness, law, solids)
         check_start(term, fabric, pieces, cloth)
         if bodies is not None and poses is not None:
             check_outside(fabric, bodies, solids)

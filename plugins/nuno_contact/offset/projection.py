@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
 from nuno_contact.offset.impulse import BRAKED, LEVER
 from nuno_contact.offset.iterate import cover
@@ -57,7 +57,7 @@ TURNS = 32
 
 
 @block_kernel
-def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
+def project(m: ContactState, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
     """Solve all contacts of cloth for a step that ends at fraction s, in place in `moved`."""
     if m.local.shape[0] == 0:
         project_whole(m, moved, s, threads)
@@ -78,7 +78,7 @@ def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads:
 
 
 @block_kernel
-def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -> None:
+def project_whole(m: ContactState, moved: Displaced, s: float, threads: int | None) -> None:
     """The same of cloth and bodies, which go their way."""
     x, u, y, near = moved.x, moved.u, moved.y, m.near
     for row in range(3):
@@ -101,7 +101,7 @@ def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -
 
 
 @block_kernel
-def gather(m: Meeting, y: Float) -> None:
+def gather(m: ContactState, y: Float) -> None:
     """Note as close the near pairs that touch at y (3, n), or may while others are solved for."""
     pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
     for q in range(m.number[NEAR]):
@@ -114,7 +114,7 @@ def gather(m: Meeting, y: Float) -> None:
 
 
 @block_kernel
-def solve_pair(m: Meeting, p: int, moved: Displaced) -> float:
+def solve_pair(m: ContactState, p: int, moved: Displaced) -> float:
     """Find a pair's force anew, and move its vertices by it; how much farther or less than before [m]."""
     had, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
     if had:
@@ -134,7 +134,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> float:
 
 
 @block_kernel
-def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
+def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
     """The force of a pair that has none, into m.pulled and m.kept_weights; whether it has any."""
     x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -184,7 +184,7 @@ def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
 
 
 @forced_inline
-def add(m: Meeting, p: int, moved: Displaced, sign: float) -> None:
+def add(m: ContactState, p: int, moved: Displaced, sign: float) -> None:
     """Move a pair's vertices by its force, or back by it."""
     u, y, mobility = moved.u, moved.y, moved.mobility
     for corner in range(4):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
@@ -73,7 +73,7 @@ def partly(a: Vector, b: Vector, share: float) -> Vector:
 
 
 @block_kernel
-def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
+def give_way(m: ContactState, y: Float, d: Float, stop: float) -> bool:
     """Into m.share how much of d (3, n) each vertex can go from y (3, n) so that pairs come as near as `stop` of their
     thickness, and half as near as they were at most; whether that is less than all for any.
 

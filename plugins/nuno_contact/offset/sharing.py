@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
@@ -48,7 +48,7 @@ fill_parts = over_blocks(fill_part, "pair, chosen, number, cloth, at, shared", W
 
 
 @block_kernel
-def share_out(m: Meeting, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
+def share_out(m: ContactState, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
     """Which of `number` chosen pairs each block of cloth has a part in, in their order: bounds of each block's, and
     the pairs.
     """

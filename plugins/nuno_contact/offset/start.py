@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno_contact.offset.bodies import Solids
 from nuno_contact.offset.candidate_pairs import begun_apart, make_list
-from nuno_contact.offset.contact_state import Meeting, tree_of
+from nuno_contact.offset.contact_state import ContactState, tree_of
 from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels import block_kernel
@@ -39,7 +39,7 @@ def check_thickness(fabric: Fabric, thickness: float) -> None:
         )  # fmt: skip
 
 
-def check_start(m: Meeting, fabric: Fabric, pieces: Sequence[str], objects: int) -> None:
+def check_start(m: ContactState, fabric: Fabric, pieces: Sequence[str], objects: int) -> None:
     """Raises BadInput for cloth that passes through cloth or a body as it starts, of which pieces after so many objects
     are; pieces that do not meet may.
     """
@@ -102,13 +102,13 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
 
 
 @block_kernel
-def gaps_at_start(m: Meeting, gap: Float) -> None:
+def gaps_at_start(m: ContactState, gap: Float) -> None:
     """How far apart each of the listed pairs starts (p,) [m]."""
     for p in range(gap.shape[0]):
         gap[p] = begun_apart(m, p)
 
 
-def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
+def check_gaps(m: ContactState, pieces: Sequence[str]) -> None:
     """Raises BadInput for cloth that touches itself, other cloth or a body as it starts."""
     m.reference[:3] = m.start
     make_list(m, None)

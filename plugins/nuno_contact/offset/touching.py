@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, Meeting, close_up
+from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, touch
 from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
@@ -19,7 +19,7 @@ MOST = 1.5
 
 
 @block_kernel
-def touch_part(part: int, m: Meeting, number: Long) -> None:
+def touch_part(part: int, m: ContactState, number: Long) -> None:
     """Which of a part of the close pairs touch at `last`: into m.touching from the part's first on, and how many."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
     close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
@@ -46,7 +46,7 @@ def touch_part(part: int, m: Meeting, number: Long) -> None:
 
 
 @block_kernel
-def rate_block(block: int, m: Meeting) -> None:
+def rate_block(block: int, m: ContactState) -> None:
     """Into m.rate, of the block's vertices, how fast their dashpots slow them down at most [1/s]; see ease_part."""
     rate, mass, first, end = m.rate, m.mass, block * BLOCK, min((block + 1) * BLOCK, m.rate.shape[0])
     for i in range(first, end):
@@ -60,7 +60,7 @@ def rate_block(block: int, m: Meeting) -> None:
 
 
 @block_kernel
-def ease_part(part: int, m: Meeting, dt: float) -> None:
+def ease_part(part: int, m: ContactState, dt: float) -> None:
     """How much of its damping each pair that touches has in a step of dt [s]: no more than the step can follow.
 
     A vertex amid twenty contacts would be thrown to and fro by all their dashpots, each of which alone is slow enough.
@@ -80,7 +80,7 @@ ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
 
 
 @block_kernel
-def find_touching(m: Meeting, threads: int | None) -> None:
+def find_touching(m: ContactState, threads: int | None) -> None:
     """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
     number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
     touch_parts(m, number, PARTS, m.number[CLOSE], threads)
@@ -92,7 +92,7 @@ def find_touching(m: Meeting, threads: int | None) -> None:
 
 
 @block_kernel
-def drag_part(part: int, m: Meeting, v: Float) -> None:
+def drag_part(part: int, m: ContactState, v: Float) -> None:
     """Set the anchors of a part of the pairs that touch at `last` and move at v (3, n), or drag them along."""
     pair, reach, normal, anchor, anchored, weights, eased = (
         m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights, m.eased
@@ -123,6 +123,6 @@ drag_parts = over_blocks(drag_part, "m, v", WORTH, IN_TURN)
 
 
 @block_kernel
-def drag_anchors(m: Meeting, v: Float, threads: int | None) -> None:
+def drag_anchors(m: ContactState, v: Float, threads: int | None) -> None:
     """The same of all pairs that touch."""
     drag_parts(m, v, PARTS, m.number[TOUCHING], threads)

@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
-    from nuno.frame_state import Acted, Moment
+    from nuno.frame_state import Acted, FrameState
     from nuno.verification import Verification
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
@@ -48,7 +48,7 @@ def open_file(recording: str | os.PathLike[str]) -> Recording:
 @overload
 def states(
     recording: Recorded, frames: Iterable[int] | None = None, forces: Literal[False] = False
-) -> Iterator[Moment]: ...
+) -> Iterator[FrameState]: ...
 
 
 @overload
@@ -56,10 +56,10 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, *, forces: 
 
 
 @overload
-def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]: ...
+def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]: ...
 
 
-def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[Moment]:
+def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
     """Frames of a recording (default: all) as they were, in float64: see nuno.frame_state.states. Raises BadInput."""
     from nuno import frame_state
 

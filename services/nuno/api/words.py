@@ -19,9 +19,9 @@ OTHERS = ("dask", "jobs", "out", "over", "record", "resume", "root", "set", "thr
 @cache
 def _flag() -> re.Pattern[str]:
     """A flag, with what it is given where that is an example."""
-    from nuno.exporting import Asked
+    from nuno.exporting import ExportRequest
 
-    names = "|".join([*Asked.model_fields, *OTHERS])
+    names = "|".join([*ExportRequest.model_fields, *OTHERS])
     return re.compile(rf"(?<![^\s('\"])--({names})\b(?: (DIR|FILE\b|\S+=\S+|[A-Za-z0-9_]+\.[a-z0-9]+))?")
 
 

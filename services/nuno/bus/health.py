@@ -11,7 +11,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from nuno.bus.messages import Bus
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno_schemas.errors import RunFailed
 
 HEALTH = "health"
@@ -103,7 +103,7 @@ def offer_health(bus: Bus) -> None:
     key = bus.key(f"{HEALTH}/{bus.service}")
 
     def answer(query: zenoh.Query) -> None:
-        Question(HEALTH, key, query).answer(measure(bus).model_dump_json().encode())
+        Query(HEALTH, key, query).answer(measure(bus).model_dump_json().encode())
 
     bus.offers.append(bus.session.declare_queryable(key, answer))
 

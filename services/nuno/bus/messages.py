@@ -15,8 +15,8 @@ from typing import Any
 import zenoh
 from pydantic import ValidationError
 
-from nuno.bus.pending_reply import Asked
-from nuno.bus.query import Question
+from nuno.bus.pending_reply import PendingReply
+from nuno.bus.query import Query
 from nuno.bus.sessions import direct
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
@@ -91,7 +91,7 @@ class Inbox:
 
     def __init__(
         self, bus: Bus, topics: list[Topic], newest_only: bool = False,
-        heard: Callable[[Question], None] = lambda question: None,
+        heard: Callable[[Query], None] = lambda question: None,
     ) -> None:  # fmt: skip
         """`heard` is called with each question as it comes, in whichever thread brings it."""
         self.counts = Counts()
@@ -102,7 +102,7 @@ class Inbox:
         """Why the run failed, as the question that ended it says."""
         self._bus = bus
         self._next: dict[str, int] = {}
-        self._queue: queue.SimpleQueue[zenoh.Sample | Question | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[zenoh.Sample | Query | None] = queue.SimpleQueue()
         self._newest_only, self._heard = newest_only, heard
         bus.inboxes.append(self)
         self._closing = threading.Lock()
@@ -113,11 +113,9 @@ class Inbox:
     def answer(self, name: str) -> None:
         """Let questions to `name` in, too."""
         key = self._bus.key(name)
-        self._handles.append(
-            self._bus.session.declare_queryable(key, lambda query: self._ask(Question(name, key, query)))
-        )
+        self._handles.append(self._bus.session.declare_queryable(key, lambda query: self._ask(Query(name, key, query))))
 
-    def _ask(self, question: Question) -> None:
+    def _ask(self, question: Query) -> None:
         """Take a question in; one that was on its way while the inbox closed is dropped, as those that waited were."""
         with self._closing:
             if not self._closed:
@@ -130,7 +128,7 @@ class Inbox:
         """Let whoever waits here look after something else."""
         self._queue.put(None)
 
-    def get(self, timeout: float) -> Message | Question | None:
+    def get(self, timeout: float) -> Message | Query | None:
         """The next question or good message, or None when the time [s] is over, or to look after something else."""
         end = time.monotonic() + timeout
         while True:
@@ -138,7 +136,7 @@ class Inbox:
                 item = self._queue.get(timeout=max(0.0, end - time.monotonic()))
             except queue.Empty:
                 return None
-            if item is None or isinstance(item, Question):
+            if item is None or isinstance(item, Query):
                 return item
             message = self._check(item)
             if message is not None:
@@ -149,12 +147,12 @@ class Inbox:
         """What has come and is not taken in yet."""
         return self._queue.qsize()
 
-    def refuse(self, item: Message | Question) -> None:
+    def refuse(self, item: Message | Query) -> None:
         """Drop what is not what its topic promises, and count it.
 
         A message's number is expected again: the one that it belongs to may still come.
         """
-        if isinstance(item, Question):
+        if isinstance(item, Query):
             self.counts.refused[item.name] += 1
             return
         self.counts.refused[item.topic] += 1
@@ -170,7 +168,7 @@ class Inbox:
             self._closed = True
         while not self._queue.empty():
             item = self._queue.get_nowait()
-            if isinstance(item, Question):
+            if isinstance(item, Query):
                 item.query.drop()
 
     def _check(self, sample: zenoh.Sample) -> Message | None:
@@ -239,18 +237,18 @@ class Bus:
         """The answer of one service's queryable. Raises RunFailed if none comes."""
         return self.ask_ahead(name, payload, timeout).answer()
 
-    def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> Asked:
+    def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> PendingReply:
         """Ask now, and take the answer later."""
         # Not a callback: zenoh starts a thread for each, which takes far longer than the question.
         replies = self.session.get(
             self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
         )
-        return Asked(name, replies, timeout)
+        return PendingReply(name, replies, timeout)
 
     def ask_json(
         self, name: str, value: dict[str, Any], timeout: float = 10.0, slow: Callable[[], None] | None = None
     ) -> dict[str, Any]:
-        """The answer of one service's queryable; `slow` as in `Asked.answer`. Raises RunFailed if none comes."""
+        """The answer of one service's queryable; `slow` as in `PendingReply.answer`. Raises RunFailed if none comes."""
         try:
             answer = json.loads(self.ask_ahead(name, json.dumps(value).encode(), timeout).answer(slow))
         except (ValueError, RecursionError):

@@ -26,7 +26,7 @@ class Refused(RunFailed):
         self.said = said
 
 
-class Asked:
+class PendingReply:
     """One question, on its way from when this is made."""
 
     def __init__(self, name: str, replies: zenoh.handlers.Handler[zenoh.Reply], timeout: float) -> None:

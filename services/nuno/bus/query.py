@@ -10,7 +10,7 @@ import zenoh
 
 
 @dataclass
-class Question:
+class Query:
     """One question to a service; answer it exactly once."""
 
     name: str

@@ -39,7 +39,7 @@ def queues(tables: tuple[Path, ...] = TABLES) -> dict[Ports, tuple[int, int]]:
     return found
 
 
-class Laggards:
+class SlowConsumers:
     """Watches the sessions of a hub, other routers' left out; `names` are those of known ones, by identity."""
 
     def __init__(self, hub: zenoh.Session, names: Mapping[str, str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from nuno.cli.common import add_flags, add_set, warn
-from nuno.exporting import FILES, Asked, Painted, ask, show_progress, write
+from nuno.exporting import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
@@ -72,7 +72,7 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        asked = ask(**{name: getattr(args, name) for name in Asked.model_fields})
+        asked = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})
         for path in write(recording, asked, _tell if args.progress else show_progress):
             print(path)
     return 0

@@ -13,7 +13,7 @@ from pathlib import Path
 import zenoh
 
 from nuno.bus import sessions
-from nuno.bus.slow_consumers import LOOK_SECONDS, Laggards
+from nuno.bus.slow_consumers import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import SIGNALS, end_process
 from nuno.scene import scene_file, shipped
@@ -124,7 +124,7 @@ def _route(args: argparse.Namespace) -> int:
     services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}
     with sessions.hub(args.listen, args.config, list(services) or None) as session:
         print(f"router at {args.listen}", flush=True)
-        laggards = Laggards(session, services)
+        laggards = SlowConsumers(session, services)
         while not stop.wait(LOOK_SECONDS):
             laggards.look(lambda text: print(text, file=sys.stderr, flush=True))
     return 0

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arrays
-from nuno.plugin_contract.values import Wrong, check_field, check_layout, check_skins
+from nuno.plugin_contract.values import ContractError, check_field, check_layout, check_skins
 from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
 from nuno_schemas.skin import Skin
@@ -54,7 +54,7 @@ def decode_geometry(payload: bytes) -> Geometry:
         return geometry
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"geometry without {error}") from None
-    except Wrong as error:
+    except ContractError as error:
         raise BadMessage(f"geometry of which {error}") from None
 
 
@@ -76,5 +76,5 @@ def decode_poses(payload: bytes, frames: int | None = None) -> Poses:
         return poses
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"poses without {error}") from None
-    except Wrong as error:
+    except ContractError as error:
         raise BadMessage(f"poses of which {error}") from None

@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import find_crossings
@@ -25,7 +25,7 @@ from nuno.collision.messages import (
 )
 from nuno.collision.pairs import Mesh, NearPairs, mesh_of
 from nuno.collision.surfaces import NO_SURFACES, surface
-from nuno.plugin_contract.values import Wrong, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
 from nuno.scene.scene_file import Loaded
@@ -88,7 +88,7 @@ class ClothCheck:
             self.through = [NearPairs(one, 0.0) for one in both]
         except (LookupError, TypeError, ValueError) as error:
             raise BadMessage(f"a fabric without {error}") from None
-        except Wrong as error:
+        except ContractError as error:
             raise BadMessage(f"a fabric of which {error}") from None
 
     def look(self, points: Float, header: Header, poses: Poses | None = None) -> dict[str, Any]:
@@ -157,14 +157,14 @@ class Collision:
         self.followers: Followers | None = None
         if bodies is not None and context.loaded.live:
             self.followers = Followers(context, bodies.live(), inbox.wake)
-        self.asked: list[Question] = []
+        self.asked: list[Query] = []
         """For the poses of the next frame, while bodies may still be told where to be in it."""
         self.followed = 0
         """The last frame to which they have been brought."""
         self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
         """None where cloth passes through cloth."""
 
-    def answer(self, question: Question) -> None:
+    def answer(self, question: Query) -> None:
         """The geometry, which bodies are told where to be, or the poses of a frame."""
         if self.bodies is None:
             self.inbox.refuse(question)

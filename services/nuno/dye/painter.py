@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays
-from nuno.plugin_contract.values import Wrong, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
@@ -123,7 +123,7 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
         check_array("up", up, np.bool_, fibre.shape)
         size, v_max = float(text["cell_size"]), float(text["v_max"])
         if not (fibre.size and 0.0 < size < math.inf and 0.0 < v_max < math.inf):
-            raise Wrong(f"{fibre.size} cells of {size} m that hold {v_max}")
+            raise ContractError(f"{fibre.size} cells of {size} m that hold {v_max}")
         yarns, ground = (
             (arrays[f"weft_{name}"], arrays[f"warp_{name}"]) if f"weft_{name}" in arrays else None
             for name in ("yarn", "colour")
@@ -133,11 +133,11 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
             if yarns is not None:
                 check_array("yarns", (own := yarns[which]), np.int32, (side,))
                 if own.min() < 0 or own.max() > side:
-                    raise Wrong(f"yarns go from {own.min()} to {own.max()}, of {side} cells side by side")
+                    raise ContractError(f"yarns go from {own.min()} to {own.max()}, of {side} cells side by side")
             if ground is not None:
                 check_array("colours", ground[which], ground[which].dtype.type, (side, 3))
                 if not ((ground[which] >= 0.0) & (ground[which] <= 1.0)).all():
-                    raise Wrong("colours leave 0 to 1")
+                    raise ContractError("colours leave 0 to 1")
         photograph = None
         if "photograph" in arrays:
             photograph = Photograph(arrays["photograph"], arrays["photograph_warp"].astype(bool))
@@ -145,7 +145,7 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
             check_array("photograph", photograph.light, np.uint8, (pixels * ny, pixels * nx, 3))
             check_array("its warp", photograph.warp, np.bool_, (pixels * ny, pixels * nx))
         return Layers(fibre, up, v_max=v_max, yarns=yarns, photograph=photograph, ground=ground), size
-    except (KeyError, TypeError, ValueError, ArithmeticError, Wrong) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, ContractError) as error:
         raise BadMessage(f"not a cloth: {error}") from None
 
 

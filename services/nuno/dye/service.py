@@ -14,14 +14,14 @@ from nuno.service import Context
 from nuno.stepping.driver import Driver
 from nuno.stepping.resimulation import resume
 from nuno.stepping.stepper import Stepped
-from nuno.stepping.watchdog import Attendant
+from nuno.stepping.watchdog import FrameWatchdog
 from nuno_schemas.messages import CLOTH, STATUS
 
 
 class DyeDriver(Driver):
     """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
 
-    def __init__(self, context: Context, dyeing: DyeRun, attendant: Attendant) -> None:
+    def __init__(self, context: Context, dyeing: DyeRun, attendant: FrameWatchdog) -> None:
         super().__init__(context, dyeing, attendant, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         if (every := self.scene.record.dye_every) is not None:
@@ -106,7 +106,7 @@ def _finite(value: float) -> float | None:
 
 def main(context: Context) -> None:
     """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
-    attendant = Attendant(context)
+    attendant = FrameWatchdog(context)
     dyeing = DyeRun(context.loaded, context.options.threads, leave=attendant.leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)

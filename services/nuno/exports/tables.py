@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.exports.cloth import read_pressure
 from nuno.exports.target import opened, writing
-from nuno.frame_state import Acted, Moment, states
+from nuno.frame_state import Acted, FrameState, states
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import restored_scene
@@ -71,7 +71,7 @@ def export_npz(source: Recording | Path | str, path: Path, frame: int | None = N
     return path
 
 
-def find_moment(recording: Recording, frame: int | None, forces: bool = False) -> Moment:
+def find_moment(recording: Recording, frame: int | None, forces: bool = False) -> FrameState:
     """A frame (default: the last) as it was. Raises BadInput."""
     numbers = [number for number, digest in recording.marks().values() if digest]
     return next(states(recording, [(numbers or [0])[-1] if frame is None else frame], forces))
@@ -109,7 +109,7 @@ def _write(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def _state(recording: Recording, moment: Moment) -> dict[str, NDArray[Any]]:
+def _state(recording: Recording, moment: FrameState) -> dict[str, NDArray[Any]]:
     """Of cloth x, v and a knit's pressure, of dye phi and fixed."""
     arrays: dict[str, NDArray[Any]] = {"t": np.array(moment.t)}
     if moment.fabric is not None:

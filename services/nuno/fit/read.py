@@ -15,7 +15,7 @@ from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
 from nuno.fit.seams import measure_seams
-from nuno.frame_state import Moment, states
+from nuno.frame_state import FrameState, states
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Loaded
@@ -56,7 +56,7 @@ def read_fits(
             for fit in fits]  # fmt: skip
 
 
-def _fit(piece: ShownPiece, moment: Moment, mesh: Mesh, at: dict[str, float], normals: Float) -> Fit | None:
+def _fit(piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float], normals: Float) -> Fit | None:
     """None for a piece without a membrane."""
     fabric, forces, start, stop = moment.fabric, moment.forces, piece.start, piece.stop
     if fabric is None or forces is None or fabric.membrane is None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from nuno.plugin_contract import containment
 from nuno.plugin_contract.results import check, check_turn, doubts
-from nuno.plugin_contract.values import Wrong, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, State
@@ -113,7 +113,7 @@ class Foreign:
     def _named(self, what: str) -> Iterator[None]:
         try:
             yield
-        except Wrong as error:
+        except ContractError as error:
             raise RunFailed(f"{self._who}: {what}: {error}") from None
 
     def _force(self, function: Callable[[Float, Float, float, Float], None]) -> Callable[..., None]:
@@ -149,5 +149,5 @@ class Foreign:
         """Raises RunFailed for another shape or dtype, and values that are not finite."""
         try:
             check_array(what, values, np.float64, shape, Bounds(finite=finite, strided=strided))
-        except Wrong as error:
+        except ContractError as error:
             raise RunFailed(f"{self._who}: {error}") from None

@@ -1,7 +1,7 @@
-"""What plugins hand over, held against the layout that the schema gives it, before any compiled code sees it.
+"""Checks of plugins' results against the layout that the schema gives them, before any compiled code sees them.
 
-A kernel does not check an index: one out of range reads or writes whatever lies there. Each function raises Wrong
-with the field and the first row that is amiss. What annotations say is checked by `check_layout`; here is the rest.
+A kernel does not check an index: one out of range reads or writes whatever lies there. Each function raises
+ContractError with the field and the first wrong row. `check_layout` checks what annotations say; here is the rest.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.plugin_contract.values import (
-    Wrong,
+    ContractError,
     check_array,
     check_field,
     check_layout,
@@ -42,22 +42,24 @@ def check_fabric(fabric: Fabric) -> None:
     if springs is not None:
         check_runs("springs", springs, n)
         if (springs.lock is None) != (springs.k_lock is None):
-            raise Wrong("springs.lock and springs.k_lock are not both given, nor neither")
+            raise ContractError("springs.lock and springs.k_lock are not both given, nor neither")
         if springs.k_lock is not None:
             k, k_lock = (springs.per_spring(values) for values in (springs.k, springs.k_lock))
             if (low := np.flatnonzero(k_lock < k)).size:
-                raise Wrong(f"springs.k_lock is {k_lock[low[0]]} at spring {low[0]}, less than its k {k[low[0]]}")
+                raise ContractError(
+                    f"springs.k_lock is {k_lock[low[0]]} at spring {low[0]}, less than its k {k[low[0]]}"
+                )
     if fabric.hinges is not None:
         check_runs("hinges", fabric.hinges, n)
     if fabric.corners is not None:
         differ = (fabric.corners.vertex[fabric.corners.faces] != fabric.faces).any(axis=1)
         if differ.any():
-            raise Wrong(f"corners.faces are of other vertices than faces at row {np.flatnonzero(differ)[0]}")
+            raise ContractError(f"corners.faces are of other vertices than faces at row {np.flatnonzero(differ)[0]}")
     if fabric.yarns is not None:
         check_yarns(fabric.yarns, springs.number if springs is not None else 0)
     for i, binding in enumerate(fabric.bindings):
         if not fabric.pinned[binding.vertices].all():
-            raise Wrong(f"bindings[{i}].vertices has some that are not pinned")
+            raise ContractError(f"bindings[{i}].vertices has some that are not pinned")
 
 
 def check_runs(what: str, runs: Springs | Hinges, n: int) -> None:
@@ -66,10 +68,10 @@ def check_runs(what: str, runs: Springs | Hinges, n: int) -> None:
     last = runs.first + reach[:, None]
     if (out := np.argwhere((last < 0) | (last >= n))).size:
         row, column = out[0]
-        raise Wrong(f"{what} of run {row} go on to vertex {last[row, column]}, outside 0 to {n - 1}")
+        raise ContractError(f"{what} of run {row} go on to vertex {last[row, column]}, outside 0 to {n - 1}")
     corners = np.sort(runs.first, axis=1)
     if (same := np.flatnonzero((np.diff(corners, axis=1) == 0).any(axis=1))).size:
-        raise Wrong(f"{what}.first names a vertex twice at row {same[0]}")
+        raise ContractError(f"{what}.first names a vertex twice at row {same[0]}")
 
 
 def check_yarns(yarns: Yarns, springs: int) -> None:
@@ -77,7 +79,7 @@ def check_yarns(yarns: Yarns, springs: int) -> None:
     check_array("yarns.links", yarns.links, np.int32, (None,), Bounds(0, springs - 1))
     check_array("yarns.ptr", yarns.ptr, np.int32, (yarns.number + 1,))
     if (np.diff(yarns.ptr) < 0).any() or yarns.ptr[0] != 0 or yarns.ptr[-1] != len(yarns.links):
-        raise Wrong("yarns.ptr does not rise from 0 to the number of links")
+        raise ContractError("yarns.ptr does not rise from 0 to the number of links")
     check_array("yarns.kind", yarns.kind, np.int8, (None,), Bounds(0, len(yarns.names) - 1))
 
 
@@ -86,7 +88,7 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
     check_layout("", shape)
     joints = 1 if mover is None else len(mover.joints)
     if len(shape.frames) != joints:
-        raise Wrong(f"frames are {len(shape.frames)}, of a motion of {joints}")
+        raise ContractError(f"frames are {len(shape.frames)}, of a motion of {joints}")
     kinds = {
         "radius is not above 0": (CAPSULE, shape.radius > 0.0),
         "b is no unit normal": (PLANE, np.abs(np.linalg.norm(shape.b, axis=1) - 1.0) <= UNIT),
@@ -94,39 +96,41 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
     }
     for problem, (kind, good) in kinds.items():
         if (bad := np.flatnonzero((shape.kind == kind) & ~good)).size:
-            raise Wrong(f"{problem} at row {bad[0]}")
+            raise ContractError(f"{problem} at row {bad[0]}")
     if (wrong := np.flatnonzero(~np.isin(shape.kind[shape.owner], OF_TRIANGLES))).size:
-        raise Wrong(f"owner is {shape.owner[wrong[0]]} at row {wrong[0]}, which has no triangles")
+        raise ContractError(f"owner is {shape.owner[wrong[0]]} at row {wrong[0]}, which has no triangles")
     if len(shape.fields) != int((shape.kind == FIELD).sum()):
-        raise Wrong(f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one")
+        raise ContractError(
+            f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one"
+        )
     for i, field in enumerate(shape.fields):
         check_field(f"fields[{i}]", field)
     check_skins(shape)
     if shape.pose is not None and (mover is None or not callable(shape.pose)):
-        raise Wrong("pose is no function" if mover is not None else "pose is one of a body without a motion")
+        raise ContractError("pose is no function" if mover is not None else "pose is one of a body without a motion")
 
 
 def check_mover(mover: Mover) -> None:
     """A skeleton whose joints hang on earlier ones, or on the world."""
     check_layout("", mover)
     if not mover.joints or not callable(mover.pose):
-        raise Wrong("pose is no function" if mover.joints else "joints are none")
+        raise ContractError("pose is no function" if mover.joints else "joints are none")
     if (late := np.flatnonzero(mover.parents >= np.arange(len(mover.joints)))).size:
-        raise Wrong(f"parents is {mover.parents[late[0]]} at row {late[0]}, which does not come before it")
+        raise ContractError(f"parents is {mover.parents[late[0]]} at row {late[0]}, which does not come before it")
 
 
 def check_turn(rotation: NDArray[Any]) -> None:
     """Rotations (j, 4) that are unit quaternions."""
     length = np.linalg.norm(rotation, axis=1)
     if (bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT))).size:
-        raise Wrong(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
+        raise ContractError(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
 
 
 def check_memory(memory: Memory) -> None:
     """Memory whose arrays can be kept in a checkpoint."""
     for name, values in memory.arrays.items():
         if not isinstance(values, np.ndarray) or values.dtype.hasobject:
-            raise Wrong(f"arrays[{name!r}] is {type(values).__name__}, no array of numbers")
+            raise ContractError(f"arrays[{name!r}] is {type(values).__name__}, no array of numbers")
 
 
 def check_term(term: Term, fabric: Fabric) -> None:
@@ -138,14 +142,14 @@ def check_term(term: Term, fabric: Fabric) -> None:
         return
     if not (isinstance(term.data, tuple) and all(hasattr(part, "_fields") for part in term.data)):
         kind = type(term.data).__name__
-        raise Wrong(f"data is {kind}, neither a tuple of named tuples nor a function f(x, v, t, out)")
+        raise ContractError(f"data is {kind}, neither a tuple of named tuples nor a function f(x, v, t, out)")
     for i, part in enumerate(term.data):
         check_layout(f"data[{i}].", part, {"n": fabric.number})
         kernels = getattr(type(part), "kernels", None)
         roles = fields(kernels) if is_dataclass(kernels) else ()
         if all(getattr(kernels, role.name) is role.default for role in roles if role.name != "name"):
             kind = f"data[{i}] is of type {type(part).__name__}, which has no kernels"
-            raise Wrong(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
+            raise ContractError(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
 
 
 def check_touched(found: Touched, vertices: int) -> None:
@@ -164,13 +168,13 @@ def check_outcome(outcome: Outcome, vertices: int) -> None:
     check_layout("changed.state.", changed.state, {"n": n})
     check_array("changed.source", changed.source, np.int32, (n,), Bounds(-1, vertices - 1))
     if (np.diff(changed.source[changed.source >= 0]) <= 0).any():
-        raise Wrong("changed.source does not keep the order of the old vertices")
+        raise ContractError("changed.source does not keep the order of the old vertices")
 
 
 def check_cloth(found: Any, dyes: int) -> None:
     """Cells and the amounts of so many dyes that they hold."""
     if len(found) != 2:
-        raise Wrong(f"it is {len(found)} things, not cells and amounts")
+        raise ContractError(f"it is {len(found)} things, not cells and amounts")
     cells, state = found
     check_type("cells", cells, Cells)
     check_layout("cells.", cells)
@@ -195,7 +199,7 @@ def check_isotherm(isotherm: Isotherm) -> None:
     """An isotherm's numbers, or its function."""
     check_layout("", isotherm)
     if isotherm.kind == "python" and not callable(isotherm.function):
-        raise Wrong("function is none, of kind 'python'")
+        raise ContractError("function is none, of kind 'python'")
 
 
 def _lengths(cells: Cells, dyes: int) -> dict[str, int]:
@@ -246,7 +250,7 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
 
 
 def check(group: str, method: str, found: Any, args: Sequence[Any]) -> None:
-    """Raises Wrong for a result of a plugin's method, called with `args`, that is not what its kind owes."""
+    """Raises ContractError for a result of a plugin's method, called with `args`, that is not what its kind owes."""
     if (group, method) in CHECKS:
         kind, look = CHECKS[group, method]
         check_type("it", found, kind)

@@ -21,12 +21,12 @@ WHOLE = 1e-9
 """How far weights may be from adding up to 1."""
 
 
-class Wrong(Exception):
+class ContractError(Exception):
     """What a plugin handed over is not what its kind owes; the text begins with the field."""
 
 
 def check_layout(what: str, value: Any, lengths: Mapping[str, int] | None = None) -> None:
-    """Raises Wrong for the first field of a dataclass or named tuple that is not as its annotation says.
+    """Raises ContractError for the first field of a dataclass or named tuple that is not as its annotation says.
 
     `what` stands before a field's name; `lengths` are those that are known beforehand. `nuno_schemas.layout` says what
     annotations mean. What compiled code is given as it is, a named tuple, has nothing else than arrays, finite numbers
@@ -46,7 +46,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, int]) -> None:
-    """Raises Wrong for one field of `owner`; adds lengths that it is the first to have."""
+    """Raises ContractError for one field of `owner`; adds lengths that it is the first to have."""
     whole, sizes, bounds = _read(hint)
     args: tuple[Any, ...] = get_args(whole)
     kind: Any = get_origin(whole) or whole
@@ -67,10 +67,10 @@ def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, 
         check_layout(f"{what}.", value, lengths)
     elif kind is Literal:
         if value not in args:
-            raise Wrong(f"{what} is {value!r}, not {', '.join(args[:-1])} or {args[-1]}")
+            raise ContractError(f"{what} is {value!r}, not {', '.join(args[:-1])} or {args[-1]}")
     elif kind is tuple and not isinstance(owner, tuple):
         if sizes and len(value) != lengths.setdefault(sizes[0], len(value)):
-            raise Wrong(f"{what} are {len(value)}, not {lengths[sizes[0]]}")
+            raise ContractError(f"{what} are {len(value)}, not {lengths[sizes[0]]}")
         hints = args[:1] * len(value) if args[-1] is Ellipsis else args
         for i, (one, its) in enumerate(zip(value, hints, strict=True)):
             _check_one(f"{what}[{i}]", one, its, None, lengths)
@@ -98,9 +98,9 @@ def _length(size: Any, owner: Any, lengths: Mapping[str, int]) -> int | tuple[in
 
 
 def check_type(what: str, value: object, kind: type) -> None:
-    """Raises Wrong for a value of another type."""
+    """Raises ContractError for a value of another type."""
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise Wrong(f"{what} is {type(value).__name__}, not {kind.__name__}")
+        raise ContractError(f"{what} is {type(value).__name__}, not {kind.__name__}")
 
 
 def check_array(
@@ -110,15 +110,15 @@ def check_array(
     shape: tuple[int | tuple[int, ...] | None, ...],
     bounds: Bounds = UNBOUNDED,
 ) -> None:
-    """Raises Wrong for another dtype or shape, an array that is not C-contiguous unless it may be, and the first value
-    that is out of bounds. `shape` may leave a length open by None, and allow several by a tuple.
+    """Raises ContractError for another dtype or shape, an array that is not C-contiguous unless it may be, and the
+    first value that is out of bounds. `shape` may leave a length open by None, and allow several by a tuple.
     """
     name = np.dtype(dtype).name
     if not isinstance(values, np.ndarray) or values.dtype != dtype or not _fits(values.shape, shape):
         given = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-        raise Wrong(f"{what} is {given}, not {name} {_written(shape)}")
+        raise ContractError(f"{what} is {given}, not {name} {_written(shape)}")
     if not bounds.strided and not values.flags.c_contiguous:
-        raise Wrong(f"{what} is not C-contiguous: give numpy.ascontiguousarray of it")
+        raise ContractError(f"{what} is not C-contiguous: give numpy.ascontiguousarray of it")
     if not bounds.finite or dtype is np.bool_:
         return
     good = np.isfinite(values) & (values >= bounds.low) & (values <= bounds.high)
@@ -126,47 +126,49 @@ def check_array(
         good &= values > bounds.above
     if not good.all():
         place = tuple(int(i) for i in np.argwhere(~good)[0])
-        raise Wrong(f"{what} is {values[place]} at row {place[0]}{_limit(values[place], bounds)}")
+        raise ContractError(f"{what} is {values[place]} at row {place[0]}{_limit(values[place], bounds)}")
 
 
 def check_number(what: str, value: Any, bounds: Bounds = UNBOUNDED) -> None:
-    """Raises Wrong for what is no number, NaN, or out of bounds, infinity among it unless that is allowed."""
+    """Raises ContractError for what is no number, NaN, or out of bounds, infinity among it unless that is allowed."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise Wrong(f"{what} is {type(value).__name__}, no number")
+        raise ContractError(f"{what} is {type(value).__name__}, no number")
     if (
         math.isnan(value)
         or (bounds.finite and math.isinf(value))
         or not bounds.low <= value <= bounds.high
         or (bounds.above > -np.inf and value <= bounds.above)
     ):
-        raise Wrong(f"{what} is {value}{_limit(value, bounds)}")
+        raise ContractError(f"{what} is {value}{_limit(value, bounds)}")
 
 
 def check_field(what: str, field: DistanceField) -> None:
     """A distance field whose cells lead to cells and leaves that there are."""
     if math.prod(field.shape.tolist()) > len(field.child):
-        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
+        raise ContractError(f"{what}.child has {len(field.child)} cells, fewer than its shape")
     cut = field.child >= 0
     # Eight parts begin at every cell that is cut, later in the list: else whoever follows them would never arrive.
     parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
     if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
-        raise Wrong(f"{what}.child: cells lead nowhere")
+        raise ContractError(f"{what}.child: cells lead nowhere")
 
 
 def check_skins(shape: Geometry | BodyShape) -> None:
     """Skins of as many vertices as their primitives have, on frames that there are, whose weights add up to one."""
     primitives = np.flatnonzero(shape.kind == SKIN).tolist()
     if len(shape.skins) != len(primitives):
-        raise Wrong(f"skins are {len(shape.skins)}, of {len(primitives)} primitives that have one")
+        raise ContractError(f"skins are {len(shape.skins)}, of {len(primitives)} primitives that have one")
     for number, (primitive, skin) in enumerate(zip(primitives, shape.skins, strict=True)):
         check_layout(f"skins[{number}].", skin)
         vertices = len(np.unique(shape.faces[shape.owner == primitive]))
         if len(skin.joint) != vertices or not skin.joint.shape[1]:
-            raise Wrong(f"skins[{number}] is of {skin.joint.shape} joints, and has {vertices} vertices")
+            raise ContractError(f"skins[{number}] is of {skin.joint.shape} joints, and has {vertices} vertices")
         if (bad := np.flatnonzero(np.abs(skin.weight.sum(axis=1) - 1.0) > WHOLE)).size:
-            raise Wrong(f"skins[{number}].weight adds up to {skin.weight[bad[0]].sum():g} at row {bad[0]}, not 1")
+            raise ContractError(
+                f"skins[{number}].weight adds up to {skin.weight[bad[0]].sum():g} at row {bad[0]}, not 1"
+            )
         if int(shape.frame[primitive]) + len(skin.place) > len(shape.frames):
-            raise Wrong(f"skins[{number}] is on {len(skin.place)} frames, of {len(shape.frames)}")
+            raise ContractError(f"skins[{number}] is on {len(skin.place)} frames, of {len(shape.frames)}")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | tuple[int, ...] | None, ...]) -> bool:

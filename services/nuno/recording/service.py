@@ -8,7 +8,7 @@ from typing import Any
 
 from nuno.bus.encodings import BadMessage
 from nuno.bus.messages import ALL, Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.process import SIGNALS
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
@@ -94,7 +94,7 @@ class Recorder:
             self._digests[message.topic] = header.digest
             self._context.acknowledge(header.frame, header.t)
 
-    def finish(self, question: Question) -> dict[str, Any]:
+    def finish(self, question: Query) -> dict[str, Any]:
         """Wait for what was sent, add the report, close the file; counts for the answer."""
         wanted = question.json()
         sent = wanted.get("expected", {})

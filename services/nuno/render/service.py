@@ -14,7 +14,7 @@ from typing import Any
 
 from nuno.bus.encodings import BadMessage, decode_points, encode_picture
 from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
 from nuno.service import Context, asks_to_finish, each_message
@@ -105,7 +105,7 @@ def main(context: Context) -> None:
     render.end(draw_last=not question.json().get("error"))
     while render.drawing:
         again = inbox.get(0.1)
-        if isinstance(again, Question) and asks_to_finish(inbox, again):  # the user would not wait
+        if isinstance(again, Query) and asks_to_finish(inbox, again):  # the user would not wait
             render.drop()
             questions.append(again)
     for each in questions:

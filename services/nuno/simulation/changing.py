@@ -17,12 +17,12 @@ from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import beside
-from nuno.plugin_contract.values import Wrong, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.chosen_plugins import Chosen
 from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.relax import Stillness
-from nuno.simulation.renumbered_solver import Ordered
+from nuno.simulation.renumbered_solver import RenumberedSolver
 from nuno.stepping.stepper import Stepper, fitting
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, nearest
@@ -66,7 +66,7 @@ class Changing(Stepper):
     def solver(self) -> Chosen:
         """The scene's integrator, for states in the user's order."""
         chosen, numbers = self.loaded.integrator, self.numbers
-        return chosen if numbers is None else replace(chosen, plugin=Ordered(chosen.plugin, numbers))
+        return chosen if numbers is None else replace(chosen, plugin=RenumberedSolver(chosen.plugin, numbers))
 
     def begin_unchanged(self) -> None:
         """Have the cloth of the scene."""
@@ -251,7 +251,7 @@ class Changing(Stepper):
             self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
 
     def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
-        """Whether what is stepped is another now. Raises Wrong, or whatever else a damaged checkpoint leads to."""
+        """Whether another fabric is stepped now. Raises ContractError or whatever else a damaged checkpoint leads to."""
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         # The solver's memory is in the order that the recording was stepped in, none where that had no other.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
@@ -262,7 +262,7 @@ class Changing(Stepper):
         if self.numbers is not None:
             check_array(NUMBERS, self.numbers, np.int32, (self.fabric.number,))
             if not np.array_equal(np.sort(self.numbers), np.arange(self.fabric.number)):
-                raise Wrong(f"{NUMBERS} does not name each vertex once")
+                raise ContractError(f"{NUMBERS} does not name each vertex once")
         return True
 
     def _adopt_fabrics(

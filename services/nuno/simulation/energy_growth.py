@@ -28,7 +28,7 @@ MARGIN = 1.25
 """Over the bound on what a stable step makes of the energy: errors of its higher orders."""
 
 
-class Growth:
+class EnergyGrowth:
     """The energy of a run [J] against what there is for it.
 
     Symplectic Euler keeps H = T + U - h v F / 2 of a mode, h being the step, while T + U comes to H / (1 - r) at a

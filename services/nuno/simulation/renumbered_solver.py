@@ -10,7 +10,7 @@ from nuno_schemas.fabric import Int, State
 from nuno_schemas.system import Forces, Touched
 
 
-class Ordered:
+class RenumberedSolver:
     """Stands for an integrator (nuno_schemas.plugin.Integrator) wherever that is given a state: of systems whose fabric
     is renumbered, by `numbers` (n,), for states that are not.
 

@@ -26,7 +26,7 @@ from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.changing import Changing
 from nuno.simulation.coarse_start import settle
 from nuno.simulation.costs import Costs, Moment, Stage
-from nuno.simulation.energy_growth import FINER, Growth, internal
+from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
 from nuno.simulation.operations import carry
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.solver_selection.cloth import decide
@@ -44,7 +44,7 @@ SETTABLE = ("gravity", "damping", "forces")
 RELAXATION = "relaxation"
 """Array of the memory that damping which finds its own strength goes on from."""
 ENERGY = "energy"
-"""What `Growth.account` is called in a checkpoint."""
+"""What `EnergyGrowth.account` is called in a checkpoint."""
 
 
 class Simulation(Changing):
@@ -87,7 +87,7 @@ class Simulation(Changing):
         self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
         self.limit: StepLimit
-        self.growth: Growth | None
+        self.growth: EnergyGrowth | None
         """None before the first frame, and after what changes the cloth or what acts on it."""
         self._prepare({})
         for operation in (one.plugin for one in self.loaded.operations if not arranges(one.plugin)):
@@ -222,7 +222,7 @@ class Simulation(Changing):
         if self.loaded.integrator.plugin.explicit and not scene.allow_unstable:
             slow = REST_SPEED * self._size + float(np.linalg.norm(scene.gravity)) / scene.frame_rate
             least = 0.5 * float(self.fabric.mass[~self.fabric.pinned].sum()) * slow * slow
-            self.growth = Growth(self.measure(self.poses).energy, self.dt / self.limit.dt, least)
+            self.growth = EnergyGrowth(self.measure(self.poses).energy, self.dt / self.limit.dt, least)
 
     def _watch(self, poses: tuple[Poses, Poses] | None, unmoved: bool) -> Moment | None:
         """What a frame begins with in which more than gravity may do work, where the energy is watched."""

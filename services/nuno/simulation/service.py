@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nuno import registry
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.pending_reply import Asked, Refused, pauses
+from nuno.bus.pending_reply import PendingReply, Refused, pauses
 from nuno.bus.sessions import PATIENCE
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.start_checks import start_warnings
@@ -29,7 +29,7 @@ from nuno.simulation.run import Simulation
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
 from nuno.stepping.resimulation import resume
 from nuno.stepping.stepper import Stepped
-from nuno.stepping.watchdog import Attendant
+from nuno.stepping.watchdog import FrameWatchdog
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES
@@ -48,12 +48,12 @@ def ask_geometry(context: Context) -> Geometry:
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 
-def ask_poses(context: Context, frame: int) -> Asked:
+def ask_poses(context: Context, frame: int) -> PendingReply:
     """Ask for a frame's poses now."""
     return context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), PATIENCE)
 
 
-def take_poses(context: Context, frame: int, asked: Asked) -> Poses:
+def take_poses(context: Context, frame: int, asked: PendingReply) -> Poses:
     """The poses of a frame that were asked for, waited for; it is said where that takes long.
 
     The service answers between two measurements, which on a busy machine take their time; and what is asked ahead
@@ -78,7 +78,7 @@ class PosesAhead:
         self._context, self._frames = context, context.loaded.scene.frames
         self._ahead = 0 if context.loaded.live else WINDOW
         """Frames beyond the next; of bodies that are told where to be none is known yet."""
-        self._coming: deque[Asked] = deque()
+        self._coming: deque[PendingReply] = deque()
 
     def there(self, frame: int) -> bool:
         """Whether those of the next frame have come; they are asked for where they have not been yet. Raises Refused
@@ -110,7 +110,7 @@ than the end of the run may take."""
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and answers control."""
 
-    def __init__(self, context: Context, simulation: Simulation, attendant: Attendant) -> None:
+    def __init__(self, context: Context, simulation: Simulation, attendant: FrameWatchdog) -> None:
         super().__init__(context, simulation, attendant)
         self.simulation = simulation
         self.bodies = PosesAhead(context)
@@ -323,7 +323,7 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
 
-    attendant = Attendant(context)
+    attendant = FrameWatchdog(context)
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads, attendant.leave)
     if geometry is not None:
         simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))

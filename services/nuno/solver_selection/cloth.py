@@ -20,7 +20,7 @@ from nuno.process import attended
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno.scene.step import MOST_STEPS
 from nuno.solver_selection.budget import Budget, Spent
-from nuno.solver_selection.selection import PROMISE, Found, written
+from nuno.solver_selection.selection import PROMISE, Selection, written
 from nuno.solver_selection.trials import Method, Trials
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import AUTO, Accuracy
@@ -72,7 +72,7 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
     if start is None and scene.solver.plugin != AUTO:
         remedy = "give a dt and allow_unstable: true, or use another solver"
         raise loaded.at("solver.plugin", BadInput("no step is stable for this solver on this scene", remedy=remedy))
-    trials, found, over = _trials(loaded, system, bodies, start, budget), list[Found](), ""
+    trials, found, over = _trials(loaded, system, bodies, start, budget), list[Selection](), ""
     try:
         _try_all(loaded, trials, start, accuracy, found)
     except Spent:
@@ -81,7 +81,7 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
         best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
         why = "; ".join(filter(None, (_reason(trials, best, found, accuracy), over)))
     elif start is not None:
-        best = Found(start.name, start.fewest, math.inf, start.fewest)
+        best = Selection(start.name, start.fewest, math.inf, start.fewest)
         why = f"{accuracy}: {best.said[0]}, which are stable; how far they are off is not known, {over}"
     else:
         remedy = "--budget 10min, or name one: solver: {plugin: tr_bdf2, dt: auto}"
@@ -139,7 +139,7 @@ def _reads_velocity(system: System) -> bool:
     return damped or system.damping != 0.0 or bool(system.terms)
 
 
-def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, found: list[Found]) -> None:
+def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, found: list[Selection]) -> None:
     """Into `found` methods from the cheapest step on, until one has nothing to gain. Raises Spent."""
     promise = PROMISE[accuracy]
     if start is not None:
@@ -171,11 +171,11 @@ def _others(system: System, start: Method | None) -> list[str]:
     return [*((KICKED,) if soft else ()), *(() if contact else HIGHER), *((IMPLICIT,) if stiff else ())]
 
 
-def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> Found:
+def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> Selection:
     """The fewest steps a frame that keep the promise, or how far the method gets for less than `cheapest`."""
 
-    def found(steps: int, error: float, tried: bool = True) -> Found:
-        return Found(method.name, steps, error, math.ceil(steps * method.evaluations), tried)
+    def found(steps: int, error: float, tried: bool = True) -> Selection:
+        return Selection(method.name, steps, error, math.ceil(steps * method.evaluations), tried)
 
     steps, order = method.fewest, method.plugin.order
     error = trials.error(method, steps)
@@ -191,7 +191,7 @@ def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> 
     return found(steps, error)
 
 
-def _reason(trials: Trials, best: Found, found: list[Found], accuracy: Accuracy) -> str:
+def _reason(trials: Trials, best: Selection, found: list[Selection], accuracy: Accuracy) -> str:
     promise, (steps, error) = PROMISE[accuracy], best.said
     text = f"{accuracy}: with {steps} positions are off by {error} of the cloth's size, {promise:g} was asked for"
     text += ", and no method keeps that" if best.error > promise else ""

@@ -24,7 +24,7 @@ from nuno.dye.supply import ROUNDING, first_step
 from nuno.formatting import many
 from nuno.scene.scene_file import FIRST_DYE, Loaded
 from nuno.solver_selection.budget import Budget, Spent
-from nuno.solver_selection.selection import PROMISE, Found, written
+from nuno.solver_selection.selection import PROMISE, Selection, written
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.solver import AUTO
@@ -123,18 +123,18 @@ def decide_dye(loaded: Loaded, budget: Budget) -> Loaded:
     explicit = DyeRun(_written(loaded, FIRST_DYE), 1)
     first = _first_on_time(explicit)
     stable = first * -(-explicit.steps // first)
-    long: Found | str = budget.over
+    long: Selection | str = budget.over
     plain, trials = long, DyeTrials(loaded, explicit.steps * explicit.dt, 1, first, budget)
     with suppress(Spent):
         trials = _begin_trials(loaded, explicit, first, stable, budget)
         long = _settle(trials, LONG, first, PROMISE[accuracy])
         plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
-    best, other = (plain, long) if isinstance(plain, Found) else (long, plain)
+    best, other = (plain, long) if isinstance(plain, Selection) else (long, plain)
     if isinstance(best, str):
         why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
         return _written(loaded, FIRST_DYE, trials.frame / stable, why)
     tried = f" (tried on {trials.frames} of {scene.frames} frames)" if trials.frames < scene.frames else ""
-    if isinstance(other, Found):
+    if isinstance(other, Selection):
         other = f"{other.name} would take {other.cost:.3g}"
     steps, error = best.said
     why = (
@@ -192,7 +192,7 @@ def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int, bud
     return pilot if frames == 1 else DyeTrials(loaded, frame, frames, first, budget)
 
 
-def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Found | str:
+def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Selection | str:
     """The fewest steps a frame, doubled from `first` on, that keep the promise; or why none do for less than
     `cheapest` explicit steps a frame.
     """
@@ -203,7 +203,7 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
             if cost >= cheapest:
                 return f"{name} would take {cost:.3g} or more"
             if error <= promise:
-                return Found(name, steps, error, cost)
+                return Selection(name, steps, error, cost)
             if trials.work > MOST_WORK:
                 break
             steps, before = 2 * steps, error
@@ -218,14 +218,14 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
     cost *= times ** (1.0 / ORDER[name])
     if cost >= cheapest:
         return f"{name} would take {cost:.3g} or more"
-    return Found(name, times * steps, promise, cost, tried=False)
+    return Selection(name, times * steps, promise, cost, tried=False)
 
 
 def _settle_explicit(
-    trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: Found | str
-) -> Found | str:
+    trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: Selection | str
+) -> Selection | str:
     """The same of explicit steps, where they may cost less than what else there is, and can be tried."""
-    cheapest = long.cost if isinstance(long, Found) else math.inf
+    cheapest = long.cost if isinstance(long, Selection) else math.inf
     if stable >= cheapest:
         return f"{FIRST_DYE} would take {stable} or more"
     work = _stages(explicit, float(EXPLICIT_TRIAL * stable * trials.frames))

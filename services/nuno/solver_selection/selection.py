@@ -20,7 +20,7 @@ of the largest amount at the end of any frame."""
 
 
 @dataclass(frozen=True)
-class Found:
+class Selection:
     """A solver with the steps a frame that it needs, its error there [sizes, or largest amounts], and its cost a frame
     [evaluations of the forces, or explicit steps]; `tried` is False where the error follows from fewer steps by the
     order of the method.

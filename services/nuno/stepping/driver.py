@@ -16,12 +16,12 @@ from pydantic import ValidationError
 from nuno.bus.encodings import encode_arrays
 from nuno.bus.messages import Inbox, Message
 from nuno.bus.pending_reply import WAITING_AFTER
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.recorded import Checkpoint
 from nuno.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
 from nuno.stepping.stepper import Stepped, Stepper
-from nuno.stepping.watchdog import Attendant
+from nuno.stepping.watchdog import FrameWatchdog
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 
@@ -71,7 +71,7 @@ class Clock:
 # What frames tell on the bus: their status, their arrays, and checkpoints.
 
 
-class Teller(ABC):
+class FramePublisher(ABC):
     """Publishes what is stepped."""
 
     def __init__(self, context: Context, stepper: Stepper) -> None:
@@ -142,13 +142,15 @@ OVER = ("stopped", "failed")
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
-class Driver(Teller):
+class Driver(FramePublisher):
     """Steps cloth or dye frame by frame, publishes it and answers control."""
 
     every = 1
     """Frames from one whose arrays are published to the next."""
 
-    def __init__(self, context: Context, stepper: Stepper, attendant: Attendant, follows: Topic | None = None) -> None:
+    def __init__(
+        self, context: Context, stepper: Stepper, attendant: FrameWatchdog, follows: Topic | None = None
+    ) -> None:
         """`follows` is the topic of the leader's statuses, None for the leader; `attendant` has looked after the
         preparation.
         """
@@ -166,7 +168,7 @@ class Driver(Teller):
         self.state = "paused"
         self.until: int | None = None
         """Frame at which a run that was told to step pauses again."""
-        self.finish: Question | None = None
+        self.finish: Query | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
         self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
@@ -209,11 +211,11 @@ class Driver(Teller):
                     self._note(Ack.model_validate_json(item.payload), item)
             except ValidationError:
                 self.inbox.refuse(item)
-        elif isinstance(item, Question) and item.name.startswith(CONTROL):
+        elif isinstance(item, Query) and item.name.startswith(CONTROL):
             item.answer_json(self.control(item.json()))
-        elif isinstance(item, Question) and item.name in self.answers:
+        elif isinstance(item, Query) and item.name in self.answers:
             item.answer(self.answers[item.name]())
-        elif isinstance(item, Question) and asks_to_finish(self.inbox, item):
+        elif isinstance(item, Query) and asks_to_finish(self.inbox, item):
             self.finish = item
         elif timeout > 0:
             self.context.require_supervisor()

@@ -42,7 +42,7 @@ def resume(stepper: Stepper, path: Path) -> None:
         take_up(stepper, recording, point)
 
 
-class Again:
+class Resimulation:
     """Cloth or dye of a recording, at whichever frame it is stepped to."""
 
     def __init__(self, recording: Recording, stepper: Stepper, start: Recorded | None = None) -> None:

@@ -17,7 +17,7 @@ import psutil
 from numpy.typing import NDArray
 
 from nuno.formatting import factor, megabytes, roughly
-from nuno.plugin_contract.values import Wrong, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
@@ -164,10 +164,12 @@ class Stepper(ABC):
         with fitting(self.loaded):
             steps, dt = int(point.text["steps"]), float(point.text["dt"])
             if point.frame < 0 or not math.isclose(point.t * self.loaded.scene.frame_rate, point.frame, abs_tol=1e-6):
-                raise Wrong(f"the checkpoint's frame {point.frame} is not at t = {point.t:g} s")
+                raise ContractError(f"the checkpoint's frame {point.frame} is not at t = {point.t:g} s")
             whole = self.steps * self.dt
             if not (0 < steps <= FINEST * self.steps and math.isclose(steps * dt, whole, rel_tol=1e-9)):
-                raise Wrong(f"the checkpoint's {steps} steps of dt = {dt:g} s are no frame, which is {whole:g} s")
+                raise ContractError(
+                    f"the checkpoint's {steps} steps of dt = {dt:g} s are no frame, which is {whole:g} s"
+                )
 
     def take_over(self, point: Checkpoint) -> None:
         """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit, before any of
@@ -214,19 +216,19 @@ def fitting(loaded: Loaded) -> Iterator[None]:
         yield
     except BadInput:
         raise
-    except (Wrong, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (ContractError, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         text = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         problem, remedy = f"the recording is damaged: {text}", "take another copy, or run its scene again"
         raise BadInput(problem, loaded.file, remedy=remedy) from None
 
 
 def check_kept(memory: Memory, given: Arrays) -> None:
-    """Raises Wrong for entries out of the bounds that a solver gives for its memory: see `Memory.bounds`."""
+    """Raises ContractError for entries out of the bounds that a solver gives for its memory: see `Memory.bounds`."""
     for name, values in given.items():
         if name in memory.bounds:
             check_array(MEMORY + name, values, values.dtype.type, values.shape, memory.bounds[name])
         elif name in memory.arrays and values.dtype.kind in "iu":
-            raise Wrong(f"{MEMORY}{name} holds integers that its solver gives no bounds for, in Memory.bounds")
+            raise ContractError(f"{MEMORY}{name} holds integers that its solver gives no bounds for, in Memory.bounds")
 
 
 def require_memory(loaded: Loaded, field: str, number: int, noun: str, size: int, remedy: str) -> None:

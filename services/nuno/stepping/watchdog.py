@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.service import Context
 
 PATIENCE = 0.3
@@ -28,7 +28,7 @@ LATEST = 50
 """Frames whose median that is."""
 
 
-class Attendant:
+class FrameWatchdog:
     """A thread that looks after one service's steps, from its start to `close`."""
 
     def __init__(self, context: Context) -> None:
@@ -44,7 +44,7 @@ class Attendant:
         """What holds the present frame, in words, as far as the solver knows."""
         threading.Thread(target=self._look, name=f"{context.bus.service} attendant", daemon=True).start()
 
-    def hear(self, question: Question) -> None:
+    def hear(self, question: Query) -> None:
         """Note a question that ends the run, from whichever thread it arrives in."""
         if question.name.startswith("finish/") or question.json().get("action") == "stop":
             self._asked = self._asked or time.monotonic()

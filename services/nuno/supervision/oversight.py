@@ -13,7 +13,7 @@ from nuno.bus.health import offer_health
 from nuno.bus.liveliness import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import identity
-from nuno.bus.slow_consumers import Laggards
+from nuno.bus.slow_consumers import SlowConsumers
 from nuno.consistency import check_premises
 from nuno.process import SIGNALS
 from nuno.scene.coarse_scene import coarser
@@ -118,7 +118,7 @@ class Supervisor:
         """What was wrong with it as services finished."""
         self.unrecorded: dict[str, int] = {}
         """Messages of each topic that came before the recorder was known to listen: it may have missed them."""
-        self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
+        self.laggards = SlowConsumers(session, {identity(run, name): name for name in plan.services})
         self.silence = Silence(self.bus, plan.leader)
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""

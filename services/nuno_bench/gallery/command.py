@@ -13,7 +13,7 @@ from pathlib import Path
 
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
-from nuno.runtime_estimate import Pace, run_seconds
+from nuno.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.templates.garments import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
@@ -56,12 +56,12 @@ def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
     """See main."""
     others = machine.Others()
     paths = choose(kind, args.scenes)
-    number, shown, pace = len(paths), list[Shown](), Pace({path.stem: 1.0 for path in paths})
+    number, shown, pace = len(paths), list[Shown](), RuntimeEstimate({path.stem: 1.0 for path in paths})
     if not kind.alike:
         print(
             f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True
         )
-        pace = Pace({})
+        pace = RuntimeEstimate({})
         for path in paths:
             try:
                 pace.expected[path.stem] = run_seconds(scene_file.read(path))

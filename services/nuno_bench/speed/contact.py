@@ -21,7 +21,7 @@ from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import is_thorough, pass_by
-from nuno_contact.offset.contact_state import Meeting
+from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.impulse import SWEEPS, brake, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
@@ -212,7 +212,7 @@ class Parts:
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
-        own, a = packed._replace(forces=tuple(m if isinstance(f, Meeting) else f for f in packed.forces)), v.copy()
+        own, a = packed._replace(forces=tuple(m if isinstance(f, ContactState) else f for f in packed.forces)), v.copy()
         alone, cloth, rates = silence(own, "cloth_contact"), x[:, : len(state.v)].copy(), v[:, : len(state.v)].copy()
         forces = fastest_call(lambda: evaluate(cloth, rates, 0.0, a, own, None))
         forces -= fastest_call(lambda: evaluate(cloth, rates, 0.0, a, alone, None))
@@ -240,8 +240,8 @@ class Parts:
         return work.packed
 
     @property
-    def _meeting(self) -> Meeting:
-        (meeting,) = (term for term in self._packed.forces if isinstance(term, Meeting))
+    def _meeting(self) -> ContactState:
+        (meeting,) = (term for term in self._packed.forces if isinstance(term, ContactState))
         return meeting
 
 

@@ -10,7 +10,7 @@ from nuno import registry
 from nuno.cloth.build import Piece
 from nuno.cloth.numbering import find_numbers, renumber
 from nuno.scene import scene_file, shipped
-from nuno.simulation.renumbered_solver import Ordered
+from nuno.simulation.renumbered_solver import RenumberedSolver
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
 from nuno_bench.problem.observe import run_own
@@ -82,7 +82,7 @@ def stepping(what: str, fabric: Fabric, steps: int, integrator: str = "symplecti
     system, state = meshes.system_of(fabric)
     numbers = find_numbers(fabric, [Piece("cloth", 0, fabric.number)])
     if numbers is not None:
-        plugin, system = Ordered(plugin, numbers), replace(system, fabric=renumber(fabric, numbers))
+        plugin, system = RenumberedSolver(plugin, numbers), replace(system, fabric=renumber(fabric, numbers))
     memory = plugin.prepare(config, system, state)
 
     def advance() -> None:

@@ -14,7 +14,7 @@ import yaml
 
 from nuno.bus.encodings import BadMessage, encode_picture
 from nuno.bus.messages import Bus, Inbox
-from nuno.bus.query import Question
+from nuno.bus.query import Query
 from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
@@ -25,7 +25,7 @@ from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver
-from nuno.stepping.watchdog import Attendant
+from nuno.stepping.watchdog import FrameWatchdog
 from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, PICTURE, TOPICS, Ack, Header
@@ -160,7 +160,7 @@ def _message(name: str, folder: Path) -> Read:
     return read
 
 
-def _asked(make: Callable[[Context], Callable[[Question], None]], folder: Path) -> Read:
+def _asked(make: Callable[[Context], Callable[[Query], None]], folder: Path) -> Read:
     """A service that answers every question, whatever it is; made anew now and then."""
     state: dict[str, Any] = {"left": 0, "answer": None}
 
@@ -169,17 +169,17 @@ def _asked(make: Callable[[Context], Callable[[Question], None]], folder: Path) 
             state.update(left=FRESH, answer=make(_context()))
         state["left"] -= 1
         query = Answered(data)
-        state["answer"](Question("question", "key", query))  # type: ignore[arg-type]
+        state["answer"](Query("question", "key", query))  # type: ignore[arg-type]
         require(len(query.answers) == 1, "one answer to each question")
 
     return read
 
 
-def _control(context: Context) -> Callable[[Question], None]:
+def _control(context: Context) -> Callable[[Query], None]:
     simulation = Simulation(context.loaded, None, None, 1)
-    driver = ClothDriver(context, simulation, Attendant(context))
+    driver = ClothDriver(context, simulation, FrameWatchdog(context))
 
-    def answer(question: Question) -> None:
+    def answer(question: Query) -> None:
         said = driver.control(question.json())
         question.answer_json(said)
         json.dumps(said, allow_nan=False)
@@ -189,17 +189,17 @@ def _control(context: Context) -> Callable[[Question], None]:
     return answer
 
 
-def _finish(context: Context) -> Callable[[Question], None]:
+def _finish(context: Context) -> Callable[[Query], None]:
     inbox = Inbox(context.bus, [])
 
-    def answer(question: Question) -> None:
+    def answer(question: Query) -> None:
         if asks_to_finish(inbox, question):
             question.answer_json({})
 
     return answer
 
 
-def _poses(context: Context) -> Callable[[Question], None]:
+def _poses(context: Context) -> Callable[[Query], None]:
     return Collision(context, build_bodies(context.loaded), Inbox(context.bus, [])).answer
 
 
@@ -220,7 +220,7 @@ def _page(folder: Path) -> Read:
     return read
 
 
-def _question(name: str, make: Callable[[Context], Callable[[Question], None]], follows: tuple[str, ...]) -> Kind:
+def _question(name: str, make: Callable[[Context], Callable[[Query], None]], follows: tuple[str, ...]) -> Kind:
     return Kind(f"question {name}", lambda folder: _texts(name), partial(_asked, make), mutate_json, follows)
 
 
