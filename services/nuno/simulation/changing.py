@@ -251,7 +251,7 @@ class Changing(Stepper):
             self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
 
     def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
-        """Whether another fabric is stepped now. Raises ContractError or whatever else a damaged checkpoint leads to."""
+        """Whether another fabric is stepped now. Raises ContractError or whatever else a broken checkpoint leads to."""
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         # The solver's memory is in the order that the recording was stepped in, none where that had no other.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
