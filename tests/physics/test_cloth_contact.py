@@ -54,6 +54,7 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     assert held() == before
 
 
+@pytest.mark.full
 def test_a_wider_list_has_the_pairs_of_a_narrower_in_the_same_order() -> None:
     """In which constraints are solved: what rests would creep if another list had them in another."""
     pile = Pile(*piles.stack(), dt=1e-3)
