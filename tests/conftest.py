@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import importlib
 import os
+import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 gc.set_threshold(1_000_000, 50, 1000)  # between files garbage is collected once: see `_settle`
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+settings.register_profile("quick", max_examples=60)
+settings.register_profile("full", max_examples=400)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Of random examples quick tests try fewer."""
+    settings.load_profile("quick" if config.getoption("markexpr") == "not full" else "full")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Where workers run all tests, import their files in another order in each worker.
+
+    Python and pytest compile each file that is new. Workers that go through the files in one order all compile every
+    one at the same time; so each compiles its share, and finds what others have compiled.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None or session.config.args != session.config.getini("testpaths"):
+        return
+    paths = sorted(Path(__file__).parent.rglob("test_*.py"))
+    first = len(paths) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+    sys.path[:0] = sorted({str(path.parent) for path in paths}, reverse=True)
+    for path in paths[first:] + paths[:first]:
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # said when it is collected
+            importlib.import_module(path.stem)
 
 
 @pytest.fixture(scope="session")

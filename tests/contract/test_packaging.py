@@ -70,6 +70,7 @@ def test_a_wheel_is_small(wheel: Path) -> None:
     assert wheel.stat().st_size < LARGEST
 
 
+@pytest.mark.full
 def test_a_source_distribution_builds_the_same_wheel_from_itself(wheel: Path, tmp_path: Path) -> None:
     source = build("sdist", tmp_path / "source")
     with tarfile.open(source) as packed:

@@ -382,13 +382,13 @@ PLACES = st.sampled_from(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(deadline=None, derandomize=True)
 @given(st.one_of(st.text(max_size=40), st.text("{}[]:,-?&*!|>'\"%@ \nab1", max_size=40)))
 def test_any_text_is_read_or_refused(text: str) -> None:
     reads_or_refuses(text)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(deadline=None, derandomize=True)
 @given(PLACES, VALUES)
 def test_any_value_anywhere_is_read_or_refused(place: str, value: object) -> None:
     data = yaml.safe_load(yaml.safe_dump(GOOD))
@@ -400,7 +400,7 @@ def test_any_value_anywhere_is_read_or_refused(place: str, value: object) -> Non
     reads_or_refuses(yaml.safe_dump(data, allow_unicode=True))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(deadline=None, derandomize=True)
 @given(st.one_of(st.text(max_size=30), st.builds("{}={}".format, PLACES, st.text("{}[]:,!&*ab1. ms", max_size=20))))
 def test_any_override_is_taken_or_refused(item: str) -> None:
     reads_or_refuses(yaml.safe_dump(GOOD), item)

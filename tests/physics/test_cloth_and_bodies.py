@@ -107,7 +107,7 @@ def test_bodies_that_move_push_cloth_before_them(solver: str) -> None:
 
 @pytest.mark.quick(solver=["respa"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "respa", "xpbd"])
-@pytest.mark.parametrize("shape", [CUBE, BALL], ids=["cube", "ball"])
+@pytest.mark.parametrize("shape", [CUBE, pytest.param(BALL, marks=pytest.mark.full)], ids=["cube", "ball"])
 def test_taut_cloth_comes_to_rest_on_a_body(shape: Shape, solver: str) -> None:
     """Held all round, and pushed up by 3 cm, it pulls harder than contact resists, and vertices are held off the body
     step by step. Each time they set out with no more velocity than they came with; else 1 to 2 m/s are left for good.

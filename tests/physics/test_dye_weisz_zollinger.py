@@ -146,7 +146,7 @@ def test_below_the_bend_it_is_the_capped_coefficient(name: str) -> None:
     assert np.abs(ours.phi - other.phi).max() < 1e-9
 
 
-@pytest.mark.quick(name=["explicit"])
+@pytest.mark.full
 @pytest.mark.parametrize("name", SOLVERS)
 def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(name: str) -> None:
     cells = resisted(12, 13)

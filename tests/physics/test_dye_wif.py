@@ -211,7 +211,7 @@ VALUES = st.sampled_from(["", "0", "1", "2,3", ",", ";", "-1", "1e9", "16384", "
 KEYS = st.sampled_from(sorted({line.split("=")[0] for line in LINES if "=" in line}))
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     base=st.sampled_from([FLOOR_LOOM, DOBBY, SINKING]),
     changes=st.lists(st.tuples(st.integers(0, 10**6), st.sampled_from("dsir"), KEYS, VALUES), max_size=6),
@@ -244,7 +244,7 @@ def test_any_other_file_is_read_or_refused(
         assert yarns.colour is None or (yarns.colour.shape == (number, 3) and (yarns.colour >= 0).all())
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.binary(max_size=300))
 def test_any_bytes_are_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "bytes.wif"

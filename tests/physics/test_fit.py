@@ -148,7 +148,7 @@ def test_an_opening_is_round_the_edges_that_the_check_tells(tmp_path: Path, shar
     for name, data in drawn.items():
         (tmp_path / f"{name}.json").write_text(json.dumps(data))
         said = Pattern().check_pattern(SceneFiles(tmp_path), f"{name}.json", 2.0).openings
-        for edge in ("1.5 cm", "4 cm"):
+        for edge in ("2.5 cm", "5 cm"):
             config = PatternConfig.model_validate({"file": f"{name}.json", "edge": edge, "fabric": "denim"})
             fabric = Pattern().build(config, SceneFiles(tmp_path), 0)
             assert fabric.membrane is not None and fabric.corners is not None

@@ -173,7 +173,7 @@ def off_skin(curves: YarnCurves, x: Float, faces: Int) -> float:
     return float(curves.radius[0] - found.distance.min())
 
 
-@pytest.mark.quick(low=[0.12])
+@pytest.mark.full
 @pytest.mark.parametrize(("low", "high"), [(0.12, 0.7), (0.01, 0.7)])
 def test_no_sample_lies_in_the_leg(low: float, high: float) -> None:
     """Yarns of a radius, not lines: what is in the way is the skin moved out by it."""

@@ -114,6 +114,7 @@ def starts_outside(loaded: scene_file.Loaded) -> None:
     assert carried.local == pytest.approx(fabric.position[fabric.pinned], abs=1e-12)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("fields", CUTS, ids=str)
 def test_it_starts_outside_of_a_mannequin_and_goes_with_it(fields: dict[str, object], tmp_path: Path) -> None:
     """Arms too: they hang where the widest ones would begin."""

@@ -78,7 +78,7 @@ def test_girths_that_leave_no_room_are_refused_by_name() -> None:
         MeshConfig.model_validate({"shape": "leg", "arms": 1.0})
 
 
-@pytest.mark.quick(resolution=[64])
+@pytest.mark.full
 @pytest.mark.parametrize(("resolution", "arms"), [(64, 45.0), (72, 55.0)])
 def test_a_person_is_closed_and_has_the_girths_of_torso_and_leg(resolution: int, arms: float) -> None:
     """But the neck's, which the chin covers, and on a floor at 0; both legs are as the one that comes by itself."""

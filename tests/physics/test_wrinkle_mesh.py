@@ -26,9 +26,10 @@ def changed(made: Outcome) -> Changed:
     return made.changed
 
 
-def test_whatever_is_drawn_the_mesh_stays_whole() -> None:
-    found = [random_wrinkles.draw(seed) for seed in range(200)]
-    assert found.count("") > 120
+@pytest.mark.parametrize("seeds", [range(80), pytest.param(range(80, 200), marks=pytest.mark.full)], ids=str)
+def test_whatever_is_drawn_the_mesh_stays_whole(seeds: range) -> None:
+    found = [random_wrinkles.draw(seed) for seed in seeds]
+    assert found.count("") > 0.6 * len(seeds)
 
 
 @pytest.mark.parametrize("kind", ["points", "texture"])

@@ -34,6 +34,7 @@ def test_a_scene_of_dye_runs_and_shows_its_dye(path: Path) -> None:
     assert 0.01 < (dyed != bare).any(axis=2).mean() <= 1.0
 
 
+@pytest.mark.full
 def test_what_diffuses_faster_where_it_is_thin_keeps_a_core_and_sends_a_halo() -> None:
     """Of as much dye as the even drop beside it: more at its darkest, and more of it farther than twice the drop."""
     dyeing = DyeRun(scene_file.read(SCENES[NAMES.index("halo")]), 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations_with_replacement, product
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,13 @@ def elements(fabric: Fabric) -> dict[str, Any]:
     return found | ({} if fabric.cells is None else {"cells": fabric.cells})
 
 
+def is_quick(parameters: Mapping[str, Any]) -> bool:
+    """Each model twice, and before and after the one that is next in the list."""
+    one, other = (list(MODELS).index(name) for name in parameters["names"])
+    return abs(one - other) <= 1
+
+
+@pytest.mark.quick.with_args(is_quick)
 @pytest.mark.parametrize("names", list(product(MODELS, repeat=2)), ids=" and ".join)
 def test_what_two_objects_are_made_of_is_what_each_is_made_of(names: tuple[str, str], folder: Path) -> None:
     loaded = load(folder, names)

@@ -177,6 +177,7 @@ def test_a_run_that_was_too_short_keeps_what_it_can_go_on_from(tmp_path: Path) -
         assert second.report()["state"] == "done" and second.report()["simulated_seconds"] < 59.0
 
 
+@pytest.mark.full
 def test_a_resumed_fit_goes_on_in_the_same_bits() -> None:
     simulation, poses = prepare()
     for _ in range(4):

@@ -20,6 +20,7 @@ def test_nobody_gets_in_without_the_certificate_for_it() -> None:
     assert len(results) >= 15
 
 
+@pytest.mark.full
 def test_without_access_control_the_same_attempts_succeed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(roles: Any) -> dict[str, Any]:
         return {"enabled": False}

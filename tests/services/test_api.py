@@ -78,6 +78,7 @@ def test_refusals_speak_of_the_calls_own_arguments(fault: str, tmp_path: Path) -
     assert "scene.yaml" not in said
 
 
+@pytest.mark.full
 def test_services_in_processes_call_the_scene_as_the_caller_does(tmp_path: Path) -> None:
     with pytest.raises(BadInput) as caught:
         nuno.run(CHAIN, roots=[tmp_path], processes=True)

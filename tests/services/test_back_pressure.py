@@ -154,7 +154,7 @@ def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypat
     over = threading.Event()
     monkeypatch.setattr(Recorder, "handle", lambda recorder, message: over.wait(5.0))
     watched = Watched(tmp_path)
-    threading.Timer(1.5, over.set).start()
+    threading.Timer(1.0, over.set).start()
     outcome = watched.supervise()
     assert outcome.state == "failed"
     assert outcome.error == "the run gave up: the recorder service has not acknowledged frame 0 within 0.3 s"
@@ -170,7 +170,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
     def slow(simulation: Simulation) -> Stepped:
         if simulation.frame == 5:
             signal.raise_signal(signal.SIGINT)
-            over.wait(3.0)
+            over.wait(1.5)
         return real(simulation)
 
     monkeypatch.setattr(Simulation, "step", slow)

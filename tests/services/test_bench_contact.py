@@ -76,6 +76,7 @@ def crossing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "Simulation", Counted)
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("crossing")
 def test_what_passes_through_is_seen_named_kept_and_ends_the_command_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

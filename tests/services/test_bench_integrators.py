@@ -82,6 +82,7 @@ def test_a_run_that_is_no_longer_finite_has_run_away() -> None:
     assert lost.runaway == pytest.approx(0.7)
 
 
+@pytest.mark.full
 def test_same_run_twice_is_the_same_and_bones_differ_in_pieces() -> None:
     path = shipped.find("skirt-paper")
     runs = [

@@ -123,6 +123,7 @@ def test_engine_that_breaks_while_it_repeats_keeps_what_it_has(sheet: Sheet, fak
     assert "signal SIGSEGV" in point.remark
 
 
+@pytest.mark.full
 def test_engine_whose_starter_was_killed_ends_by_itself(fakes: None) -> None:
     code = "from multiprocessing import Pipe; from nuno_bench.peers.process import work; "
     code += "work(Pipe()[1], 'fake_engines', 'Hang', {'after': 0.0}, None, 1, 0.0)"

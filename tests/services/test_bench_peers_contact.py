@@ -152,6 +152,7 @@ def test_another_engine_is_held_against_our_fastest_with_no_more_crossings() -> 
     ]
 
 
+@pytest.mark.full
 def test_page_tells_crossings_and_who_is_left_out(
     pile: Pile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,6 +120,7 @@ class Uncompiled(SymplecticEuler):
         return advance_wrongly
 
 
+@pytest.mark.full
 def test_a_solver_that_fails_ends_itself_and_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

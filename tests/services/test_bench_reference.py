@@ -33,6 +33,7 @@ def test_the_reference_is_the_exact_motion_where_that_is_known(tmp_path: Path) -
         z = step @ z
 
 
+@pytest.mark.full
 def test_an_oscillator_can_be_predicted_for_the_whole_run(tmp_path: Path) -> None:
     """No part of a disturbance of a linear system grows beyond the condition of its modes."""
     problem = problem_of(write_net(tmp_path, duration=20))

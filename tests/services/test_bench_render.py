@@ -20,6 +20,7 @@ def test_the_stocking_lies_on_the_leg_with_all_its_links() -> None:
     assert worn.yarns is not None and (worn.yarns.radius == render_speed.RADIUS).all()
 
 
+@pytest.mark.full
 def test_seconds_and_rays_are_of_the_same_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     small = render_speed.stocking(12)
     monkeypatch.setattr(render_speed, "stocking", lambda: small)

@@ -122,6 +122,7 @@ def test_estimates_the_error_of_a_step(tmp_path: Path) -> None:
         assert trials.error(method, 8) == pytest.approx(real, rel=0.1)
 
 
+@pytest.mark.full
 def test_the_error_of_kicks_is_seen(tmp_path: Path) -> None:
     """Of wind that is kicked once a frame: where the step alone is halved, each kick stands as long."""
     (tmp_path / "random.yaml").write_text(json.dumps(random_scene(2)))

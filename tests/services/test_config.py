@@ -69,6 +69,7 @@ def test_control_is_let_in(config: str, capsys: pytest.CaptureFixture[str]) -> N
         assert main(["control", "guarded", "status"]) == 2
 
 
+@pytest.mark.full
 def test_a_replay_asks_for_the_password(config: str, tmp_path: Path) -> None:
     record = tmp_path / "run.mcap"
     nuno.run(write_scene(tmp_path, duration=0.1), record=record)

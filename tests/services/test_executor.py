@@ -108,6 +108,7 @@ def test_no_process_is_left_behind() -> None:
     assert not [kind for kind in kinds if "spawn_main" in " ".join(kind)]
 
 
+@pytest.mark.full
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
     """Though it is killed, and can tell them nothing."""
     marks = [tmp_path / "one", tmp_path / "two"]

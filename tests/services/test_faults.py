@@ -79,6 +79,7 @@ def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> N
         assert next(recording.frames()).number == 0
 
 
+@pytest.mark.full
 def test_a_service_that_dies_as_it_starts_holds_nobody_up(tmp_path: Path) -> None:
     """The others are ready only when the run has failed already, and its supervisor does not wait for them."""
     scene = write_scene(tmp_path, bodies=BALL)

@@ -64,6 +64,7 @@ def test_hinges_that_blow_up_do_so_by_no_solver_unnoticed(case: Path, solver: st
     assert report.status != "ok" or most < 10.0
 
 
+@pytest.mark.full
 def test_an_undamped_swing_that_is_lost_says_why_and_the_remedies_help(case: Path) -> None:
     scene = case / SWING / "scene.yaml"
     _, report, _ = run(scene)

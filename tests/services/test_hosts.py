@@ -88,7 +88,7 @@ def test_a_short_cut_changes_nothing(cut: str, alone: Digests, tmp_path: Path) -
     assert differing(digests(remote.record), alone) == 0
 
 
-@pytest.mark.quick(cut=["supervisor"])
+@pytest.mark.full
 @pytest.mark.parametrize("cut", ["collision", "supervisor"])
 def test_a_long_cut_ends_the_run_which_is_resumed_to_the_same_digests(
     cut: str, alone: Digests, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -17,8 +17,11 @@ from nuno.scene.commented import WIDTH, comment
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno_schemas.scene import Scene
 
+SCENES = sorted(shipped.scenes())
 
-@pytest.mark.parametrize("name", shipped.scenes())
+
+@pytest.mark.quick(name=SCENES[::5])
+@pytest.mark.parametrize("name", SCENES)
 def test_comments_change_nothing(name: str) -> None:
     """And of every plugin and part each field is there, as it is or commented out, with what it does."""
     loaded = scene_file.read(shipped.find(name))

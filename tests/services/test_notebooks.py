@@ -59,6 +59,7 @@ def test_a_notebook_runs(notebook: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert shown[-2:] == [19, pytest.approx(0.4)] and {"gravity", "contact"} <= shown[2].keys()
 
 
+@pytest.mark.full
 def test_the_page_on_python_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     found: dict[str, Any] = {}
     for block in blocks(ROOT / "docs" / "how-to" / "python.md", "python"):

@@ -19,7 +19,7 @@ from nuno.solver_selection.cloth import decide
 from nuno.stepping.driver import Clock
 from nuno_schemas.messages import STATE
 
-DURATION, RATE, PAUSE = 0.5, 25.0, 3.0
+DURATION, RATE, PAUSE = 0.5, 25.0, 1.5
 
 
 def run(folder: Path, *flags: str) -> tuple[float, dict[str, Any], list[str]]:

@@ -16,7 +16,8 @@ from PIL import Image
 from refusals import Refused
 
 from nuno.bus.encodings import decode_picture
-from nuno.bus.messages import Inbox, Message, Question
+from nuno.bus.messages import Inbox, Message
+from nuno.bus.query import Query
 from nuno.cli import main
 from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
@@ -155,7 +156,7 @@ def test_a_sheet_has_no_yarns_to_draw(refused: Refused) -> None:
 def test_a_run_fails_whose_renderer_is_gone_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for pictures while frames come, so that a run may be over before it is missed."""
 
-    def vanish(context: Context, inbox: Inbox, handle: Callable[[Message], None]) -> Question:
+    def vanish(context: Context, inbox: Inbox, handle: Callable[[Message], None]) -> Query:
         with context.bus.alive():
             while not isinstance(item := inbox.get(1.0), Message) or item.header.frame < 5:
                 pass

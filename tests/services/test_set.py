@@ -91,6 +91,7 @@ def test_two_forces_of_one_plugin_are_told_apart_by_their_numbers() -> None:
     assert data == {"forces": [{"plugin": "own"}, {"plugin": "own", "k": 5}, {"plugin": "wind", "k": 6}]}
 
 
+@pytest.mark.full
 def test_wind_that_is_set_is_recorded_resumed_and_verified_to_the_same_bits() -> None:
     """On threads, unrecorded, paused, resumed at a frame before, between or after the changes, and simulated again."""
     assert [change[1] for change in CASES["wind, changed"].changes] == ["set", "set"]

@@ -174,6 +174,7 @@ def test_what_a_recording_has_of_other_triangles_is_not_taken(tmp_path: Path) ->
     np.testing.assert_array_equal(Simulation.with_bodies(loaded).state.x, begin(scene).state.x)
 
 
+@pytest.mark.full
 def test_what_is_wrong_with_the_step_is_told_as_without_coarser_triangles(tmp_path: Path) -> None:
     with pytest.raises(BadInput) as told:
         begin(write(tmp_path, {}, solver={"plugin": "respa", "dt": "10 ms"}))

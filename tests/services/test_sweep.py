@@ -71,6 +71,7 @@ def test_a_run_that_fails_has_its_row_and_leaves_nothing(
     assert not list((tmp_path / "temporary").iterdir())
 
 
+@pytest.mark.full
 def test_processes_find_the_same(roots: list[Path]) -> None:
     digests = [
         [row["digest"] for row in nuno.sweep(CHAIN, {"seed": [1, 2]}, roots=roots, jobs=jobs, side="").rows]

@@ -120,6 +120,7 @@ class Refusing(Explicit):
         return super().prepare(config, system, state)
 
 
+@pytest.mark.quick(case=["balance", "bounds", "resist line", "dye's stated limit"])
 @pytest.mark.parametrize(
     ("kind", "case"),
     [

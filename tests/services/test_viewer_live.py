@@ -81,6 +81,7 @@ def test_a_file_gets_every_frame_and_acknowledges_it(tmp_path: Path) -> None:
     assert (tmp_path / "run.rrd").exists()
 
 
+@pytest.mark.full
 def test_a_hung_viewer_does_not_hold_up_a_run_or_the_file_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
