@@ -155,7 +155,8 @@ def test_messages_with_numbers_that_are_none(name: str, field: str, number: str,
 
 def test_cloth_with_a_vertex_beyond_all_reckoning(tmp_path: Path) -> None:
     (tmp_path / "far.stl").write_text(
-        "solid\nfacet\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\nendfacet\nendsolid\n"
+        "solid\nfacet\nouter loop\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\n"
+        "endloop\nendfacet\nendsolid\n"
     )
     plugin = registry.load("nuno.models", "mesh")
     with pytest.raises(BadInput, match="vertex 0: too far away"):
