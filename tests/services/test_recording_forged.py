@@ -152,7 +152,7 @@ def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value:
     kept |= {name: np.zeros((rows, 3)) for name, rows in {"motion": 6, "spread": 2, "unrest": 2, "last": 3}.items()}
     kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64)}
     term = ContactState(*[None] * len(ContactState._fields))._replace(**kept)
-    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(kept=dict)
+    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(kept=dict, bounds=dict)
     arrays, bounds = _own_arrays(cast(Any, packed), cast(Any, work))
     memory = Memory(arrays, None, bounds)
     check_kept(memory, arrays)

@@ -25,7 +25,7 @@ def read_stl(data: bytes) -> RawMesh:
         kind = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("attribute", "<u2")])
         points = np.frombuffer(data, kind, room, HEADER)["points"].astype(np.float64).reshape(-1, 3)
     elif (text := plain(data)).lstrip()[:5].lower() == b"solid" and b"\0" not in text[:1024]:
-        words = re.findall(rb"(?i)\bvertex\s+(\S+)\s+(\S+)\s+(\S+)(?=\s+(?:vertex|endloop))", text)
+        words = re.findall(rb"(?i)\bvertex\s+(\S+)\s+(\S+)\s+(\S+)(?=\s+(?:vertex|endloop|endfacet))", text)
         if len(words) != 3 * len(re.findall(rb"(?i)\bendfacet\b", text)):
             raise ValueError("it ends within a triangle, or has polygons or vertices of other than three numbers")
         points = np.array(words, dtype="S").astype(np.float64).reshape(-1, 3)
