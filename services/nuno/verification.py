@@ -12,7 +12,7 @@ from itertools import groupby
 import numpy as np
 
 from nuno.bus.encodings import BadMessage
-from nuno.recording.gaps import NOTHING, Lacks, find_lacks
+from nuno.recording.gaps import NOTHING, Lacks, find_lacks, shortcoming
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
@@ -62,7 +62,8 @@ class Verification:
     part is what differs, cloth or dye. difference is None also where digests differ and nothing that is kept up to
     the recording's end shows how. others are versions, the processor and plugins that the recording was made with and
     that are not those here, where it differs. published and kept count what was compared beside the digests: messages
-    of positions or amounts, and checkpoints. lacks is what could not be compared, since it is not there.
+    of positions or amounts, and checkpoints. lacks is what could not be compared, since it is not there; incomplete
+    says why the recording is not complete (cut, damaged, its run terminated), and is empty where it is.
     """
 
     compared: int
@@ -75,6 +76,7 @@ class Verification:
     published: int = 0
     kept: int = 0
     lacks: Lacks = NOTHING
+    incomplete: str = ""
 
 
 def steppers(loaded: Loaded, threads: int = 0) -> dict[str, Callable[[], Stepper]]:
@@ -102,13 +104,14 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
     """
     with restored_scene(recording) as loaded:
         loaded.settled = None  # from the scene alone
-        found = Verification(0, lacks=find_lacks(recording))
+        lacks = find_lacks(recording)
+        found = Verification(0, lacks=lacks, incomplete=shortcoming(recording, lacks))
         for part, make in steppers(loaded, threads).items():
             now = compare(recording, Resimulation(recording, make()), progress)
             dyed = part == "dye" and loaded.scene.moves
             own = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
             kept, published = found.kept + now.kept, found.published + now.published
-            found = replace(own, published=published, kept=kept, lacks=found.lacks)
+            found = replace(own, published=published, kept=kept, lacks=lacks, incomplete=found.incomplete)
             if found.frame is not None:
                 return replace(found, others=_others(recording, loaded))
         return found

@@ -100,7 +100,7 @@ def test_what_is_cut_or_damaged_is_shown_as_far_as_it_goes(desk: Desk) -> None:
     found = ask(desk, "replay", recording="spoilt.mcap")
     times = found["times"]  # of the frame at `end` the state may stand in the chunk before
     assert times == [i / 50.0 for i in range(len(times))] and round(times[-1] * 1e9) in (end, end - 20_000_000)
-    assert "the recording is damaged" in found["says"][0]
+    assert "INCOMPLETE: damaged at byte" in found["says"][0]
     for one in (cut, found):
         last = len(one["times"]) - 1
         head, arrays = frames(desk, one["film"], last, 1)

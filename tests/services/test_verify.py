@@ -57,6 +57,19 @@ def test_a_recording_is_equal_and_says_so(whole: Path, capsys: pytest.CaptureFix
     assert "compared: 26 digests, 26 as published, 5 checkpoints\n" in said.err
 
 
+@pytest.mark.parametrize("lost", [1, 8, 37, 2000])
+def test_a_cut_recording_is_not_vouched_for(
+    lost: int, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`nuno verify copy.mcap && rm original` would lose what the copy lacks."""
+    (cut := tmp_path / "cut.mcap").write_bytes(whole.read_bytes()[:-lost])
+    assert main(["verify", str(cut)]) == 1
+    assert "equal to the last bit" not in capsys.readouterr().out
+    with pytest.warns(UserWarning, match="INCOMPLETE"):
+        found = nuno.verify(cut)
+    assert found.frame is None and found.incomplete
+
+
 def test_frames_between_nanoseconds_are_those_of_their_times(tmp_path: Path) -> None:
     """At 7,001 Hz no frame but the first is at a whole nanosecond."""
     solver = {"plugin": "symplectic_euler", "dt": "auto"}

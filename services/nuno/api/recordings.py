@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
 from nuno.exports import target
+from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import Recording, open_recording
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
@@ -70,24 +72,31 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 def verify(recording: Recorded, threads: int = 0) -> Verification:
     """Simulate a recording again, and compare each frame to the last bit: see `Verification`.
 
-    Raises BadInput for a recording without scene or frames.
+    Warns of a recording that is not complete. Raises BadInput for one without scene or frames.
     """
     from nuno import verification
 
     with in_python(), opened(recording) as found:
+        _warn(found)
         return verification.verify(found, threads)
+
+
+def _warn(recording: Recording) -> None:
+    if why := shortcoming(recording):
+        warnings.warn(f"{recording.path}: {why}", stacklevel=3)
 
 
 def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any) -> list[Path]:
     """Write files of a recording; which, as `nuno export` has it: nuno.export("last", glb="a.glb", frame=30).
 
-    what: fields of nuno.exporting.Asked: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb, usd, rrd,
-    foxglove, ros2, pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are those of
-    --set. Raises BadInput.
+    what: fields of nuno.exporting.ExportRequest: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb,
+    usd, rrd, foxglove, ros2, pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are
+    those of --set. Warns of a recording that is not complete. Raises BadInput.
     """
     from nuno.exporting import ask, write
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"
     with in_python(), opened(recording) as found:
+        _warn(found)
         return write(found, ask(overrides=tuple(as_texts(overrides)), **what))

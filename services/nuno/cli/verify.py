@@ -21,21 +21,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Compare; 1 where the recording differs, or is damaged."""
+    """Compare; 1 where the recording differs, or is cut or damaged."""
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         with restored_scene(recording) as loaded:
             scene = loaded.scene
         with ProgressLine(scene) as progress:
             found = verify(recording, args.threads, progress.show)
-        complete, damage = recording.complete, recording.damage
+        complete, cut = recording.complete, recording.recovered and not recording.growing
     if found.frame is None:
         dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
         kept = f"{found.published:,} as published, {many(found.kept, 'checkpoint')}"
         print(f"compared: {found.compared + found.dyed:,} digests, {kept}", file=sys.stderr)
-        if damage or (complete and str(found.lacks)):  # of any other that is known, and was said
-            why = damage or f"though its end says so; {found.lacks}"
-            print(f"not whole, {why}; what is there is equal", file=sys.stderr)
+        if cut or (complete and str(found.lacks)):  # a run that was stopped has written all that it had
+            why = found.incomplete.removeprefix("INCOMPLETE: ") if cut else f"though its end says so; {found.lacks}"
+            print(f"not whole, {why}; the {found.compared} frames that are there are equal", file=sys.stderr)
             return 1
         print(f"equal to the last bit: {found.compared} frames{dyed}")
         return 0

@@ -25,7 +25,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     """What a run's services counted, in one mapping that JSON can hold."""
     summary, services = outcome.summary, outcome.services
     simulated = float(summary.get("simulated_seconds", 0.0))
-    wall = float(summary.get("wall_seconds", 0.0))
+    wall = float(summary.get("wall_seconds", outcome.seconds.get("run", 0.0)))
     parts = dict(summary.get("seconds", {}))
     solver = loaded.dye.solver if loaded.dye is not None and not loaded.scene.moves else loaded.integrator
     dyer = services.get("dye", {}).get("summary", {}) if loaded.scene.moves else summary

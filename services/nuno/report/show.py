@@ -49,6 +49,8 @@ def lines(report: Report) -> list[tuple[str, str]]:
         if recorded := report["frames"]["recorded"]:
             text = f"{recorded:,} frames are recorded; the service that steps ended, or hung, in the one after them"
             return [*rows, ("time", text)]
+        if wall := report["wall_seconds"]:
+            return [*rows, ("time", f"its services ended {duration(wall)} after its start without an account of it")]
         return [*rows, ("time", f"ended while it was prepared, after {duration(prepared)}")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
