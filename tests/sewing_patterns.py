@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing.assemble import sound
+from nuno_cloth.sewing.assemble import require_sound
 from nuno_cloth.sewing.fields import PatternFile
 from nuno_cloth.sewing.pattern import Pattern
 from nuno_schemas.fabric import Float, Int
@@ -92,7 +92,7 @@ def tube(**changed: Any) -> dict[str, Any]:
 
 
 def read_pattern(files: SceneFiles, name: str) -> Pattern:
-    return sound(files.read(name, PatternFile))
+    return require_sound(files.read(name, PatternFile))
 
 
 def read(folder: Path, data: Mapping[str, Any], name: str = "pattern.json") -> Pattern:

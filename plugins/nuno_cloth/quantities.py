@@ -1,4 +1,4 @@
-"""Types of quantities with units that configurations here use."""
+"""Types of the quantities with units in configurations here."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Annotated
 
 from nuno_schemas.units import Plausible, quantity
 
-# Measured: DrapeTester's cantilever data, whose 5th and 95th percentiles are given. A tenth and ten times of them
-# are still taken, for there are veils and carpets.
+# Measured: 5th and 95th percentiles of DrapeTester's cantilever data. Values from a tenth to ten times of these pass,
+# for veils and carpets.
 FABRICS = "nine in ten of 618 measured fabrics have"
 WEIGHT = Plausible(0.003, 5.0, ("g/m^2",), f"{FABRICS} 0.031 to 0.488")
 BENDING = Plausible(1e-7, 1e-3, ("uN*m", "gf*cm"), f"{FABRICS} 9e-7 to 1.1e-4")

@@ -1,4 +1,4 @@
-"""Types of quantities with units that configurations of dyeing use."""
+"""Types of the quantities with units in configurations of dyeing."""
 
 from __future__ import annotations
 

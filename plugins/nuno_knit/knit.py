@@ -58,9 +58,9 @@ class KnitConfig(Config):
     def _fits_over(self) -> KnitConfig:
         if self.mass is not None and self.frequency is not None:
             raise ValueError("give mass or frequency, not both")
-        given = {"stretch", "centre", "pin"} & self.model_fields_set
-        if self.over is not None and given:
-            raise ValueError(f"a knit over a body takes its place from it: leave {', '.join(sorted(given))} out")
+        conflicting = {"stretch", "centre", "pin"} & self.model_fields_set
+        if self.over is not None and conflicting:
+            raise ValueError(f"a knit over a body takes its place from it: leave {', '.join(sorted(conflicting))} out")
         if self.over is not None and self.form != "tube":
             raise ValueError("only a tube can be drawn over a body: write form: tube")
         return self
@@ -76,19 +76,19 @@ class Knit:
         return structure(config).points
 
     def memory(self, config: KnitConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         return vertices * BYTES_PER_POINT
 
     def yarns(self) -> tuple[Preset, ...]:
-        """Yarns known by name."""
+        """Return the yarns that scenes may name."""
         return list_yarns()
 
     def over(self, config: KnitConfig) -> str | None:
-        """Name of the body that it is drawn over."""
+        """Return the name of the body that it is drawn over, or None."""
         return None if config.over is None else config.over.body
 
     def build(self, config: KnitConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for a tube of fewer than two wales, and for edges of a tube."""
+        """Build the knit. Raises BadInput for a tube of fewer than two wales, and for edges of a tube."""
         net = structure(config)
         legs, arcs = np.full(net.courses, config.spacing[1]), np.full(net.courses + 1, config.spacing[0])
         return self._knit(config, net, place(config, net), net.spread(legs, arcs), _pin(config, net))
@@ -96,8 +96,8 @@ class Knit:
     def build_over(
         self, config: KnitConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
     ) -> Fabric:
-        """The knit over a body's mesh x (v, 3) [m], faces (f, 3), beneath whatever is `worn`. Raises BadInput where it
-        does not fit there.
+        """Build the knit over a body's mesh x (v, 3) [m], faces (f, 3), beneath garments that are `worn`. Raises
+        BadInput if it does not fit.
         """
         assert config.over is not None
         net = structure(config)
@@ -108,7 +108,7 @@ class Knit:
         return self._knit(config, net, fitted.position, net.spread(fitted.legs, fitted.arcs), pinned.reshape(-1))
 
     def _knit(self, config: KnitConfig, net: Structure, position: Float, spacing: Float, pinned: Bool) -> Fabric:
-        """Links of rest lengths (s,) [m], times their yarns' own ratio, between points at `position` (n, 3) [m]."""
+        """Return links between points at `position` (n, 3) [m], with rest lengths (s,) [m] times yarns' ratios."""
         used = [resolve(choice) for choice in config.yarns]
         pairs, springs, yarns = net.pairs(), *knit_yarns(net, used, spacing)
         if config.frequency is not None:
@@ -133,8 +133,8 @@ class Knit:
 
 
 def stiffness_about(points: int, pairs: Int, springs: Springs, yarns: Yarns) -> Float:
-    """(points,) sum of k (1 + 2 mu) over each point's links (s, 2) [N/m]: no point's frequency squared is above twice
-    this over its mass.
+    """Return sums (points,) of k (1 + 2 mu) over each point's links (s, 2) [N/m]: twice this over its mass bounds a
+    point's squared frequency.
     """
     mu = np.zeros(springs.number)
     mu[yarns.links] = np.repeat(yarns.mu, np.diff(yarns.ptr))
@@ -142,12 +142,12 @@ def stiffness_about(points: int, pairs: Int, springs: Springs, yarns: Yarns) -> 
 
 
 def add_to_ends(points: int, pairs: Int, value: Float) -> Float:
-    """(points,) sums of the values (s,) of each point's links (s, 2)."""
+    """Return sums (points,) of the values (s,) of each point's links (s, 2)."""
     return np.asarray(np.bincount(pairs.reshape(-1), np.repeat(value, 2), points), np.float64)
 
 
 def structure(config: KnitConfig) -> Structure:
-    """The net of a configuration. Raises BadInput."""
+    """Return the net of a configuration. Raises BadInput for a tube of one wale."""
     if config.form == "tube" and config.wales < 2:
         problem = "a tube of one wale would join two points twice"
         raise BadInput(problem, field="wales", value=config.wales, limit="2 at least", remedy="knit a panel")
@@ -155,33 +155,33 @@ def structure(config: KnitConfig) -> Structure:
 
 
 def knit_yarns(net: Structure, used: list[Yarn], spacing: Float) -> tuple[Springs, Yarns]:
-    """Links with their yarns' constants, and the yarns they are links of; `spacing` (s,) [m]."""
+    """Return links with their yarns' constants, and the yarns of these links; `spacing` (s,) [m]."""
     course, borrowed = net.course()
-    which = course % len(used)
-    rest = spacing * np.array([yarn.length for yarn in used])[which]
-    k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[which]
+    link_yarn = course % len(used)
+    rest = spacing * np.array([yarn.length for yarn in used])[link_yarn]
+    k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[link_yarn]
     lock, k_lock = np.empty((2, net.links)) if any(yarn.lock is not None for yarn in used) else (None, None)
-    for index, yarn in enumerate(used[: net.courses]):  # more yarns than courses: the others are not knitted
-        mine = which == index
-        lengths, of = np.unique(rest[mine], return_inverse=True)
-        k[mine] = np.array([yarn.stiffness(float(length)) for length in lengths])[of]
+    for index, yarn in enumerate(used[: net.courses]):  # further yarns than courses are not knitted
+        of_yarn = link_yarn == index
+        lengths, yarn_index = np.unique(rest[of_yarn], return_inverse=True)
+        k[of_yarn] = np.array([yarn.stiffness(float(length)) for length in lengths])[yarn_index]
         if lock is not None and k_lock is not None:
-            lock[mine], k_lock[mine] = np.array([yarn.locked(float(length)) for length in lengths])[of].T
+            lock[of_yarn], k_lock[of_yarn] = np.array([yarn.locked(float(length)) for length in lengths])[yarn_index].T
     threads = net.threads()
-    of = np.array([which[thread[0]] for thread in threads])
+    yarn_index = np.array([link_yarn[thread[0]] for thread in threads])
     names = tuple(dict.fromkeys(yarn.name for yarn in used))
-    kind = np.array([names.index(yarn.name) for yarn in used], np.int8)[of]
-    # A borrowed link has no neighbour to share with: 0 says so.
+    kind = np.array([names.index(yarn.name) for yarn in used], np.int8)[yarn_index]
+    # A borrowed link has no neighbour to share tension with: mu = 0.
     alone = np.array([borrowed[thread[0]] for thread in threads])
-    mu = np.where(alone, 0.0, np.array([yarn.mu for yarn in used])[of])
+    mu = np.where(alone, 0.0, np.array([yarn.mu for yarn in used])[yarn_index])
     ptr = np.concatenate([[0], np.cumsum([len(thread) for thread in threads])]).astype(np.int32)
     springs = Springs.from_pairs(net.pairs(), k, rest, c, lock=lock, k_lock=k_lock)
-    density = np.array([yarn.density for yarn in used])[of]
+    density = np.array([yarn.density for yarn in used])[yarn_index]
     return springs, Yarns(np.concatenate(threads), ptr, mu, kind, names, density)
 
 
 def place(config: KnitConfig, net: Structure) -> Float:
-    """(n, 3) positions [m]; on a tube the distance of neighbours, not the arc between them, is the spacing."""
+    """Return positions (n, 3) [m]; on a tube the spacing is the distance of neighbours, not the arc between them."""
     row, column = np.divmod(np.arange(net.points), net.columns)
     across, up = (spacing * stretch for spacing, stretch in zip(config.spacing, config.stretch, strict=True))
     x = np.zeros((net.points, 3))

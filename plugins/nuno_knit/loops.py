@@ -1,8 +1,8 @@
-"""Loops of plain knit: where a course's yarn passes between and beside the points of the net.
+"""Loops of plain knit: the course of yarns between and next to the points of the net.
 
-A point of the net stands for the place where two loops hook into each other. There the yarn of the lower course turns
-from a leg into a head, or back, and that of the upper course from a sinker into a leg, or back. Each turns
-beyond the other, so that they cross twice (drawn for the left side of a loop, legs going up and arcs to the right):
+At a point of the net two loops hook into each other. There the yarn of the lower course turns from a leg into a head,
+or back, and that of the upper course from a sinker into a leg, or back. Each turns beyond the other, so that they cross
+twice (drawn for the left side of a loop, legs up and arcs to the right):
 
           leg of the upper course              At distance delta from the point along both axes:
               |                                 x  turns, each displaced away from its own links
@@ -12,12 +12,12 @@ beyond the other, so that they cross twice (drawn for the left side of a loop, l
       |  sinker of the upper                    a turn half way between; so heads reach beyond the legs that they
     leg of the lower                            hold, sinkers likewise, and loops narrow at their feet, as real ones do.
 
-Of each link come four points: its turn, the crossing near its start, its middle and the crossing near its end. In its
-middle an arc is bowed outwards by `BOW` of its ends' displacement. This is a stated shape, not the result of bending:
-the elastica of Leaf (1960) gives the like for knit at rest, and this net is stretched far beyond that.
+Each link gives four points: its turn, the crossing near its start, its middle and the crossing near its end. In its
+middle an arc is bowed outwards by `BOW` of its ends' displacement. This shape is prescribed, not a result of bending:
+the elastica of Leaf (1960) gives similar shapes for knit at rest, and this net is stretched far beyond that.
 
-Which corner is which follows from a course's links, as the model `knit` makes them: up a leg, along a head, down a leg,
-along a sinker, over and over. Links of no course are arcs: heads below the first course, sinkers above the last.
+The kind of a corner follows from a course's links, in the order of the model `knit`: up a leg, along a head, down a
+leg, along a sinker, and so on. Links without a course are arcs: heads below the first course, sinkers above the last.
 """
 
 from __future__ import annotations
@@ -32,20 +32,19 @@ from nuno_knit.skin import to_unit
 from nuno_schemas.fabric import Bool, Float, Int
 
 ROUND, BOW = 0.75, 1.3
-"""How far out turns are, and how far out an arc's middle is, as ratios of how far out crossings are: so arcs are
-round."""
+"""Displacements of turns and of an arc's middle as ratios of that of crossings, which make arcs round."""
 WIDEST = 0.3
-"""Most of the shortest link at a point that a turn is displaced by: crossings of one link keep apart."""
+"""Largest displacement of a turn as a share of the shortest link at its point, which keeps a link's crossings apart."""
 
 
 @dataclass(frozen=True)
 class Net:
-    """Links of yarns in the directions of their yarns.
+    """Links in the directions of their yarns.
 
     start, end (s,)   int32 points
     leg        (s,)   whether it is a leg, else an arc
-    role       (s, 2) at start and end: 1 where the yarn is the lower one, whose head is there, else -1
-    onward     (s - 1,) whether the yarn goes on with the next link
+    role       (s, 2) at start and end: 1 if the yarn is the lower one, whose head is there, else -1
+    onward     (s - 1,) whether the yarn continues with the next link
     """
 
     start: Int
@@ -56,16 +55,16 @@ class Net:
 
     @property
     def points(self) -> Int:
-        """(2 s,) points of all starts, then of all ends."""
+        """Points (2 s,) of all starts, then of all ends."""
         return np.concatenate([self.start, self.end])
 
     def sums(self, values: Float, count: int) -> Float:
-        """(count, 3) sums by point of values (2 s, 3), those of starts first."""
+        """Return sums (count, 3) by point of values (2 s, 3), those of starts first."""
         return np.stack([np.bincount(self.points, values[:, c], count) for c in range(3)], axis=1)
 
 
 def find_net(paths: Paths, count: int) -> Net:
-    """Links and what they are; `count` is the number of the fabric's points."""
+    """Return the links with their roles; `count` is the number of the fabric's points."""
     pairs, phase = paths.pairs, paths.order % 4
     alone = np.repeat(np.diff(paths.ptr) == 2, np.diff(paths.ptr) - 1)
     role = np.stack([np.where((phase == 1) | (phase == 2), 1.0, -1.0), np.where(phase < 2, 1.0, -1.0)], axis=1)
@@ -76,9 +75,10 @@ def find_net(paths: Paths, count: int) -> Net:
 
 
 def face_of_knit(net: Net, x: Float) -> Float:
-    """(n, 3) unit normals towards the knit's face: to its right, then up, then out; 0 at points without any turn.
+    """Return unit normals (n, 3) towards the knit's face, right-handed with its right and up; 0 at points without a
+    turn.
 
-    At a turn a yarn comes from one link and leaves by the next; at a head it turns clockwise, seen from the face.
+    At a turn a yarn passes from one link to the next; at a head it turns clockwise, seen from the face.
     """
     along = to_unit(x[net.end] - x[net.start])
     on = net.onward
@@ -88,23 +88,22 @@ def face_of_knit(net: Net, x: Float) -> Float:
 
 
 def find_axes(net: Net, x: Float, normal: Float) -> tuple[Float, Float]:
-    """(n, 3) unit directions, across the normal, in which the lower course's legs and arcs leave each point.
-
-    Those of the upper course leave the other way: both have a say.
+    """Return unit directions (n, 3), normal to `normal`, in which the lower course's legs and arcs leave each point, as
+    means with the opposite directions of the upper course's.
     """
     along = to_unit(x[net.end] - x[net.start])
     away = np.concatenate([net.role[:, :1] * along, -net.role[:, 1:] * along])
     leg = np.concatenate([net.leg, net.leg])[:, None]
     axes = []
-    for mine in (leg, ~leg):
-        axis = net.sums(np.where(mine, away, 0.0), len(x))
+    for selected in (leg, ~leg):
+        axis = net.sums(np.where(selected, away, 0.0), len(x))
         axes.append(to_unit(axis - (axis * normal).sum(axis=1, keepdims=True) * normal))
     return axes[0], axes[1]
 
 
 def find_widths(net: Net, x: Float, curl: float, radius: float) -> Float:
-    """(n,) how far turns are displaced along each axis [m]: a share `curl` of the shortest link, the yarn's radius at
-    least, and never more than WIDEST.
+    """Return the displacement (n,) of turns along each axis [m]: a share `curl` of the shortest link, at least the
+    yarn's radius, and at most WIDEST.
     """
     length = np.linalg.norm(x[net.end] - x[net.start], axis=1)
     shortest = np.full(len(x), np.inf)
@@ -117,20 +116,19 @@ def find_widths(net: Net, x: Float, curl: float, radius: float) -> Float:
 def lay_loops(
     paths: Paths, net: Net, x: Float, middle: Float, axes: tuple[Float, Float], width: Float
 ) -> tuple[Float, NDArray[np.int8], NDArray[np.int64]]:
-    """Points (c, 3) that curves go through, their levels (c,), and the first of each yarn, ptr (y + 1,).
-
-    middle (s, 3) are the middles of the links [m], width (n,) as find_widths has it.
+    """Return points (c, 3) of curves, their levels (c,), and the first of each yarn, ptr (y + 1,). middle (s, 3) are
+    the middles of the links [m], width (n,) is that of find_widths.
     """
     leg = net.leg[:, None]
     ends = []
     for k, point in enumerate((net.start, net.end)):
-        own, other = (np.where(leg, axes[i][point], axes[1 - i][point]) for i in (0, 1))
+        along, beside_axis = (np.where(leg, axes[i][point], axes[1 - i][point]) for i in (0, 1))
         scale = (net.role[:, k] * width[point])[:, None]
-        ends.append((x[point], scale * own, scale * other))
-    (a, along_a, beside_a), (b, along_b, beside_b) = ends
-    bowed = middle - 0.5 * BOW * (beside_a + beside_b)
+        ends.append((x[point], scale * along, scale * beside_axis))
+    (a, along_a, across_a), (b, along_b, across_b) = ends
+    bowed = middle - 0.5 * BOW * (across_a + across_b)
     of_link = np.stack(
-        [a - ROUND * (along_a + beside_a), a + along_a - beside_a, bowed, b + along_b - beside_b], axis=1
+        [a - ROUND * (along_a + across_a), a + along_a - across_a, bowed, b + along_b - across_b], axis=1
     )
     level = np.where(leg, np.array([1, 2, 2, 2]), np.array([1, 0, 0, 0])).astype(np.int8)
     steps = paths.steps
@@ -142,5 +140,5 @@ def lay_loops(
     at = place[steps][:, None] + np.arange(4)
     points[at], levels[at] = of_link, level
     final = np.flatnonzero(np.append(steps[1:] != steps[:-1] + 1, True))
-    points[place[paths.ptr[1:] - 1]] = (b - ROUND * (along_b + beside_b))[final]
+    points[place[paths.ptr[1:] - 1]] = (b - ROUND * (along_b + across_b))[final]
     return points, levels, place[paths.ptr]

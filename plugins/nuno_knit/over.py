@@ -1,4 +1,4 @@
-"""A tube of knit drawn over a limb: where its rows start, and how long its links are at rest."""
+"""A tube of knit drawn over a limb: the start of its rows, and the rest lengths of its links."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
 
 LINE = 65
-"""Points of the part of an axis that a knit is drawn over."""
+"""Points of the part of an axis under a knit."""
 SKIN = 5e-5
-"""The end rows are held so far off the surface [m]: the gap at which sliding contact rests unless told otherwise."""
+"""Distance of the end rows from the surface [m]: the default gap of sliding contact at rest."""
 NARROW = 0.9
-"""A row's girth at rest is this share of the limb's there at most: rows narrow towards a toe."""
+"""Largest share of the limb's girth for a row's girth at rest: rows narrow towards a toe."""
 ROOM = 4e-5
 """Least distance from the surface at which points start [m]."""
 ROUNDS = 8
-"""Times that points too near to the surface are moved off it."""
+"""The most rounds that move points off the surface."""
 
 
 class Over(Config):
-    """What a tube is drawn over, and its size at rest as ratios of the limb's."""
+    """The body that a tube is drawn over, and the tube's size at rest as ratios of the limb's."""
 
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
     between: tuple[Share, Share] | tuple[Point, Point] = Field(
@@ -54,7 +54,7 @@ class Over(Config):
 
 @dataclass(frozen=True)
 class Fitted:
-    """Positions (n, 3) [m] of a knit's points, and rest lengths of arcs by row and of legs by course [m]."""
+    """A fitted knit: positions (n, 3) [m] of its points, and rest lengths of arcs by row and of legs by course [m]."""
 
     position: Float
     arcs: Float
@@ -62,15 +62,15 @@ class Fitted:
 
 
 def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x: Float, faces: Int) -> Fitted:
-    """A tube over the mesh x (v, 3) [m], faces (f, 3). `spacing` [m], where given, is the rest length of arcs and legs.
+    """Fit a tube over the mesh x (v, 3) [m], faces (f, 3). `spacing` [m], if any, is the rest length of arcs and legs.
 
     Raises BadInput for ends that lie outside of the mesh, for a limb that has no room for it, and for a knit that is
     too wide for the limb or starts too far from it.
     """
     try:
-        rows = lay_rows(x, faces, _line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
+        rows = lay_rows(x, faces, _axis_line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
     except BadInput as error:
-        # Who finds axes and rows does not know where a scene says between what.
+        # The functions that find axes and rows do not know the scene's field of the ends.
         if error.field is not None and error.field.startswith(("axis", "between")):
             error.field = "over.between"
         raise
@@ -83,11 +83,11 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
         girth, leg = np.full(len(rows.girth), spacing[0] * net.columns), spacing[1]
     _check_girth(over, girth, rows.girth, spacing is not None)
     girth = np.minimum(girth, NARROW * rows.girth)
-    return Fitted(_clear(over, rows, x, faces), girth / net.columns, np.full(net.courses, leg))
+    return Fitted(_lift_off(over, rows, x, faces), girth / net.columns, np.full(net.courses, leg))
 
 
 def _check_clearance(over: Over, rows: Rows) -> None:
-    """Raises BadInput for a start farther off than the limb is thick, where rows of a bent limb would cross."""
+    """Raise BadInput for a start farther off than the limb's radius, where rows of a bent limb would cross."""
     radius = float(rows.girth.mean() / (2.0 * np.pi))
     if over.clearance > radius:
         raise BadInput(
@@ -97,8 +97,8 @@ def _check_clearance(over: Over, rows: Rows) -> None:
 
 
 def _check_girth(over: Over, girth: Float, limb: Float, spaced: bool) -> None:
-    """Raises BadInput for a knit of rows' girths (r,) [m] that is too wide on the whole for those of the limb (r,) [m];
-    single rows that are, at an ankle, are narrowed.
+    """Raise BadInput if a knit of rows' girths (r,) [m] is on average too wide for those of the limb (r,) [m]; single
+    rows, as at an ankle, are narrowed.
     """
     share = float(girth.mean() / limb.mean())
     if share > NARROW:
@@ -110,8 +110,8 @@ def _check_girth(over: Over, girth: Float, limb: Float, spaced: bool) -> None:
         )
 
 
-def _line(over: Over, x: Float, faces: Int) -> Float:
-    """(k, 3) the part of the limb's axis between the two places [m]."""
+def _axis_line(over: Over, x: Float, faces: Int) -> Float:
+    """Return the part (k, 3) of the limb's axis between the two places [m]."""
     first, last = over.between
     if isinstance(first, tuple) and isinstance(last, tuple):
         return find_axis(x, faces, np.array(first), np.array(last)).points
@@ -124,26 +124,26 @@ def _line(over: Over, x: Float, faces: Int) -> Float:
     return find_limb(x, faces).at(np.linspace(start, end, LINE))
 
 
-def _clear(over: Over, rows: Rows, x: Float, faces: Int) -> Float:
-    """(n, 3) points off the surface: the end rows about on it, the others by the clearance, or less where the limb is
-    nearer to itself. Raises BadInput where there is no room at all.
+def _lift_off(over: Over, rows: Rows, x: Float, faces: Int) -> Float:
+    """Return points (n, 3) off the surface: the end rows nearly on it, the others by the clearance, or less where the
+    limb is near to itself. Raises BadInput if there is no room.
     """
     tree = build_tree(x, faces)
-    away = np.full(rows.points.shape[:2], over.clearance)
-    away[[0, -1]] = SKIN
-    position, normal = (rows.points + away[..., None] * rows.normal).reshape(-1, 3), rows.normal.reshape(-1, 3)
+    offset = np.full(rows.points.shape[:2], over.clearance)
+    offset[[0, -1]] = SKIN
+    position, normal = (rows.points + offset[..., None] * rows.normal).reshape(-1, 3), rows.normal.reshape(-1, 3)
     for _ in range(ROUNDS):
-        found = closest_points(tree, position)
-        near = found.distance < ROOM
+        nearest = closest_points(tree, position)
+        near = nearest.distance < ROOM
         if not near.any():
             return np.ascontiguousarray(position)
-        # Where a row that is not level cuts through a swelling: out by the shortest way, from the surface itself by
-        # the row's own.
-        distance = found.distance[near, None]
-        out = np.divide(position[near] - found.point[near], distance, out=normal[near], where=distance != 0.0)
-        position[near] = found.point[near] + 2.0 * ROOM * out
+        # Where an oblique row cuts through a swelling, move out by the shortest way, or on the surface itself by the
+        # row's normal.
+        distance = nearest.distance[near, None]
+        out = np.divide(position[near] - nearest.point[near], distance, out=normal[near], where=distance != 0.0)
+        position[near] = nearest.point[near] + 2.0 * ROOM * out
     row = int(np.argmax(near)) // rows.points.shape[1]
     raise BadInput(
-        "the limb leaves no room for the knit", field="over", value=f"row {row} of {len(away)}",
+        "the limb leaves no room for the knit", field="over", value=f"row {row} of {len(offset)}",
         limit=f"{ROOM:g} m beside the surface", remedy="take the mesh apart where it nearly touches itself",
     )  # fmt: skip

@@ -1,10 +1,10 @@
-"""Pressure of a knit on what it is drawn over: the inward force of yarns on each point over its share of the surface.
+"""Pressure of a knit on its body: the inward force of yarns on each point over its share of the surface.
 
-What yarns pull a point inwards with, a body has to bear: p = -F.n / A, F the net force of all links on the point,
-n the knit's outward normal there and A its share of the area, a quarter of each cell around it. On a cylinder of
-radius r under hoops of tension T, w apart, this is Laplace's law p = T / (r w): of Q points on a hoop each is pulled
-inwards by 2 T sin(pi / Q) and has the area 2 r sin(pi / Q) w. Weight and friction are not part of it, and where a knit
-is drawn over a hollow p may be negative: it stands off there, or is held by friction.
+The body bears the inward pull of yarns on a point: p = -F.n / A, F the net force of all links on the point, n the
+knit's outward normal there and A its share of the area, a quarter of each cell around it. On a cylinder of radius r
+under hoops of tension T, w apart, this is Laplace's law p = T / (r w): of Q points on a hoop each is pulled inwards by
+2 T sin(pi / Q) and has the area 2 r sin(pi / Q) w. Weight and friction are not included, and over a hollow p may be
+negative: the knit stands off there, or friction holds it.
 
 Points on an edge have half a share of area at the whole tension of their course; the report leaves them out.
 """
@@ -25,21 +25,21 @@ from nuno_schemas.plugin import Config
 
 
 class PressureConfig(Config):
-    """Where to look besides."""
+    """Named places whose pressure is reported."""
 
     heights: dict[str, Metres] = Field(default={}, description="named places on the body: how high each is [m]")
     band: Length = Field(default=0.02, description="height of the band around a place that is averaged over [m]")
 
 
 class Pressure:
-    """Pressure [Pa] that yarns put on what they are drawn over, point by point."""
+    """Computes the pressure [Pa] of yarns on their body, point by point."""
 
     name: ClassVar[str] = "pressure"
     Config: ClassVar[type[BaseModel]] = PressureConfig
 
     def apply(self, config: PressureConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """Array `pressure` (n,) of all points, 0 for those without cells. Facts: `min`, `mean`, `max` over the area
-        inside of the edges, and the mean at every place that the knit covers [Pa].
+        """Return the array `pressure` (n,) of all points, 0 for those without cells, and the facts `min`, `mean`, `max`
+        over the area inside of the edges, and the mean at every place that the knit covers [Pa].
 
         Raises BadInput for a fabric without cells.
         """
@@ -49,27 +49,27 @@ class Pressure:
         area, normal, inner = shares(state.x, fabric.cells)
         inward = -(point_forces(fabric, state.x) * normal).sum(axis=1)
         pressure = np.divide(inward, area, out=np.zeros_like(area), where=area > 0.0)
-        found = _facts(pressure, area, inner)
+        facts = _facts(pressure, area, inner)
         for name, height in config.heights.items():
-            there = inner & (np.abs(state.x[:, 1] - height) <= 0.5 * config.band)
-            if there.any():
-                found[name] = float(np.average(pressure[there], weights=area[there]))
-        return Outcome(found, None, {"pressure": pressure})
+            in_band = inner & (np.abs(state.x[:, 1] - height) <= 0.5 * config.band)
+            if in_band.any():
+                facts[name] = float(np.average(pressure[in_band], weights=area[in_band]))
+        return Outcome(facts, None, {"pressure": pressure})
 
 
 def _facts(pressure: Float, area: Float, inner: Bool) -> dict[str, float]:
     if not (area[inner] > 0.0).any():
         return {}
-    own = pressure[inner]
+    inner_pressure = pressure[inner]
     return {
-        "min": float(own.min()),
-        "mean": float(np.average(own, weights=area[inner])),
-        "max": float(own.max()),
+        "min": float(inner_pressure.min()),
+        "mean": float(np.average(inner_pressure, weights=area[inner])),
+        "max": float(inner_pressure.max()),
     }
 
 
 def shares(x: Float, cells: Int) -> tuple[Float, Float, Bool]:
-    """(n,) area of each point [m^2], (n, 3) unit normals, 0 where there is none, and (n,) whether it is on no edge.
+    """Return areas (n,) [m^2] and unit normals (n, 3), 0 without area, and whether points (n,) are off the edges.
 
     A cell's vector area is half the cross product of its diagonals, whether it is flat or not.
     """

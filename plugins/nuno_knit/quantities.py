@@ -1,4 +1,4 @@
-"""Types of quantities with units that configurations of knits use."""
+"""Types of the quantities with units in configurations of knits."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Repair: yarns that go round the skin where their straight links would cut through it (the knit paper, section 6.3).
+"""Repair: yarns are led round the skin where their straight links would cut through it (the knit paper, section 6.3).
 
 Links between points on different faces can enter the body. Such a link gains points on the edges of the skin, at which
-it bends, so that it lies on the skin where it would be inside and goes straight on where it is outside; over a
-hollow it stays straight. No point moves. How the points are found: nuno_knit.strings.
+it bends, so that it follows the skin where it would be inside and is straight where it is outside or over a hollow. No
+point moves. nuno_knit.strings finds the points.
 
-Where no plane leads from one end to the other (both ends of a link on opposite sides of an edge, or below an
-overhang) the middle of the link goes to the closest place on the skin, and the halves are repaired by themselves.
+If no plane leads from one end to the other (ends on opposite sides of an edge, or below an overhang) the middle of the
+link moves to the closest place on the skin, and the halves are repaired separately.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
 from nuno_knit.skin import Skin
-from nuno_knit.strings import LIES, LOST, Footed, lay_over
+from nuno_knit.strings import LIES, LOST, NearPoints, lay_over
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
@@ -28,15 +28,15 @@ from nuno_schemas.operation import Outcome, Surface
 from nuno_schemas.plugin import Config
 
 HALVINGS = 8
-"""How often a link that no plane leads along is halved."""
+"""The most times that a link without a plane is halved."""
 CHECKED = 20
-"""Samples of every piece that the check of the result looks at, its ends among them."""
+"""Samples of every piece, with its ends, in the check of the result."""
 RADIUS = 0.04
-"""Of a yarn that has no other, as a share of the mean link: links are 25 radii long."""
+"""Default radius of a yarn as a share of the mean link: links are 25 radii long."""
 
 
 class YarnConfig(Config):
-    """What every operation that makes curves of yarns takes."""
+    """The fields of every operation that makes curves of yarns."""
 
     radius: Reach | tuple[Reach, ...] | None = Field(
         default=None,
@@ -48,14 +48,14 @@ class YarnConfig(Config):
 
 @dataclass(frozen=True)
 class Repaired:
-    """Yarns with the points that they gained.
+    """Yarns with the points that repair inserted.
 
     points (n, 3)     [m]; ptr (y + 1,) first point of each yarn
-    vertex (n,) int32 the fabric's point, -1 for one that was gained
+    vertex (n,) int32 the fabric's point, -1 for an inserted one
     face   (n,) int32 face of the skin at the point, -1 without skin
     normal (n, 3)     of the skin there, 0 without
-    first  (s + 1,)   place of each link's first point, and of none behind the last
-    status (s,)       what became of each link: LIES, CLEAR or LOST
+    first  (s + 1,)   place of each link's first point, and one past the last
+    status (s,)       of each link: LIES, CLEAR or LOST
     """
 
     points: Float
@@ -68,29 +68,29 @@ class Repaired:
 
 
 class Repair:
-    """Yarns as straight links, mended where they cut through the skin."""
+    """Draws yarns as straight links, repaired where they cut through the skin."""
 
     name: ClassVar[str] = "repair"
     Config: ClassVar[type[BaseModel]] = YarnConfig
 
     def apply(self, config: YarnConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """Raises BadInput for a fabric without yarns."""
+        """Return the repaired yarns. Raises BadInput for a fabric without yarns."""
         paths = find_paths(fabric)
         below = to_skin(skin)
-        found = repair(paths, state.x, below, config.tolerance)
+        repaired = repair(paths, state.x, below, config.tolerance)
         radius = radius_of(config, paths, state.x)
-        curves = YarnCurves(found.points, found.ptr, radius, paths.kind, paths.names, found.normal)
-        facts = count_links(found, curves) | measure(curves, below, 0.0, found.face)
-        return Outcome(facts, curves, {"vertex": found.vertex, "face": found.face})
+        curves = YarnCurves(repaired.points, repaired.ptr, radius, paths.kind, paths.names, repaired.normal)
+        facts = count_links(repaired, curves) | measure(curves, below, 0.0, repaired.face)
+        return Outcome(facts, curves, {"vertex": repaired.vertex, "face": repaired.face})
 
 
 def to_skin(surface: Surface | None) -> Skin | None:
-    """What to look closest points up in; None where there is nothing."""
+    """Return the skin for look-ups of closest points, None without faces."""
     return None if surface is None or not len(surface.faces) else Skin(surface.vertices, surface.faces)
 
 
 def radius_of(config: YarnConfig, paths: Paths, x: Float) -> Float:
-    """(y,) of the yarns [m]. Raises BadInput for radii of another number of kinds."""
+    """Return the radii (y,) of the yarns [m]. Raises BadInput for radii of another number of kinds."""
     if config.radius is None:
         return np.asarray(RADIUS * mean_length(paths, x) * paths.thickness)
     if not isinstance(config.radius, tuple):
@@ -103,19 +103,19 @@ def radius_of(config: YarnConfig, paths: Paths, x: Float) -> Float:
     return np.array(config.radius)[paths.kind]
 
 
-def count_links(found: Repaired, curves: YarnCurves) -> dict[str, float]:
-    """Links, those repaired and those that no way was found for, points that repair inserted, and points there are."""
+def count_links(repaired: Repaired, curves: YarnCurves) -> dict[str, float]:
+    """Return the numbers of links, of repaired ones and of those without a way, of inserted and of all points."""
     return {
-        "links": float(len(found.status)),
-        "repaired": float((found.status == LIES).sum()),
-        "lost": float((found.status == LOST).sum()),
-        "inserted": float((found.vertex < 0).sum()),
+        "links": float(len(repaired.status)),
+        "repaired": float((repaired.status == LIES).sum()),
+        "lost": float((repaired.status == LOST).sum()),
+        "inserted": float((repaired.vertex < 0).sum()),
         "points": float(len(curves.points)),
     }
 
 
 def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int, samples: int = CHECKED) -> dict[str, float]:
-    """How many places were looked at, `samples` a piece, and how far below the height `off` [m] the deepest is."""
+    """Return the number of checked places, `samples` a piece, and the depth of the deepest below a height `off` [m]."""
     if skin is None:
         return {}
     number, depth = skin.deepest(curves.points, curves.ptr, samples, face)
@@ -123,7 +123,7 @@ def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int, sample
 
 
 def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repaired:
-    """Yarns of points x (n, 3) [m] with the points they gain, where a link lies deeper than `tolerance` [m].
+    """Return yarns of points x (n, 3) [m] with inserted points where a link is deeper than `tolerance` [m].
 
     Raises BadInput for points that are not finite.
     """
@@ -135,8 +135,8 @@ def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repai
         return Repaired(flat, paths.ptr, paths.vertex, none, np.zeros_like(flat), at, np.zeros(len(pairs), np.int8))
     if not np.isfinite(x[paths.vertex]).all():
         raise BadInput("yarns that are not finite cannot be laid over a body", field="x")
-    found, normals = skin.look(x)
-    laid = lay_over(skin.joined, Footed(x, skin.facing[found.face], found.distance, found.face), pairs, tolerance)
+    foot, normals = skin.look(x)
+    laid = lay_over(skin.joined, NearPoints(x, skin.facing[foot.face], foot.distance, foot.face), pairs, tolerance)
     status, count = laid.status.copy(), np.diff(laid.ptr)
     gained, face = laid.points, laid.face
     halves: dict[int, tuple[Float, Int]] = {}
@@ -149,18 +149,18 @@ def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repai
         split = np.split(np.arange(len(gained)), laid.ptr[1:-1])
         gained = np.concatenate([p[0] if p else laid.points[s] for p, s in zip(parts, split, strict=True)])
         face = np.concatenate([p[1] if p else laid.face[s] for p, s in zip(parts, split, strict=True)])
-    return _thread(paths, x, skin, (gained, face, count), found.face, normals, status)
+    return _thread(paths, x, skin, (gained, face, count), foot.face, normals, status)
 
 
 def halve(skin: Skin, ends: Float, tolerance: float, times: int) -> tuple[Float, Int, bool]:
-    """Points (m, 3) between two ends (2, 3) on the skin, their faces (m,), and whether a way was found."""
+    """Return points (m, 3) between two ends (2, 3) on the skin, their faces (m,), and whether a way was found."""
     middle = ends.mean(axis=0)[None]
-    found, _ = skin.look(middle)
-    middle = np.where(found.distance[:, None] < 0.0, found.point, middle)
+    nearest, _ = skin.look(middle)
+    middle = np.where(nearest.distance[:, None] < 0.0, nearest.point, middle)
     points = np.concatenate([ends[:1], middle, ends[1:]])
     at, _ = skin.look(points)
     pairs = np.array([[0, 1], [1, 2]], np.int32)
-    laid = lay_over(skin.joined, Footed(points, skin.facing[at.face], at.distance, at.face), pairs, tolerance)
+    laid = lay_over(skin.joined, NearPoints(points, skin.facing[at.face], at.distance, at.face), pairs, tolerance)
     parts: list[Float] = []
     faces: list[Int] = []
     complete = True
@@ -179,23 +179,23 @@ def _thread(
     paths: Paths, x: Float, skin: Skin, gained: tuple[Float, Int, NDArray[np.int64]], foot: Int, normals: Float,
     status: NDArray[np.int8],
 ) -> Repaired:  # fmt: skip
-    """Points and gained points along their yarns; `gained` are places, faces, and how many are of each link."""
+    """Return points and inserted points along their yarns; `gained` are places, faces, and the number on each link."""
     new, face, count = gained
     steps = paths.steps
     shift = np.zeros(len(paths.vertex) + 1, np.int64)
     shift[steps + 1] = count
     place = np.arange(len(paths.vertex) + 1) + np.cumsum(shift)
-    own = place[:-1]
+    kept = place[:-1]
     total = int(place[-1])
     added = np.ones(total, bool)
-    added[own] = False
+    added[kept] = False
     points, vertex = np.empty((total, 3)), np.full(total, -1, np.int32)
     faces, normal = np.empty(total, np.int32), np.empty((total, 3))
-    points[own], vertex[own], faces[own], normal[own] = (
+    points[kept], vertex[kept], faces[kept], normal[kept] = (
         x[paths.vertex], paths.vertex, foot[paths.vertex], normals[paths.vertex],
     )  # fmt: skip
     points[added], faces[added] = new, face
     if len(new):
         normal[added] = skin.look(new, face)[1]
-    ptr = np.concatenate([own[paths.ptr[:-1]], [total]])
-    return Repaired(points, ptr, vertex, faces, normal, np.concatenate([own[steps], [total]]), status)
+    ptr = np.concatenate([kept[paths.ptr[:-1]], [total]])
+    return Repaired(points, ptr, vertex, faces, normal, np.concatenate([kept[steps], [total]]), status)

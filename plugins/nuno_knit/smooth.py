@@ -1,10 +1,10 @@
-"""Yarns of a knit as smooth curves: loops that hook into each other, on the skin or by themselves.
+"""Yarns of a knit as smooth curves: loops that hook into each other, on the skin or without one.
 
-Curves go through the points that nuno_knit.loops lays, each raised off the skin by its level: an arc's centre lies
-a radius above the skin (or as high as the net does where that is farther off), a turn one radius higher, a leg two.
-Samples of the curve that would still lie too low are raised, and pieces that dip between their ends are divided.
-Where yarns are not of one thickness, that radius is the thickest one's, so that thinner ones have a little more room.
-Without skin the net itself is the middle level, and its own face the way up.
+Curves go through the points of nuno_knit.loops, each raised off the skin by its level: an arc's centre is a radius
+above the skin (or as high as the net, if that is farther off), a turn one radius higher, a leg two. Samples of the
+curve that are still too low are raised, and pieces that dip between their ends are divided. Of yarns of different
+thickness, the thickest one's radius counts, so that thinner ones have a little more room. Without skin the net itself
+is the middle level, and its face the way up.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.operation import Outcome, Surface
 
 PIECES = 4
-"""Of a link: between its turn, its crossings, its middle and the next turn."""
+"""Pieces of a link: between its turn, its crossings, its middle and the next turn."""
 DIVISIONS = 6
-"""How often a piece that dips is divided."""
+"""The most times that a piece that dips is divided."""
 INNER = 4
-"""Places between the ends of a piece that are looked at."""
+"""Checked places between the ends of a piece."""
 
 
 class SmoothConfig(YarnConfig):
-    """Smooth yarns."""
+    """The fields of smooth yarns."""
 
     samples: int = Field(default=8, ge=PIECES, le=256, description="points a link, rounded up to fours")
     curl: Share = Field(
@@ -44,13 +44,13 @@ class SmoothConfig(YarnConfig):
 
 
 class Smooth:
-    """Yarns as curves that bend as the loops of plain knit do, outside of the skin."""
+    """Draws yarns as curves that bend like the loops of plain knit, outside of the skin."""
 
     name: ClassVar[str] = "smooth"
     Config: ClassVar[type[SmoothConfig]] = SmoothConfig
 
     def apply(self, config: SmoothConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """Raises BadInput for a fabric without yarns, and for points that are not finite."""
+        """Return the curves. Raises BadInput for a fabric without yarns, and for points that are not finite."""
         paths, below = find_paths(fabric), to_skin(skin)
         laid = repair(paths, state.x, below, config.tolerance)
         radii = radius_of(config, paths, state.x)
@@ -70,14 +70,14 @@ class Smooth:
 def smooth(
     paths: Paths, laid: Repaired, x: Float, skin: Skin | None, radius: float, curl: float, number: int
 ) -> tuple[Float, NDArray[np.int64], Int]:
-    """Curves as points (m, 3) and ptr (y + 1,), every link in PIECES of `number` points; and faces near them (m,)."""
+    """Return curves, points (m, 3) and ptr (y + 1,), every link in PIECES of `number` points, and faces near (m,)."""
     net = find_net(paths, len(x))
     normal = vertex_normals(net, x) if skin is None else skin.look(x)[1]
     width = find_widths(net, x, curl, radius)
     points, level, ptr = lay_loops(paths, net, x, middles(laid), find_axes(net, x, normal), width)
     near = spread(laid.face[laid.vertex >= 0], paths.ptr, PIECES)
     if skin is None:
-        points = points + radius * (level - 1.0)[:, None] * _between(paths, ptr, normal)
+        points = points + radius * (level - 1.0)[:, None] * _interpolate_normals(paths, ptr, normal)
     else:
         points, near = lift(points, level, near, skin, radius)
     sampled, first = sample_curves(points, ptr, paths.rings, number)
@@ -85,26 +85,26 @@ def smooth(
 
 
 def spread(values: Int, ptr: NDArray[np.int64], number: int) -> Int:
-    """Every value of a yarn's points `number` times, but for that of its last point."""
+    """Repeat every value of a yarn's points `number` times, except that of its last point."""
     count = np.full(len(values), number)
     count[ptr[1:] - 1] = 1
     return np.repeat(values, count)
 
 
 def vertex_normals(net: Net, x: Float) -> Float:
-    """(n, 3) unit normals of the knit's face; where a point has no turn that of its neighbours.
+    """Return unit normals (n, 3) of the knit's face; at a point without a turn those of its neighbours.
 
     Raises BadInput for a net that is not finite.
     """
     if not np.isfinite(x[net.points]).all():
         raise BadInput("yarns that are not finite have no curves", field="x")
     normal = face_of_knit(net, x)
-    beside = net.sums(normal[np.concatenate([net.end, net.start])], len(x))
-    return to_unit(np.where(normal.any(axis=1, keepdims=True), normal, beside))
+    neighbours = net.sums(normal[np.concatenate([net.end, net.start])], len(x))
+    return to_unit(np.where(normal.any(axis=1, keepdims=True), normal, neighbours))
 
 
 def middles(laid: Repaired) -> Float:
-    """(s, 3) places half way along every link [m]."""
+    """Return the places (s, 3) half way along every link [m]."""
     step = np.linalg.norm(np.diff(laid.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     first = laid.first[:-1]
@@ -117,33 +117,32 @@ def middles(laid: Repaired) -> Float:
     return np.asarray(laid.points[piece] + share * (laid.points[piece + 1] - laid.points[piece]))
 
 
-def _between(paths: Paths, ptr: NDArray[np.int64], normal: Float) -> Float:
-    """(c, 3) normals at the points of loops: those of turns at the net's points, and between these in between."""
-    own = normal[paths.vertex]
+def _interpolate_normals(paths: Paths, ptr: NDArray[np.int64], normal: Float) -> Float:
+    """Return normals (c, 3) at the points of loops: at turns those of the net's points, interpolated in between."""
+    point_normals = normal[paths.vertex]
     steps = paths.steps
-    near, far = own[steps], own[steps + 1]
-    found = np.empty((int(ptr[-1]), 3))
-    inside = np.ones(len(found), bool)
+    near, far = point_normals[steps], point_normals[steps + 1]
+    normals = np.empty((int(ptr[-1]), 3))
+    inside = np.ones(len(normals), bool)
     inside[ptr[1:] - 1] = False
-    found[inside] = np.stack([near, near, to_unit(near + far), far], axis=1).reshape(-1, 3)
-    found[~inside] = own[paths.ptr[1:] - 1]
-    return found
+    normals[inside] = np.stack([near, near, to_unit(near + far), far], axis=1).reshape(-1, 3)
+    normals[~inside] = point_normals[paths.ptr[1:] - 1]
+    return normals
 
 
 def lift(points: Float, level: NDArray[np.int8], near: Int, skin: Skin, radius: float) -> tuple[Float, Int]:
-    """Points of loops at their heights above the skin, and the faces below them; `near` are faces near them."""
-    found, normal = skin.look(points, near)
-    height = np.maximum(found.distance, radius) + radius * level
-    raised = points + (height - found.distance)[:, None] * normal
-    return skin.raise_to(raised, radius * (1.0 + level.astype(np.float64)), found.face)
+    """Return points of loops at their heights above the skin, and the faces below them; `near` are faces near them."""
+    nearest, normal = skin.look(points, near)
+    height = np.maximum(nearest.distance, radius) + radius * level
+    raised = points + (height - nearest.distance)[:, None] * normal
+    return skin.raise_to(raised, radius * (1.0 + level.astype(np.float64)), nearest.face)
 
 
 def keep_off(
     points: Float, ptr: NDArray[np.int64], near: Int, skin: Skin, radius: float, tolerance: float
 ) -> tuple[Float, NDArray[np.int64], Int]:
-    """Polylines whose samples are at least `radius` [m] off the skin, to `tolerance` [m], and the faces below (m,).
-
-    A piece whose ends lie as high above the plane of one face cannot dip: that height is linear along it.
+    """Return polylines whose samples are at least `radius` [m] off the skin, to `tolerance` [m], and the faces below
+    (m,). A piece whose ends are that high above the plane of one face cannot dip: the height is linear along it.
     """
     points, face = skin.raise_to(points, np.full(len(points), radius), near)
     last = np.zeros(len(points), bool)

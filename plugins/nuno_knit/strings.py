@@ -1,11 +1,11 @@
-"""Chords between points on a triangle mesh as strings: the shortest way in one plane that stays outside.
+"""Chords between points on a triangle mesh as strings: the shortest path in one plane that stays outside.
 
-The way is the upper hull of the line in which the plane cuts the mesh (nuno_kernels.meshes.section) and of both ends:
-it bends round ridges and goes straight over hollows. All points that it gains lie on edges of the mesh.
+The path is the upper hull of the line in which the plane cuts the mesh (nuno_kernels.meshes.section) and of both ends:
+it bends round ridges and is straight over hollows. All its inner points are on edges of the mesh.
 
-The knit paper's way projects the rest of the chord onto every triangle anew, so that the plane turns a
-little at each edge. That way need not arrive: beside the second point it turns round. In one plane it arrives wherever
-the plane's line joins both points.
+Rejected: the knit paper's path, which projects the rest of the chord onto every triangle again, so that the plane turns
+a little at each edge. It may not arrive, but turn round near the second point. In one plane it arrives if the plane's
+line joins both points.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from nuno_schemas.fabric import Float, Int
 
 @kernel
 def upper_hull(count: int, length: float, tolerance: float, u: Float, w: Float, order: NDArray[np.int64]) -> int:
-    """How many of `count` points (u, w) make the upper hull of them, (0, 0) and (length, 0); order[:..] are those.
-
-    Points that rise above the way without them by no more than `tolerance` [m] are left out.
+    """Return the number of `count` points (u, w) on the upper hull of these, (0, 0) and (length, 0); order[:..] are
+    their indices. Points at most `tolerance` [m] above the path without them are left out.
     """
     for k in range(count):
         place = k
@@ -51,7 +50,7 @@ def upper_hull(count: int, length: float, tolerance: float, u: Float, w: Float, 
 
 @kernel
 def thin_hull(count: int, length: float, tolerance: float, u: Float, w: Float, order: NDArray[np.int64]) -> int:
-    """Leave points of a hull out as long as all those left out stay within `tolerance` of the way: see upper_hull."""
+    """Leave points of a hull out while all of these stay within `tolerance` of the path. Return the number kept."""
     kept, x0, y0, last = 0, 0.0, 0.0, 0
     for k in range(1, count + 1):
         x, y = (u[order[k]], w[order[k]]) if k < count else (length, 0.0)
@@ -68,11 +67,11 @@ def thin_hull(count: int, length: float, tolerance: float, u: Float, w: Float, o
 
 
 LIES, CLEAR, LOST = 1, 0, -1
-"""What became of a chord: laid over the mesh, outside of it as it is, or no way was found."""
+"""Status of a chord: laid over the mesh, straight and outside, or without a path."""
 
 
-class Footed(NamedTuple):
-    """Points (n, 3) [m] near a mesh: normals (n, 3), distance (n,) [m] and triangle (n,) of its closest point."""
+class NearPoints(NamedTuple):
+    """Points (n, 3) [m] near a mesh, with normals (n, 3), distance (n,) [m] and triangle (n,) of the closest point."""
 
     points: Float
     normals: Float
@@ -90,8 +89,10 @@ class Laid(NamedTuple):
 
 
 @kernel
-def lay_chords(begin: int, near: Footed, pairs: NDArray[np.int64], tolerance: float, mesh: Joined, laid: Laid) -> int:
-    """Lay chords `begin` and on over the mesh; returns the first that finds no room in laid.points any more."""
+def lay_chords(
+    begin: int, near: NearPoints, pairs: NDArray[np.int64], tolerance: float, mesh: Joined, laid: Laid
+) -> int:
+    """Lay chords from `begin` over the mesh. Return the first one without space in laid.points."""
     points, distance, status, ends, added = near.points, near.distance, laid.status, laid.ptr, laid.points
     vertices, faces = mesh.vertices, mesh.faces
     u, w = np.empty(STEPS), np.empty(STEPS)
@@ -102,7 +103,7 @@ def lay_chords(begin: int, near: Footed, pairs: NDArray[np.int64], tolerance: fl
             return k
         ends[k + 1], status[k] = at, CLEAR
         dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
-        # No point of a chord is nearer to the mesh than its end less the way from there.
+        # A point of a chord is at least as far from the mesh as an end, less its distance from that end.
         if max(distance[i], 0.0) + max(distance[j], 0.0) >= math.sqrt(dx * dx + dy * dy + dz * dz):
             continue
         chord = make_chord(points, near.normals, i, j)
@@ -127,17 +128,16 @@ def lay_chords(begin: int, near: Footed, pairs: NDArray[np.int64], tolerance: fl
     return int(pairs.shape[0])
 
 
-def lay_over(mesh: Joined, near: Footed, pairs: Int, tolerance: float) -> Laid:
-    """Chords between points, pairs (s, 2) of them, as strings over a closed mesh.
-
-    Where a chord lies no deeper than `tolerance` [m] it is left as it is.
+def lay_over(mesh: Joined, near: NearPoints, pairs: Int, tolerance: float) -> Laid:
+    """Lay chords between points, pairs (s, 2) of them, as strings over a closed mesh. A chord at most `tolerance` [m]
+    deep stays straight.
     """
     every = np.ascontiguousarray(pairs, np.int64)
     status, ends = np.zeros(len(every), np.int8), np.zeros(len(every) + 1, np.int64)
     added, face = np.empty((len(every) + 2 * STEPS, 3)), np.empty(len(every) + 2 * STEPS, np.int32)
-    done = 0
-    while done < len(every):
-        done = lay_chords(done, near, every, tolerance, mesh, Laid(status, ends, added, face))
-        if done < len(every):
+    next_chord = 0
+    while next_chord < len(every):
+        next_chord = lay_chords(next_chord, near, every, tolerance, mesh, Laid(status, ends, added, face))
+        if next_chord < len(every):
             added, face = np.concatenate([added, np.empty_like(added)]), np.concatenate([face, np.empty_like(face)])
     return Laid(status, ends, added[: ends[-1]].copy(), face[: ends[-1]].copy())

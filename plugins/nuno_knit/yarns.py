@@ -18,13 +18,14 @@ from nuno_schemas.preset import Measure, Preset
 DTEX = 1e-7
 """kg/m in one dtex."""
 MU = 0.2
-"""Share of its neighbours' tension that a link takes over: the knit paper's value for both yarns."""
+"""Share of its neighbours' tension that passes to a link: the knit paper's value for both yarns."""
 
 
 class Yarn(Config):
-    """A yarn: its stiffness as `ea` of the yarn or `k` of each link, and what it weighs.
+    """A yarn: its stiffness as `ea` of the yarn or `k` of each link, and its density.
 
-    One that locks, as a covered yarn does, has tension ea e up to the strain e = lock and grows by ea_lock from there.
+    A yarn that locks, such as a covered one, has tension ea e up to the strain e = lock, which grows by ea_lock from
+    there.
     """
 
     name: str = Field(default="yarn", min_length=1, max_length=64, description="for reports and pictures")
@@ -64,11 +65,11 @@ class Yarn(Config):
         return self
 
     def stiffness(self, rest: float) -> float:
-        """Of a link of rest length [m]: [N/m]."""
+        """Return the stiffness of a link of rest length [m]: [N/m]."""
         return _of_link(self.ea, self.k, rest)
 
     def locked(self, rest: float) -> tuple[float, float]:
-        """Strain at which a link of rest length [m] locks, and stiffness from there [N/m]: its own if it never does."""
+        """Return the strain at which a link of rest length [m] locks (or 0), and its stiffness from there [N/m]."""
         if self.lock is None:
             return 0.0, self.stiffness(rest)
         return self.lock, _of_link(self.ea_lock, self.k_lock, rest)
@@ -82,28 +83,28 @@ def _of_link(ea: float | None, k: float | None, rest: float) -> float:
 
 
 @dataclass(frozen=True)
-class Known:
-    """A yarn that scenes can name, and where its numbers come from."""
+class YarnPreset:
+    """A yarn that scenes can name, and the source of its numbers."""
 
     yarn: Yarn
     source: str
 
 
-PRESETS: dict[str, Known] = {
-    "nylon": Known(
+PRESETS: dict[str, YarnPreset] = {
+    "nylon": YarnPreset(
         Yarn(name="nylon", ea=6.6, density=22 * DTEX),
         "nylon 6.6, medium tenacity, 22 dtex: initial modulus 3.0 N/tex, Morton & Hearle, Physical Properties of "
         "Textile Fibres, table 13.2",
     ),
-    "nylon-6": Known(
+    "nylon-6": YarnPreset(
         Yarn(name="nylon-6", ea=1.3, density=22 * DTEX),
         "nylon 6, 22 dtex: initial modulus 0.6 N/tex, Morton & Hearle, table 13.2",
     ),
-    "elastane": Known(
+    "elastane": YarnPreset(
         Yarn(name="elastane", ea=0.024, density=22 * DTEX),
         "elastane, 22 dtex, 0.011 N/tex: an assumption of the order of spandex filaments, not measured",
     ),
-    "support": Known(
+    "support": YarnPreset(
         Yarn(name="support", ea=0.024, lock=2.0, ea_lock=6.6, density=44 * DTEX),
         "22 dtex of elastane covered with 22 dtex of nylon 6.6: the core carries as elastane does until the cover is "
         "straight and carries as nylon does; that it is at three times the rest length, a covering draft of 3, is "
@@ -115,12 +116,12 @@ YarnName = Literal["nylon", "nylon-6", "elastane", "support"]
 
 
 def list_yarns() -> tuple[Preset, ...]:
-    """Every preset, in units that a scene may write."""
-    return tuple(_preset(name, known) for name, known in PRESETS.items())
+    """Return every preset, in units of scenes."""
+    return tuple(_preset(name, preset) for name, preset in PRESETS.items())
 
 
-def _preset(name: str, known: Known) -> Preset:
-    yarn = known.yarn
+def _preset(name: str, preset: YarnPreset) -> Preset:
+    yarn = preset.yarn
     measures = (
         Measure("EA", "N", yarn.ea),
         Measure("lock", "", yarn.lock),
@@ -128,9 +129,9 @@ def _preset(name: str, known: Known) -> Preset:
         Measure("density", "dtex", yarn.density / DTEX),
         Measure("mu", "", yarn.mu),
     )
-    return Preset(name, known.source, measures)
+    return Preset(name, preset.source, measures)
 
 
 def resolve(choice: YarnName | Yarn) -> Yarn:
-    """The yarn that a scene names or describes."""
+    """Return the yarn that a scene names or defines."""
     return PRESETS[choice].yarn if isinstance(choice, str) else choice

@@ -18,10 +18,10 @@ INK, HALO = (58, 58, 62), (250, 249, 246)
 
 
 def annotate(picture: NDArray[np.uint8], caption: str, legend: Legend | None) -> NDArray[np.uint8]:
-    """The picture (h, w, 3) with a caption at the lower left and a bar at the lower right.
+    """Return the picture (h, w, 3) with a caption at the lower left and a bar at the lower right.
 
-    Sizes follow the picture's height. Text is Pillow's own font, so that it looks the same on
-    every machine; Pillow is imported only when there is text to draw.
+    Sizes follow the picture's height. Text is in Pillow's font, so that it looks the same on every machine; Pillow is
+    imported only to draw text.
     """
     if not caption and legend is None:
         return picture
@@ -43,7 +43,7 @@ def _bar(
     image: object, draw: ImageDraw, legend: Legend, font: FreeTypeFont | ImageFont, corner: tuple[int, int],
     size: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Label above the bar, limits below it, right-aligned with `corner`."""
+    """Draw a bar with its label above and its limits below, right-aligned with `corner`."""
     from PIL import Image
 
     assert isinstance(image, Image.Image)
@@ -53,7 +53,7 @@ def _bar(
     row = np.rint(to_srgb(colours(np.linspace(0.0, 1.0, width), 0.0, 1.0)) * 255.0).astype(np.uint8)
     image.paste(Image.fromarray(np.tile(row, (height, 1, 1))), (left, top))
     draw.rectangle((left - 1, top - 1, right, top + height), outline=INK)
-    # A label longer than the bar ends where the bar does.
+    # A label longer than the bar is right-aligned with it.
     wide = draw.textlength(legend.label, font) > width
     _text(draw, (right if wide else left, top - line // 3), legend.label, font, "rs" if wide else "ls")
     _text(draw, (left, bottom), _number(legend.low, legend.format), font, "ls")
@@ -67,5 +67,5 @@ def _text(draw: ImageDraw, place: tuple[int, int], text: str, font: FreeTypeFont
 def _number(value: float, style: str) -> str:
     if style == "percent":
         return f"{value * 100:.3g} %"
-    # Three digits, but no power of ten where thousands are told apart as easily.
+    # Three digits, but thousands without a power of ten.
     return f"{float(f'{value:.3g}'):,.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"

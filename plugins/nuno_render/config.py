@@ -1,4 +1,4 @@
-"""What a user may choose about a picture."""
+"""The configuration of a picture."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Places of samples: correlated multi-jittered sampling (Kensler, Pixar technical memo 13-01, 2013).
 
-N samples stand one in each cell of a grid, and one in each of N columns and N rows: yarns lie in rows and columns over
-long stretches of a picture, and a pixel's share of them is known the better the more rows its samples have. Each
-pattern is a hash of a seed and never of a generator's state, so that tiles can be drawn in any order.
+N samples are one in each cell of a grid, and one in each of N columns and N rows: yarns form rows and columns over long
+stretches of a picture, and a pixel's share of them is more accurate with more rows of samples. Each pattern is a hash
+of a seed, not a generator's state, so that tiles can be drawn in any order.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ MASK = 0xFFFFFFFF
 
 @kernel
 def scramble(a: int, b: int) -> int:
-    """A 32-bit hash of two numbers."""
+    """Return a 32-bit hash of two numbers."""
     x = (a * 0x9E3779B1 + b * 0x85EBCA77 + 0x27220A95) & MASK
     x ^= x >> 16
     x = (x * 0x7FEB352D) & MASK
@@ -25,14 +25,14 @@ def scramble(a: int, b: int) -> int:
 
 @kernel
 def uniform(i: int, pattern: int) -> float:
-    """A number in [0, 1) from a hash."""
+    """Return a number in [0, 1) from a hash."""
     return scramble(i, pattern) / 4294967296.0
 
 
 @kernel
 def permute(i: int, count: int, pattern: int) -> int:
-    """Where a permutation of `count` numbers takes i: rounds that are invertible on a power of two, walked until
-    within `count`.
+    """Return the image of i in a permutation of `count` numbers: rounds that are invertible on a power of two, repeated
+    until below `count`.
     """
     w = count - 1
     w |= w >> 1
@@ -65,7 +65,7 @@ def permute(i: int, count: int, pattern: int) -> int:
 
 @kernel
 def place_sample(s: int, columns: int, rows: int, pattern: int) -> tuple[float, float]:
-    """(x, y) in [0, 1)^2 of sample s of columns x rows."""
+    """Return (x, y) in [0, 1)^2 of sample s of columns x rows."""
     s = permute(s, columns * rows, scramble(pattern, 1))
     column = permute(s % columns, columns, scramble(pattern, 2))
     row = permute(s // columns, rows, scramble(pattern, 3))

@@ -1,4 +1,4 @@
-"""Meshes gathered into plain arrays for the kernels, checked once."""
+"""Meshes as checked, plain arrays for the kernels."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
 CLOTH, BODY = "#3a5a8c", "#cfc8bd"
-"""Colours of meshes that bring none: indigo for cloth, warm plaster for closed bodies."""
+"""Default colours of meshes: indigo for cloth, warm plaster for closed bodies."""
 
 FAR = 1e12
-"""Vertices farther out [m] are treated like those that are not finite."""
+"""Vertices farther out than this [m] are treated like those that are not finite."""
 
 
 class DrawnScene(NamedTuple):
@@ -44,8 +44,8 @@ class DrawnScene(NamedTuple):
 
 
 def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
-    """One scene from several meshes. Faces with a vertex that is not finite are left out: a
-    run that diverged can still be drawn.
+    """Return one scene from several meshes, without faces that have a vertex that is not finite: a run that diverged
+    can be drawn.
 
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
@@ -78,7 +78,7 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
 
 
 def join_meshes(meshes: Sequence[Mesh], origin: Float, name: str) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] from the origin and faces (f, 3) of all meshes, which errors call `name`.
+    """Return vertices (n, 3) [m] from the origin and faces (f, 3) of all meshes, named `name` in errors.
 
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
@@ -91,12 +91,12 @@ def join_meshes(meshes: Sequence[Mesh], origin: Float, name: str) -> tuple[Float
 
 
 def join_rows(parts: list[Float], width: int) -> Float:
-    """Rows (n, width) of several arrays, of which there may be none."""
+    """Return rows (n, width) of several arrays, or none."""
     return np.ascontiguousarray(np.concatenate([np.zeros((0, width)), *parts]))
 
 
 def check_mesh(mesh: Mesh, name: str) -> None:
-    """Raises BadInput for arrays of the wrong shape and for face indices out of range."""
+    """Raise BadInput for arrays of the wrong shape and for face indices out of range."""
     count = len(mesh.vertices)
     shapes: dict[str, tuple[NDArray[np.generic] | None, tuple[int, int]]] = {
         "vertices": (mesh.vertices, (count, 3)),
@@ -117,7 +117,7 @@ def check_mesh(mesh: Mesh, name: str) -> None:
 
 
 def _albedo(mesh: Mesh) -> Float:
-    """(n, 3) linear: the mesh's colours, white under an image, or the palette's."""
+    """Return linear albedo (n, 3): the mesh's colours, white under an image, or the default."""
     if mesh.colours is not None:
         return np.clip(np.nan_to_num(np.asarray(mesh.colours, np.float64)), 0.0, 1.0)
     if mesh.image is not None and mesh.uv is not None:
@@ -126,10 +126,8 @@ def _albedo(mesh: Mesh) -> Float:
 
 
 def _twins(meshes: list[Mesh], positions: Float) -> Int:
-    """(n,) the vertex with which each one shares its normal.
-
-    Cloth with a texture seam has pairs of vertices at one place; were each to keep its own
-    normal, the seam would show as a crease. Bodies keep theirs: a box is made of such pairs.
+    """Return the vertex (n,) with which each one shares its normal. Cloth with a texture seam has pairs of vertices at
+    one place; with separate normals the seam would show as a crease. Bodies keep theirs: a box is made of such pairs.
     """
     result = np.arange(len(positions), dtype=np.int32)
     start = 0
@@ -146,7 +144,7 @@ def _twins(meshes: list[Mesh], positions: Float) -> Int:
 
 
 def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
-    """(n, 3) unit normals: the mean of the faces around a vertex, weighted by area.
+    """Return unit normals (n, 3): the mean of the faces around a vertex, weighted by area.
 
     twins (n,) maps a vertex to the one that collects its faces. A vertex without faces, or
     whose faces cancel, gets (0, 0, 1).
@@ -163,7 +161,7 @@ def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
 
 @kernel
 def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: Float) -> None:
-    """Add each face's normal, twice its area long, to its corners' twins."""
+    """Add each face's normal, of length twice its area, to its corners' twins."""
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ux, uy = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]

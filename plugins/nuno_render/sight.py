@@ -1,4 +1,4 @@
-"""Where a picture is seen from, as the kernels take it: checked once, and the rays through its pixels."""
+"""A checked camera for the kernels, and the rays through its pixels."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ from nuno_schemas.fabric import Float
 
 
 class Sight(NamedTuple):
-    """Where a camera stands and looks: eye (3,) [m] from its target; unit vectors right, up and forward (3,); focal
-    length [pixels].
-
-    All that is drawn counts from the target, so that a scene far from the origin keeps its digits.
+    """A camera: eye (3,) [m] from its target; unit vectors right, up and forward (3,); focal length [pixels]. All
+    coordinates are relative to the target, so that a scene far from the origin keeps its digits.
     """
 
     eye: Float
@@ -29,7 +27,7 @@ class Sight(NamedTuple):
 
 
 def sight_of(camera: Camera) -> Sight:
-    """What a camera sees by. Raises BadInput for one without size, field of view or direction."""
+    """Return a checked camera. Raises BadInput for one without size, field of view or direction."""
     if not (min(camera.size) >= 1 and max(camera.size) <= 16384):
         raise BadInput("no such picture", field="camera.size", value=camera.size, limit="1 to 16384 pixels a side")
     if not 0.0 < camera.fov < math.pi:
@@ -40,7 +38,7 @@ def sight_of(camera: Camera) -> Sight:
 
 @kernel
 def aim(sight: Sight, x: float, y: float, width: int, height: int, d: Float) -> None:
-    """Unit vector along the ray through a place of a picture, (x, y) pixels from its upper left corner, into d (3,)."""
+    """Write the unit vector along the ray through (x, y) [pixels] from a picture's upper left corner into d (3,)."""
     u, v = (x - 0.5 * width) / sight.focal, (0.5 * height - y) / sight.focal
     for k in range(3):
         d[k] = sight.forward[k] + u * sight.right[k] + v * sight.up[k]

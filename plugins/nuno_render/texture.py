@@ -1,4 +1,4 @@
-"""Images on cloth: mip maps in linear light, trilinear look-up with a few taps along the slant."""
+"""Images on cloth: mip maps in linear light, and trilinear look-up with a few taps along the slant."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nuno_schemas.colour import to_linear
 from nuno_schemas.fabric import Float
 
 TAPS = 8
-"""Most look-ups along the longer axis of a pixel's footprint."""
+"""The most look-ups along the longer axis of a pixel's footprint."""
 
 
 class Textures(NamedTuple):
@@ -27,7 +27,7 @@ class Textures(NamedTuple):
 
 
 def gather_textures(images: list[NDArray[np.uint8] | None]) -> Textures:
-    """Mip maps of the images, one per mesh or None."""
+    """Return mip maps of the images, one per mesh or None."""
     pyramids = [_pyramid(image.tobytes(), image.shape) if image is not None else () for image in images]
     count = np.array([len(p) for p in pyramids], np.int64)
     levels = np.zeros((len(images), max([1, *map(len, pyramids)]), 3), np.int64)
@@ -42,7 +42,7 @@ def gather_textures(images: list[NDArray[np.uint8] | None]) -> Textures:
 
 @functools.lru_cache(maxsize=4)
 def _pyramid(data: bytes, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], ...]:
-    """Levels from full size to one texel. Kept for the next frame: an animation's image stays."""
+    """Return levels from full size to one texel. Cached, since an animation has the same image in every frame."""
     table = to_linear(np.arange(256) / 255.0).astype(np.float32)
     picture = table[np.frombuffer(data, np.uint8).reshape(shape)]
     levels = [picture]
@@ -53,7 +53,7 @@ def _pyramid(data: bytes, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], 
 
 
 def _halve(picture: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Half the size along an axis, rounded up; an odd last line is repeated."""
+    """Halve the size along an axis, rounded up; an odd last line is repeated."""
     size = picture.shape[axis]
     if size == 1:
         return picture
@@ -81,11 +81,10 @@ def _bilinear(
 
 @kernel
 def look_up(textures: Textures, mesh: int, place: Any, change: Any, out: Float) -> None:
-    """Mean of a mesh's image over a pixel's footprint about a place (u, v), into out (3,).
+    """Write the mean of a mesh's image over a pixel's footprint about (u, v) into out (3,).
 
-    change: that of (u, v) over one pixel to the right, and down. The longer of the
-    two is covered by taps and the shorter chooses the mip level, so that slanted cloth stays
-    sharp along its short axis without aliasing along the long one.
+    change: of (u, v) over one pixel to the right, and down. Taps cover the longer of the two and the shorter chooses
+    the mip level, so that slanted cloth is sharp along its short axis without aliasing along the long one.
     """
     texels, levels, count = textures.texels, textures.levels[mesh], textures.number[mesh]
     (u, v), (ux, vx, uy, vy), height, width = place, change, levels[0, 1], levels[0, 2]

@@ -1,12 +1,13 @@
-"""How stiff the folds of a kept wrinkle are: so that it bears the cloth that hangs from it.
+"""Stiffness of the folds of a kept wrinkle, which bear the cloth that hangs from it.
 
-A fold of rigidity B whose rest shape is a wave of height h and length w, under a line tension T along it, stands at
+A fold of rigidity B whose rest shape is a wave of height h and length w, under a line tension T along it, has the
+height
 
     y / h = B q^2 / (B q^2 + T) = 1 / (1 + T w^2 / (4 pi^2 B)),    q = 2 pi / w,
 
-the balance of B (y'''' - h'''') and T y''. T is the weight of hung cloth below, rho g L at most. B must so grow with
-the load and the width of the fold: no multiple of the cloth's own rigidity serves cloth of all weights and meshes of
-all sizes.
+the balance of B (y'''' - h'''') and T y''. T is the weight of hung cloth below, rho g L at most. So B must grow with
+the load and the width of the fold: no multiple of the cloth's rigidity suits all weights of cloth and all sizes of
+meshes.
 """
 
 from __future__ import annotations
@@ -16,17 +17,16 @@ import numpy as np
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 GRAVITY = 9.81
-"""What kept wrinkles are made to bear [m/s^2]; they are as stiff in a scene without gravity."""
+"""Acceleration that kept wrinkles bear [m/s^2], also in a scene without gravity."""
 HOLD = 0.03
-"""B / (rho g L w^2). A wave under the whole weight would need 0.1 to stand at four fifths, but most of the cloth
-bears less, and flat cloth at the ends of a line bears part of it: on cloth hung at its corners 0.03 keeps that much of
-ridges of several heights, directions and weights, and 0.02 loses a quarter of low ones."""
+"""B / (rho g L w^2). A wave under the whole weight would need 0.1 to keep four fifths of its height, but most of the
+cloth bears less, and flat cloth at the ends of a line bears part of it: on cloth hung at its corners 0.03 keeps that
+share of ridges of several heights, directions and weights, and 0.02 loses a quarter of low ones."""
 
 
 def kept_rigidity(density: float, x: Float, crests: Int) -> float:
-    """Rigidity [N m] of folds that hold on cloth of `density` [kg/m^2] at x (n, 3) [m]; crests (5, c) as `find_crests`.
-
-    0 where no width can be told, as of a line of two triangles.
+    """Return the rigidity [N m] of folds that hold on cloth of `density` [kg/m^2] at x (n, 3) [m]; crests (5, c) are
+    those of `find_crests`. 0 if the width is unknown, as of a line of two triangles.
     """
     if not crests.size:
         return 0.0
@@ -35,11 +35,10 @@ def kept_rigidity(density: float, x: Float, crests: Int) -> float:
 
 
 def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Springs) -> Float:
-    """(h,) stiffness [N m] at which a hinge alone moves its vertices as fast as the net's springs may.
+    """Return the stiffness (h,) [N m] at which a hinge alone moves its vertices as fast as the net's springs may.
 
-    A hinge of stiffness k moves along its gradients g with omega^2 = k sum |g_c|^2 / m_c, and springs with no more than
-    2 max sum_j k_j / m_i (Gershgorin). Slivers as stiff as the rest would want a step of half the length, and the
-    wrinkle stands no higher for them.
+    A hinge of stiffness k moves along its gradients g with omega^2 = k sum |g_c|^2 / m_c, and springs with at most 2
+    max sum_j k_j / m_i (Gershgorin). Slivers as stiff as the rest would halve the step without raising the wrinkle.
     """
     free = ~pinned
     pairs, stiffness = springs.pairs(), springs.per_spring(springs.k)
@@ -48,9 +47,9 @@ def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Spr
     square = np.einsum("hk,hk->h", edge, edge)
     slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))
     for corner in (2, 3):
-        way = x[quads[:, corner]] - x[quads[:, 0]]
-        share = np.einsum("hk,hk->h", way, edge) / square
-        tilt = np.sqrt(square / np.square(np.cross(edge, way)).sum(axis=1))
+        side = x[quads[:, corner]] - x[quads[:, 0]]
+        share = np.einsum("hk,hk->h", side, edge) / square
+        tilt = np.sqrt(square / np.square(np.cross(edge, side)).sum(axis=1))
         slope += tilt**2 / mass[quads[:, corner]]
         lever += tilt * np.stack([1.0 - share, share])
     slope += (lever**2 / mass[quads[:, :2].T]).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Lines of all kinds as places in triangles: read, laid onto the cloth, and followed over it."""
+"""Lines of all kinds as places in triangles: read, projected onto the cloth, and followed over it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, NO_WAY, TOUCH, WAY, Pass
 
 @kernel
 def scan(points: Float, corners: Float, face: Int, triangle: Int, weights: Float, distance: Float) -> None:
-    """Look at every triangle for each point: see `scan_triangles`."""
+    """Find the nearest triangle of each point by testing all, as for `scan_triangles`."""
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         best, which = math.inf, 0
@@ -39,10 +39,9 @@ def scan(points: Float, corners: Float, face: Int, triangle: Int, weights: Float
 
 
 def scan_triangles(points: Float, vertices: Float, faces: Int) -> tuple[Int, Float, Float]:
-    """Triangle (n,) nearest to each of points (n, 3) [m], barycentric coordinates (n, 3) in it, and distance (n,) [m].
-
-    For a few points of a mesh that moves: to build the tree of 20,000 triangles takes as long as to look at all of them
-    for a thousand points. Of equally near triangles that of the lowest number is taken.
+    """Return the triangle (n,) nearest to each of points (n, 3) [m], barycentric coordinates (n, 3) in it, and distance
+    (n,) [m], for a few points of a moving mesh: building the tree of 20,000 triangles takes as long as testing all of
+    them for a thousand points. Of equally near triangles the lowest number counts.
     """
     filled = np.minimum(np.arange(-(-len(faces) // WIDTH) * WIDTH), len(faces) - 1)
     a, b, c = (vertices.take(faces[filled, k], axis=0) for k in range(3))
@@ -53,12 +52,12 @@ def scan_triangles(points: Float, vertices: Float, faces: Int) -> tuple[Int, Flo
 
 
 INSIDE = 1e-3
-"""Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
+"""Least barycentric coordinate of a line's points: a point on an edge would belong to two triangles."""
 APART = 0.1
-"""Least barycentric coordinate of a new vertex: nearer to an edge its triangles would be slivers."""
+"""Least barycentric coordinate of a new vertex: smaller ones would make slivers."""
 TEXTURE_TOLERANCE = 1e-6
 LARGEST_FILE = 64 * 2**20
-ENDED = {
+PROBLEMS = {
     NO_BORDER: (
         "the line leaves the cloth through its border",
         "end it before the border, or draw more points along the cloth",
@@ -72,15 +71,15 @@ ENDED = {
         "draw more points: it follows the cut of the cloth with the plane through two of them and their normals",
     ),
 }
-"""Problem and remedy of a line that `walk_line` does not follow to its end."""
+"""Problem and remedy by the status with which `walk_line` stops early."""
 
 
 @dataclass(frozen=True)
 class Crossed:
-    """Triangles that lines go through.
+    """The triangles that lines cross.
 
-    face (m,) ascending; at (m, 3) barycentric coordinates of the new vertices; height (m,) [m];
-    chains: for each line the places in `face` of its triangles, in their order.
+    face (m,) ascending; at (m, 3) barycentric coordinates of the new vertices; height (m,) [m]; chains: for each line
+    the places of its triangles in `face`, in order.
     """
 
     face: Int
@@ -90,24 +89,24 @@ class Crossed:
 
 
 def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
-    """The lines of a scene, those of files as points. Raises BadInput for a file that holds none."""
-    found: list[Line] = []
+    """Return the lines of a scene, those of files as points. Raises BadInput for a file without lines."""
+    result: list[Line] = []
     for i, line in enumerate(lines):
         if line.file is None:
-            found.append(line)
+            result.append(line)
             continue
         path = files.resolve(line.file)
         rows = _read_strokes(path)
-        found += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
+        result += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
         if not rows:
             raise BadInput(
                 "the file holds no lines", str(path), field=f"lines[{i}].file", remedy="an element is written: l 1 2 3"
             )
-    return tuple(found)
+    return tuple(result)
 
 
 def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
-    """Points of each line of an OBJ file. Raises BadInput."""
+    """Return the points of each line of an OBJ file. Raises BadInput."""
     mesh = read_as(path, "OBJ", read_obj, LARGEST_FILE)
     most = max(map(len, mesh.lines), default=0)
     if most > MOST_POINTS:
@@ -116,20 +115,19 @@ def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
 
 
 def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...], tolerance: float) -> Crossed:
-    """The triangles that lines cross, x (n, 3) [m] being where the cloth is. Raises BadInput.
-
-    A triangle has one new vertex, however many lines cross it: at the mean of their parts in it, by length, at the
-    mean of their heights.
+    """Return the triangles that lines cross, x (n, 3) [m] being the cloth's vertices. Raises BadInput. A triangle has
+    one new vertex, however many lines cross it: at the mean of their parts in it, weighted by length, with the mean of
+    their heights.
     """
     faces = fabric.faces
     total, up = np.zeros((len(faces) + 1, 5)), np.zeros((len(faces), 2), np.bool_)
     chains = []
     for i, line in enumerate(lines):
         way = (x, faces, across) if line.texture is None else _flat(fabric, across, i)
-        face, at = _lay(way[1], way[0], line, i, tolerance)
+        face, at = _locate(way[1], way[0], line, i, tolerance)
         if line.closed:
             face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
-        chains.append(_walk(*way, (face, at), line, i, total, up))
+        chains.append(_follow(*way, (face, at), line, i, total, up))
     clash = np.flatnonzero(up[:, 0] & up[:, 1])
     if clash.size:
         raise BadInput(
@@ -145,8 +143,8 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
 
 
 def _flat(fabric: Fabric, across: Int, i: int) -> tuple[Float, Int, Int]:
-    """The cloth as it lies on its texture, cut along seams: points (p, 3) whose third coordinate is 0, triangles (f, 3)
-    and those across their edges, as `surface.link_faces`.
+    """Return the cloth on its texture, cut along seams: points (p, 3) whose third coordinate is 0, triangles (f, 3) and
+    those across their edges, as by `surface.link_faces`.
     """
     laid = on_texture(fabric, i)
     points = np.ascontiguousarray(np.column_stack([laid.points, np.zeros(len(laid.points))]), np.float64)
@@ -154,24 +152,24 @@ def _flat(fabric: Fabric, across: Int, i: int) -> tuple[Float, Int, Int]:
 
 
 def on_texture(fabric: Fabric, i: int) -> Corners:
-    """The texture coordinates that line `i` is given on. Raises BadInput where the cloth has none."""
+    """Return the texture coordinates of the cloth, for line `i`. Raises BadInput if it has none."""
     if (laid := fabric.laid_out) is None:
         remedy = "give the line as points [m], or the mesh texture coordinates"
         raise BadInput("the cloth has no texture coordinates", field=f"lines[{i}].texture", remedy=remedy)
     return laid
 
 
-def _lay(faces: Int, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
-    """Triangle (p,) and barycentric coordinates (p, 3) of each point of a line. Raises BadInput."""
+def _locate(faces: Int, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
+    """Return the triangle (p,) and barycentric coordinates (p, 3) of each point of a line. Raises BadInput."""
     if line.on_faces is not None:
         numbers = np.array([place.face for place in line.on_faces], np.int64)
         if numbers.max() >= len(faces):
             limit, value = f"0 to {len(faces) - 1}", int(numbers.max())
             raise BadInput("there is no such triangle", field=f"lines[{i}].on_faces", value=value, limit=limit)
-        return numbers.astype(np.int32), _inwards(np.array([place.at for place in line.on_faces]))
-    given = line.points if line.points is not None else line.texture
-    points = np.zeros((len(given or ()), 3))
-    points[:, : 3 if line.points is not None else 2] = given
+        return numbers.astype(np.int32), _move_inwards(np.array([place.at for place in line.on_faces]))
+    coordinates = line.points if line.points is not None else line.texture
+    points = np.zeros((len(coordinates or ()), 3))
+    points[:, : 3 if line.points is not None else 2] = coordinates
     if not np.ptp(points, axis=0).any():
         raise BadInput(
             "all points of the line are one", field=f"lines[{i}]", value=points[0].tolist(), remedy="draw it longer"
@@ -185,18 +183,18 @@ def _lay(faces: Int, x: Float, line: Line, i: int, tolerance: float) -> tuple[In
             limit=f"{distance[worst]:.4g}{unit} away, and {most:.4g}{unit} are allowed",
             remedy="draw it nearer, or raise tolerance" if unit else "texture coordinates must lie on the cloth",
         )  # fmt: skip
-    return face, _inwards(at)
+    return face, _move_inwards(at)
 
 
-def _inwards(at: Float) -> Float:
+def _move_inwards(at: Float) -> Float:
     moved = np.maximum(at, INSIDE)
     return np.asarray(moved / moved.sum(axis=1)[:, None])
 
 
-def _walk(
+def _follow(
     x: Float, faces: Int, across: Int, places: tuple[Int, Float], line: Line, i: int, total: Float, up: np.ndarray
 ) -> Int:
-    """The triangles of one line in their order, each once. Raises BadInput where no way leads on."""
+    """Return the triangles of one line in order, each once. Raises BadInput where the line cannot be followed."""
     face, at = places
     normal = face_normals(x, faces[face])
     normal[~normal.any(axis=1), 2] = 1.0
@@ -204,10 +202,13 @@ def _walk(
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
     path = np.empty(2 * len(faces) + len(face), np.int32)
-    way = Way(face, at, points, normal, float(line.height))
-    ended, point, passed = walk_line(x, faces, across, way, Passed(total, up, path))
-    if ended != WAY:
-        (problem, remedy), after = ENDED[ended], (point + 1) % len(line.points or line.texture or line.on_faces or ())
+    polyline = Way(face, at, points, normal, float(line.height))
+    status, point, passed = walk_line(x, faces, across, polyline, Passed(total, up, path))
+    if status != WAY:
+        (problem, remedy), after = (
+            PROBLEMS[status],
+            (point + 1) % len(line.points or line.texture or line.on_faces or ()),
+        )
         raise BadInput(problem, field=f"lines[{i}]", value=f"between points {point} and {after}", remedy=remedy)
     chain = path[:passed]
     return np.ascontiguousarray(chain[np.sort(np.unique(chain, return_index=True)[1])])

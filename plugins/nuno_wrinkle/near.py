@@ -1,4 +1,4 @@
-"""What the net near a line is made of, and the rules for its new springs."""
+"""The springs and triangles near a line, and the rules for its new springs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ ON_SPRINGS = "draw on a mesh or a shirt of tension: springs, or on a sheet or sk
 
 
 def describe(fabric: Fabric) -> dict[str, float]:
-    """What later lines need of a model as it was built: r_avg [m], k_std [N/m], density [kg/m^2], the damping ratio
-    of springs, and r_bend, k_bend of bending springs. Raises BadInput for one that has no structural springs.
+    """Return the parameters of a model as built, also for later lines: r_avg [m], k_std [N/m], density [kg/m^2], the
+    damping ratio of springs, and r_bend, k_bend of bending springs. Raises BadInput for a model without structural
+    springs.
 
-    A mesh without inner edges has no bending springs; its model notes what they would have had, and two equilateral
-    triangles of sides r_avg have their far corners sqrt(3) r_avg apart.
+    A mesh without inner edges has no bending springs: k_bend is then that of `fabric.origin`, and r_bend is sqrt(3)
+    r_avg, the distance of the far corners of two equilateral triangles of side r_avg.
     """
     springs = fabric.springs
     if springs is None or not springs.of_kind(STRUCTURAL).any():
@@ -31,12 +32,12 @@ def describe(fabric: Fabric) -> dict[str, float]:
     pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
     one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
-    own, bent = springs.of_kind(STRUCTURAL), springs.of_kind(BENDING)
-    damped = own & (critical > 0.0)  # on elongated triangles a measured fabric has springs of no stiffness
-    r_avg = float(rest[own].mean())
+    structural, bent = springs.of_kind(STRUCTURAL), springs.of_kind(BENDING)
+    damped = structural & (critical > 0.0)  # on elongated triangles a measured fabric has springs of stiffness 0
+    r_avg = float(rest[structural].mean())
     return {
         "r_avg": r_avg,
-        "k_std": float(k[own].mean()),
+        "k_std": float(k[structural].mean()),
         "density": float(fabric.mass.sum()) / area_of(fabric.position, fabric.faces),
         "damping_ratio": float((c[damped] / critical[damped]).mean()),
         "r_bend": float(rest[bent].mean()) if bent.any() else float(np.sqrt(3.0)) * r_avg,
@@ -56,8 +57,8 @@ class Near:
     stretch: Float
 
 
-def sprung(fabric: Fabric) -> NDArray[np.bool_]:
-    """(f,) whether a triangle has structural springs along all its edges."""
+def find_sprung(fabric: Fabric) -> NDArray[np.bool_]:
+    """Return whether triangles (f,) have structural springs along all their edges."""
     springs, edges = fabric.springs, edges_of(fabric.faces)
     assert springs is not None
     pairs = springs.pairs()[springs.of_kind(STRUCTURAL)]
@@ -65,23 +66,23 @@ def sprung(fabric: Fabric) -> NDArray[np.bool_]:
 
 
 def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
-    """What the region is made of. Raises BadInput where edges lack springs, as on a grid of quads."""
+    """Return the region's springs and triangles. Raises BadInput if edges lack springs, as on a grid of quads."""
     springs = fabric.springs
     assert springs is not None
     edges = edges_of(fabric.faces[region.face])
     pairs = springs.pairs()
     inside = np.zeros(fabric.number, np.bool_)
     inside[fabric.faces[region.face]] = True
-    own = inside[pairs[:, 0]] & inside[pairs[:, 1]] & springs.of_kind(STRUCTURAL)
-    chosen = np.flatnonzero(own)
+    selected = inside[pairs[:, 0]] & inside[pairs[:, 1]] & springs.of_kind(STRUCTURAL)
+    chosen = np.flatnonzero(selected)
     key = keys_of(pairs[chosen])
     order = np.argsort(key, kind="stable")
-    place, there = Edges(key[order], np.zeros((0, 3), np.int64)).rows(edges.key)
+    place, present = Edges(key[order], np.zeros((0, 3), np.int64)).rows(edges.key)
     ends = pairs_of(edges.key)
-    if not there.all():
+    if not present.all():
         raise BadInput(
             "the cloth has no spring along an edge of its triangles", field="lines",
-            value=ends[~there][0].tolist(), limit="springs on all edges, as the wrinkle paper has them",
+            value=ends[~present][0].tolist(), limit="springs on all edges, as the wrinkle paper has them",
             remedy=ON_SPRINGS,
         )  # fmt: skip
     length = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)

@@ -1,4 +1,4 @@
-"""The surface with lines raised: split, moved along normals, smoothed; springs and masses are left to net.py."""
+"""The surface with raised lines: split, moved along normals, smoothed. net.py builds springs and masses."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from nuno_wrinkle.surface import link_faces
 THIN = 1e-6
 """Least area of a triangle, as a share of its longest side squared."""
 SAME = 1e-6
-"""Texture coordinates are float32."""
+"""Tolerance of equal texture coordinates, which are float32."""
 ROUNDS = 50
-"""How often smoothing begins again, with more vertices held."""
+"""The most times that smoothing restarts, with more vertices held."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """What lines can change of a mesh of f triangles and n vertices.
+    """The part of a mesh of f triangles and n vertices that lines can change.
 
     face (l,) triangles with a vertex that may be smoothed; vertex (n,) those vertices
     """
@@ -37,12 +37,12 @@ class Region:
 
 @dataclass(frozen=True)
 class Raised:
-    """A surface of n + m vertices with lines raised in it.
+    """A surface of n + m vertices with raised lines.
 
-    faces (f + 2 m, 3), across: as `surface.link_faces`; x (n + m, 3) [m], flat (n + m, 3) before it was raised;
-    smoothed (s,) vertices; local (l,) the triangles of the region; changed (c,) those that are not as they were;
-    share (f + 2 m,) of old triangles' values, by `split_faces`; flipped, left: edges; held: vertices of `smoothed`
-    that stay, for triangles would be turned over
+    faces (f + 2 m, 3), across: by `surface.link_faces`; x (n + m, 3) [m], flat (n + m, 3) before it was raised;
+    smoothed (s,) vertices; local (l,) the triangles of the region; changed (c,) those that are new or different; share
+    (f + 2 m,) of old triangles' values, by `split_faces`; flipped, left: edges; held: vertices of `smoothed` that stay,
+    so that no triangle turns over
     """
 
     faces: Int
@@ -57,16 +57,16 @@ class Raised:
     flipped: int
     left: int
     normal: Float
-    """(m, 3) of the triangles that were split"""
+    """normals (m, 3) of the split triangles"""
     uv: Float | None
-    """(f + 2 m, 3, 2) texture coordinates of corners; None of cloth that has none by corners"""
+    """texture coordinates (f + 2 m, 3, 2) of corners; None for cloth without any by corners"""
 
 
 def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
-    """The vertices within two edges of the new ones, and all triangles at them.
+    """Return the vertices within two edges of the new ones, and all triangles at them.
 
-    A new vertex is joined to its triangle's corners and to those opposite: the vertices one edge on from the
-    corners; its two-ring goes one edge further.
+    A new vertex has edges to its triangle's corners and to those opposite, one edge beyond the corners; its two-ring
+    extends one edge further.
     """
     near = np.zeros(n, np.bool_)
     near[faces[crossed.face]] = True
@@ -78,9 +78,8 @@ def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
 def raise_lines(
     fabric: Fabric, x: Float, across: Int, crossed: Crossed, smoothing: Smoothing, region: Region, share: Float
 ) -> Raised:
-    """The raised surface; `share` (f,) is what each triangle passes on to its parts.
-
-    Raises BadInput where no smoothing can be found that turns no triangle over.
+    """Return the raised surface; `share` (f,) is a value that each triangle passes on to its parts. Raises BadInput if
+    all smoothing turns triangles over.
     """
     old, n, m = fabric.faces, fabric.number, len(crossed.face)
     normal = face_normals(x, old[crossed.face])
@@ -94,7 +93,7 @@ def raise_lines(
     turn = None if laid is None else _period(laid)
     if laid is None or turn is not None:
         flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
-    else:  # as it is cut along the seams of its texture: no edge there is flipped
+    else:  # cut along the seams of its texture, where no edge is flipped
         vertex, points = np.append(laid.vertex, np.arange(n, n + m, dtype=np.int32)), len(laid.vertex)
         drawn, beyond = (
             np.concatenate([a, np.zeros((2 * m, 3), np.int32)]) for a in (laid.faces, link_faces(laid.faces, points))
@@ -107,17 +106,17 @@ def raise_lines(
         cut = np.concatenate([laid.points, between])
         uv = cut[drawn] if turn is None else _wrapped(laid, between, turn, faces, n)
     local = np.append(region.face, np.arange(len(old), len(faces), dtype=np.int32))
-    beside = _neighbours(fabric, faces[local], beyond[local] < 0, len(flat), smoothing)
-    held = _smooth(flat, raised, faces[local], beside, smoothing)
+    neighbours = _find_neighbours(fabric, faces[local], beyond[local] < 0, len(flat), smoothing)
+    held = _smooth(flat, raised, faces[local], neighbours, smoothing)
     same = (faces[region.face] == old[region.face]).all(axis=1)
     changed = np.append(region.face[~same], local[len(region.face) :]).astype(np.int32)
-    smoothed = beside.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
+    smoothed = neighbours.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
     return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal, uv)
 
 
 def _period(laid: Corners) -> Float | None:
-    """By how many whole images (2,) the two sides of all seams differ, where that is the same, as round a skirt; else
-    None. Only with it the image goes on beyond a seam.
+    """Return the number of whole images (2,) by which the two sides of all seams differ, if it is the same, as round a
+    skirt, or None. Only then the image continues beyond a seam.
     """
     order = np.argsort(laid.vertex, kind="stable")
     apart = np.diff(laid.points[order].astype(np.float64), axis=0)[np.diff(laid.vertex[order]) == 0]
@@ -129,8 +128,8 @@ def _period(laid: Corners) -> Float | None:
 
 
 def _wrapped(laid: Corners, between: Float, turn: Float, faces: Int, n: int) -> Float:
-    """(f + 2 m, 3, 2) texture coordinates of corners, those of changed triangles on the side where their new vertex
-    lies: beyond the seam the image goes on, `turn` farther.
+    """Return texture coordinates (f + 2 m, 3, 2) of corners, those of changed triangles on the side of their new
+    vertex: beyond the seam the image continues, shifted by `turn`.
     """
     place = np.zeros((n + len(between), 2))
     place[laid.vertex], place[n:] = laid.points, between
@@ -142,27 +141,26 @@ def _wrapped(laid: Corners, between: Float, turn: Float, faces: Int, n: int) -> 
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What smoothing takes the mean of: vertex (s,), and pairs (p, 2) of one of them and a neighbour, sorted."""
+class Neighbours:
+    """Neighbours for smoothing: vertices (s,), and sorted pairs (p, 2) of one of them and a neighbour."""
 
     vertex: Int
     pair: NDArray[np.int64]
 
 
-def _neighbours(fabric: Fabric, own: Int, rim: Bool, number: int, smoothing: Smoothing) -> Beside:
-    """Neighbours of the new vertices and of their two-ring, by the triangles (l, 3) there; rim (l, 3) borders.
-
-    Pinned vertices stay, and those of the border are smoothed along it, so that it is not drawn inwards (Taubin's
-    hierarchical constraint); so are new vertices among themselves where that is asked for. The end of a border or
-    of such a line stays: its one neighbour would draw it in.
+def _find_neighbours(fabric: Fabric, triangles: Int, rim: Bool, number: int, smoothing: Smoothing) -> Neighbours:
+    """Return the neighbours of the new vertices and of their two-ring, by the triangles (l, 3) there; rim (l, 3)
+    borders. Pinned vertices stay, and those of the border are smoothed along it, so that it does not move inwards
+    (Taubin's hierarchical constraint); so are new vertices among themselves if `smoothing.hierarchical`. The end of a
+    border or of such a line stays: its one neighbour would pull it in.
     """
     n = fabric.number
     near = np.zeros(number, np.bool_)
     near[n:] = True
     for _ in range(2):
-        near[own[any_of(near, own)]] = True
+        near[triangles[any_of(near, triangles)]] = True
     near[:n][fabric.pinned] = False
-    start, end = own.reshape(-1), np.roll(own, -1, axis=1).reshape(-1)
+    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
     edge = rim.reshape(-1)
     pair = np.stack([np.append(start, end[edge]), np.append(end, start[edge])], 1).astype(np.int64)
     border = np.zeros(number, np.bool_)
@@ -172,30 +170,29 @@ def _neighbours(fabric: Fabric, own: Int, rim: Bool, number: int, smoothing: Smo
         kept &= (pair[:, 0] < n) | (pair[:, 1] >= n)
     pair = pair[kept]
     alone = np.bincount(pair[:, 0], minlength=number) < 2
-    return Beside(np.flatnonzero(near).astype(np.int32), pair[~alone[pair[:, 0]]])
+    return Neighbours(np.flatnonzero(near).astype(np.int32), pair[~alone[pair[:, 0]]])
 
 
-def _smooth(flat: Float, x: Float, own: Int, beside: Beside, smoothing: Smoothing) -> int:
-    """Smooth x, in place, but for the vertices of triangles that would be turned over: how many those are.
-
-    Unsmoothed no triangle is turned over (split.py), so that there is always a set of vertices to hold.
+def _smooth(flat: Float, x: Float, triangles: Int, neighbours: Neighbours, smoothing: Smoothing) -> int:
+    """Smooth x, in place, except the vertices of triangles that would turn over. Return their number. Without smoothing
+    no triangle turns over (split.py), so that there is always a set of vertices to hold.
     """
     if smoothing.passes == 0:
         return 0
     start, held = x.copy(), np.zeros(len(x), np.bool_)
     for _ in range(ROUNDS):
-        pair = beside.pair[~held[beside.pair[:, 0]]]
+        pair = neighbours.pair[~held[neighbours.pair[:, 0]]]
         pair = pair[np.argsort(pair[:, 0], kind="stable")]
-        at = np.concatenate([[0], np.cumsum(np.bincount(pair[:, 0], minlength=len(x))[beside.vertex])])
+        at = np.concatenate([[0], np.cumsum(np.bincount(pair[:, 0], minlength=len(x))[neighbours.vertex])])
         x[...] = start
         smooth(
-            x, beside.vertex, at.astype(np.int32), pair[:, 1].astype(np.int32),
+            x, neighbours.vertex, at.astype(np.int32), pair[:, 1].astype(np.int32),
             smoothing.passes, smoothing.shrink, smoothing.inflate,
         )  # fmt: skip
-        bad = _turned(flat, x, own)
+        bad = _turned(flat, x, triangles)
         if not bad.any():
             return int(held.sum())
-        held[own[bad]] = True
+        held[triangles[bad]] = True
     remedy = "fewer passes, a smaller height, or a mesh of rounder triangles"
     raise BadInput(
         "smoothing would turn triangles over", field="smoothing.passes", value=smoothing.passes, remedy=remedy
@@ -203,7 +200,7 @@ def _smooth(flat: Float, x: Float, own: Int, beside: Beside, smoothing: Smoothin
 
 
 def _turned(flat: Float, raised: Float, faces: Int) -> Bool:
-    """(l,) which triangles have been turned over or have lost their area."""
+    """Return which triangles (l,) have turned over or have lost their area."""
     before, after = (_normals(x, faces) for x in (flat, raised))
     side = raised[faces] - raised[np.roll(faces, 1, axis=1)]
     least = THIN * np.square(side).sum(axis=2).max(axis=1)
@@ -212,6 +209,6 @@ def _turned(flat: Float, raised: Float, faces: Int) -> Bool:
 
 
 def _normals(x: Float, faces: Int) -> Float:
-    """(f, 3) normals, twice as long as the triangles' areas."""
+    """Return normals (f, 3), of lengths twice the triangles' areas."""
     a = x[faces[:, 0]]
     return np.cross(x[faces[:, 1]] - a, x[faces[:, 2]] - a)

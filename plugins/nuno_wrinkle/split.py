@@ -1,4 +1,4 @@
-r"""Algorithm 2 of the wrinkle paper: a new vertex in each of some triangles, and their edges flipped.
+r"""Algorithm 2 of the wrinkle paper: new vertices in triangles, and flips of these triangles' edges.
 
      a ------ b          a ------ b          a        b
       \\  f   /            \\  p  //            \\   //|     p is joined to the corners of its triangle f; then
@@ -6,11 +6,11 @@ r"""Algorithm 2 of the wrinkle paper: a new vertex in each of some triangles, an
         \\  /      ->        \\|/       ->        \\|\\ |     one from p to the opposite corner of g: so no bending
          c                   c                   c \\q     spring lies beside a structural one.
 
-Every edge is looked at once, also where both its triangles are split: then it joins two new vertices, and the line
-becomes a chain of edges. Left as it is: an edge whose other diagonal is there already (round a vertex that would
-be left with two edges), one whose two triangles make no convex quad (a triangle would be turned over, or would
-be once it is raised), and a fold of 90 degrees and more (its crease would be cut through). Flips change no count: a
-strip of n split triangles inside of a mesh has V + n, E + 3 n, F + 2 n whatever is flipped.
+Every edge is tested once, also if both its triangles are split: then it connects two new vertices, and the line becomes
+a chain of edges. These edges stay: one whose other diagonal exists (at a vertex that would keep only two edges), one
+whose two triangles are not a convex quad (a triangle would turn over, before or after raising), and a fold of 90
+degrees and more (its crease would be cut). Flips change no count: a strip of n split triangles inside of a mesh has V +
+n, E + 3 n, F + 2 n whatever is flipped.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from nuno_kernels import kernel
 from nuno_schemas.fabric import Float, Int
 
 CONVEX = 0.02
-"""Least area of a triangle that a flip makes, as a share of the quad's."""
+"""Least area of a triangle after a flip, as a share of the quad's."""
 STEEP = 0.02
-"""Least cosine between such a triangle before it is raised and after."""
+"""Least cosine between the normals of such a triangle before and after raising."""
 
 
 @kernel
-def _point_back(faces: Int, across: Int, face: int, a: int, b: int, to: int) -> None:
-    """Tell `face` that beyond its edge from a to b now lies `to`."""
+def _set_neighbour(faces: Int, across: Int, face: int, a: int, b: int, to: int) -> None:
+    """Set the neighbour of `face` across its edge from a to b to `to`."""
     if face >= 0:
         for c in range(3):
             if faces[face, c] == a and faces[face, (c + 1) % 3] == b:
@@ -38,8 +38,8 @@ def _point_back(faces: Int, across: Int, face: int, a: int, b: int, to: int) -> 
 
 
 @kernel
-def _joined(faces: Int, across: Int, face: int, p: int, q: int) -> bool:
-    """Whether an edge joins p, which has triangles all round and is a corner of `face`, to q."""
+def _has_edge(faces: Int, across: Int, face: int, p: int, q: int) -> bool:
+    """Return whether an edge connects p, which has triangles all round and is a corner of `face`, to q."""
     here = face
     while True:
         corner = 0
@@ -54,8 +54,8 @@ def _joined(faces: Int, across: Int, face: int, p: int, q: int) -> bool:
 
 
 @kernel
-def _across(x: Float, a: int, b: int, c: int, out: Float) -> None:
-    """Twice the area of the triangle a, b, c times its normal, into out (3,)."""
+def _area_vector(x: Float, a: int, b: int, c: int, out: Float) -> None:
+    """Write twice the area of the triangle a, b, c times its normal into out (3,)."""
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         out[k] = (x[b, i] - x[a, i]) * (x[c, j] - x[a, j]) - (x[b, j] - x[a, j]) * (x[c, i] - x[a, i])
@@ -63,12 +63,12 @@ def _across(x: Float, a: int, b: int, c: int, out: Float) -> None:
 
 @kernel
 def _may_flip(x: Float, u: int, v: int, p: int, q: int) -> bool:
-    """Whether the triangles u, v, p and v, u, q make a convex quad, seen along the sum of their normals."""
+    """Return whether the triangles u, v, p and v, u, q form a convex quad, seen along the sum of their normals."""
     s, g, one, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    _across(x, u, v, p, s)
-    _across(x, v, u, q, g)
-    _across(x, p, u, q, one)
-    _across(x, q, v, p, other)
+    _area_vector(x, u, v, p, s)
+    _area_vector(x, v, u, q, g)
+    _area_vector(x, p, u, q, one)
+    _area_vector(x, q, v, p, other)
     fold, size_s, size_g = 0.0, 0.0, 0.0
     for k in range(3):
         fold += s[k] * g[k]
@@ -87,11 +87,11 @@ def _may_flip(x: Float, u: int, v: int, p: int, q: int) -> bool:
 
 
 @kernel
-def _stays(x: Float, raised: Float, a: int, b: int, c: int) -> bool:
-    """Whether the triangle a, b, c faces the same way once it is raised."""
+def _keeps_facing(x: Float, raised: Float, a: int, b: int, c: int) -> bool:
+    """Return whether the triangle a, b, c faces the same way after raising."""
     before, after = np.empty(3), np.empty(3)
-    _across(x, a, b, c, before)
-    _across(raised, a, b, c, after)
+    _area_vector(x, a, b, c, before)
+    _area_vector(raised, a, b, c, after)
     dot, one, other = 0.0, 0.0, 0.0
     for k in range(3):
         dot += before[k] * after[k]
@@ -102,10 +102,11 @@ def _stays(x: Float, raised: Float, a: int, b: int, c: int) -> bool:
 
 @kernel
 def split_faces(x: Float, raised: Float, split: Int, n: int, faces: Int, across: Int, share: Float) -> tuple[int, int]:
-    """Split triangles and flip their edges, in place; edges flipped, and edges left as they were.
+    """Split triangles and flip their edges, in place. Return the numbers of edges flipped and of edges kept.
 
-    x, raised (n + m, 3)  positions, those of the m new vertices, in their triangles, behind the n old ones; and raised
-    split (m,)           the triangles that get them, ascending
+    x, raised (n + m, 3)  positions before and after raising; the m new vertices, in their triangles, follow the n old
+                          ones
+    split (m,)           the triangles of the new vertices, ascending
     faces, across (f + 2 m, 3)  triangles and `surface.link_faces` of them, f of them filled in
     share (f + 2 m,)     a value of each old triangle, which parts keep; a flip gives both triangles the mean
     """
@@ -123,8 +124,8 @@ def split_faces(x: Float, raised: Float, split: Int, n: int, faces: Int, across:
         for k in range(3):
             across[parts[k], 1], across[parts[k], 2] = parts[(k + 1) % 3], parts[(k + 2) % 3]
             share[parts[k]] = share[i]
-        _point_back(faces, across, outer_b, c, b, parts[1])
-        _point_back(faces, across, outer_c, a, c, parts[2])
+        _set_neighbour(faces, across, outer_b, c, b, parts[1])
+        _set_neighbour(faces, across, outer_c, a, c, parts[2])
     flipped, left = 0, 0
     done = np.zeros(len(faces), np.bool_)
     own = np.zeros(len(faces), np.bool_)
@@ -145,10 +146,10 @@ def split_faces(x: Float, raised: Float, split: Int, n: int, faces: Int, across:
             q = faces[g, (c + 2) % 3]
             done[s] = True
             done[g] = own[g]
-            if p == q or _joined(faces, across, s, p, q) or not _may_flip(x, u, v, p, q):
+            if p == q or _has_edge(faces, across, s, p, q) or not _may_flip(x, u, v, p, q):
                 left += 1
                 continue
-            if not (_stays(x, raised, p, u, q) and _stays(x, raised, q, v, p)):
+            if not (_keeps_facing(x, raised, p, u, q) and _keeps_facing(x, raised, q, v, p)):
                 left += 1
                 continue
             beyond_uq, beyond_qv = across[g, (c + 1) % 3], across[g, (c + 2) % 3]
@@ -157,19 +158,19 @@ def split_faces(x: Float, raised: Float, split: Int, n: int, faces: Int, across:
             faces[g, 0], faces[g, 1], faces[g, 2] = q, v, p
             across[s, 0], across[s, 1], across[s, 2] = beyond_pu, beyond_uq, g
             across[g, 0], across[g, 1], across[g, 2] = beyond_qv, beyond_vp, s
-            _point_back(faces, across, beyond_uq, q, u, s)
-            _point_back(faces, across, beyond_vp, p, v, g)
+            _set_neighbour(faces, across, beyond_uq, q, u, s)
+            _set_neighbour(faces, across, beyond_vp, p, v, g)
             share[s] = share[g] = 0.5 * (share[s] + share[g])
             flipped += 1
     return flipped, left
 
 
 @kernel
-def smooth(x: Float, moved: Int, start: Int, beside: Int, passes: int, shrink: float, inflate: float) -> None:
-    """Taubin's lambda|mu (SIGGRAPH 1995) on x (n, 3), in place, by uniform weights.
+def smooth(x: Float, moved: Int, start: Int, neighbours: Int, passes: int, shrink: float, inflate: float) -> None:
+    """Smooth by Taubin's lambda|mu (SIGGRAPH 1995) on x (n, 3), in place, by uniform weights.
 
-    moved (m,) vertices, of which the i-th has the neighbours beside[start[i]:start[i + 1]]; one without stays.
-    A wave with the eigenvalue kappa of the Laplacian is left (1 - lambda kappa)(1 - mu kappa) of a pass.
+    moved (m,) vertices, of which the i-th has the neighbours neighbours[start[i]:start[i + 1]]; one without stays. A
+    pass scales a wave with the eigenvalue kappa of the Laplacian by (1 - lambda kappa)(1 - mu kappa).
     """
     step = np.empty((len(moved), 3))
     for turn in range(2 * passes):
@@ -178,7 +179,7 @@ def smooth(x: Float, moved: Int, start: Int, beside: Int, passes: int, shrink: f
             for k in range(3):
                 total = 0.0
                 for e in range(start[i], start[i + 1]):
-                    total += x[beside[e], k]
+                    total += x[neighbours[e], k]
                 count = start[i + 1] - start[i]
                 step[i, k] = factor * (total / count - x[moved[i], k]) if count else 0.0
         for i in range(len(moved)):

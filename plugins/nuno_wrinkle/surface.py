@@ -1,4 +1,4 @@
-"""Compiled functions on a triangle mesh: neighbours, and the way of a line over triangles."""
+"""Compiled functions on a triangle mesh: neighbours, and the path of a line over triangles."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from nuno_kernels.meshes.section import crossed_edge, edge_share, make_chord
 from nuno_schemas.fabric import Bool, Float, Int
 
 BORDER, CROWDED = -1, -2
-"""What `link_faces` says of an edge with one triangle, and of one with more than two or turned against each other."""
+"""Values of `link_faces` for an edge with one triangle, and for one with more than two or opposite orientations."""
 WAY, NO_BORDER, NO_CROWDED, NO_WAY = 0, 1, 2, 3
-"""How `walk_line` ends."""
+"""Statuses of `walk_line`."""
 TOUCH = 1e-9
-"""Length, of the longest part of a line, that a triangle counts which the line only touches."""
+"""Length that counts for a triangle that a line only touches, as a share of the line's longest part."""
 
 
 @kernel
 def link_faces(faces: Int, n: int) -> Int:
-    """(f, 3) the triangle across the edge that leaves each corner, BORDER or CROWDED, for n vertices.
-
+    """Return the triangle (f, 3) across the edge that leaves each corner, or BORDER or CROWDED, for n vertices.
     Half-edges are sorted by the vertex they leave, so that each is found in its end's short list.
     """
     f = faces.shape[0]
@@ -42,15 +41,15 @@ def link_faces(faces: Int, n: int) -> Int:
     for i in range(f):
         for c in range(3):
             a, b = faces[i, c], faces[i, (c + 1) % 3]
-            same, found, other = 0, 0, -1
+            same, opposite_count, other = 0, 0, -1
             for e in range(start[a], start[a + 1]):
                 same += tip[e] == b
             for e in range(start[b], start[b + 1]):
                 if tip[e] == a:
-                    found, other = found + 1, owner[e]
-            if same > 1 or found > 1:
+                    opposite_count, other = opposite_count + 1, owner[e]
+            if same > 1 or opposite_count > 1:
                 across[i, c] = CROWDED
-            elif found == 1:
+            elif opposite_count == 1:
                 across[i, c] = other
     return across
 
@@ -68,12 +67,12 @@ class Way(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """What lines leave behind on f triangles.
+    """Sums of lines over f triangles.
 
     total (f + 1, 5)  length times the middle of each part (barycentric), length, length times height; total[f, 0] is
-                      the least length that a part counts
-    up    (f, 2)      whether a valley, a ridge goes through
-    path  (q,)        triangles of one line in their order
+                      the least length of a part
+    up    (f, 2)      whether a valley, a ridge passes
+    path  (q,)        triangles of one line in order
     """
 
     total: Float
@@ -101,42 +100,41 @@ def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: flo
 
 @kernel
 def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tuple[int, int, int]:
-    """Follow a polyline over the triangles; how it ended, at which point, and how many triangles were passed.
-
-    Between two points a line goes where the plane through both, along the mean of their normals, cuts the surface
-    (nuno_kernels.meshes.section).
+    """Follow a polyline over the triangles. Return its status, the point where it ended, and the number of triangles
+    passed. Between two points a line follows the cut of the surface with the plane through both along the mean of their
+    normals (nuno_kernels.meshes.section).
     """
     face, at, path, count = way.face, way.at, passed.path, 0
     entry, leave = np.empty(3), np.empty(3)
     for p in range(len(face) - 1):
         chord = make_chord(way.points, way.normal, p, p + 1)
-        here, goal = face[p], face[p + 1]
+        current, goal = face[p], face[p + 1]
         for c in range(3):
             entry[c] = at[p, c]
         for _ in range(faces.shape[0] + 1):
             if count == len(path):
                 return NO_WAY, p, count
-            path[count] = here
+            path[count] = current
             count += 1
-            if here == goal:
-                _count(here, entry, at[p + 1], x, faces, way.height, passed)
+            if current == goal:
+                _count(current, entry, at[p + 1], x, faces, way.height, passed)
                 break
-            out = crossed_edge(chord, here, True, x, faces) if chord.length > 0.0 else -1
+            out = crossed_edge(chord, current, True, x, faces) if chord.length > 0.0 else -1
             if out < 0:
                 return NO_WAY, p, count
             ahead = (out + 1) % 3
-            cut = edge_share(chord, faces[here, out], faces[here, ahead], x)
+            cut = edge_share(chord, faces[current, out], faces[current, ahead], x)
             leave[:] = 0.0
             leave[out], leave[ahead] = 1.0 - cut, cut
-            _count(here, entry, leave, x, faces, way.height, passed)
-            after = across[here, out]
-            if after < 0:
-                return (NO_BORDER if after == BORDER else NO_CROWDED), p, count
+            _count(current, entry, leave, x, faces, way.height, passed)
+            next_face = across[current, out]
+            if next_face < 0:
+                return (NO_BORDER if next_face == BORDER else NO_CROWDED), p, count
             entry[:] = 0.0
             for c in range(3):
-                if faces[after, c] == faces[here, ahead] and across[after, c] == here:
+                if faces[next_face, c] == faces[current, ahead] and across[next_face, c] == current:
                     entry[c], entry[(c + 1) % 3] = cut, 1.0 - cut
-            here = after
+            current = next_face
         else:
             return NO_WAY, p, count
     return WAY, -1, count

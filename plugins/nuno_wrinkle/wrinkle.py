@@ -17,37 +17,36 @@ from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
 from nuno_wrinkle.kept import kept_rigidity
 from nuno_wrinkle.lines import Crossed, follow_lines, on_texture, read_lines
-from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near, sprung
+from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near, find_sprung
 from nuno_wrinkle.net import Net, build_net
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
 
-# Where to measure a wrinkle: across each new vertex, between the unsmoothed vertices on either side of its line.
+# A wrinkle is measured across each new vertex, between the unsmoothed vertices on either side of its line.
 
 
 @kernel
-def _nearest(x: Float, feet: Int, own: Int, across: Float, found: Int) -> None:
-    """Of feet (f,), those nearest to each of own (m,) on the side that across (m, 3) points to, and on the other.
-
-    x (n, 3); found (m, 2) out: -1 where there is none on that side.
+def _nearest(x: Float, feet: Int, vertices: Int, across: Float, nearest: Int) -> None:
+    """Find the feet (f,) nearest to each of `vertices` (m,) on the side that across (m, 3) points to, and on the other.
+    x (n, 3); nearest (m, 2) is the result, -1 without a foot on that side.
     """
-    for i in range(len(own)):
+    for i in range(len(vertices)):
         best_left, best_right = np.inf, np.inf
-        found[i, 0], found[i, 1] = -1, -1
+        nearest[i, 0], nearest[i, 1] = -1, -1
         for foot in feet:
             side, distance = 0.0, 0.0
             for k in range(3):
-                way = x[foot, k] - x[own[i], k]
-                side += way * across[i, k]
-                distance += way * way
+                component = x[foot, k] - x[vertices[i], k]
+                side += component * across[i, k]
+                distance += component * component
             if side > 0.0 and distance < best_left:
-                best_left, found[i, 0] = distance, foot
+                best_left, nearest[i, 0] = distance, foot
             if side < 0.0 and distance < best_right:
-                best_right, found[i, 1] = distance, foot
+                best_right, nearest[i, 1] = distance, foot
 
 
 def find_crests(n: int, crossed: Crossed, raised: Raised) -> Int:
-    """(5, c) vertices: new ones, the nearest unsmoothed ones to the left and to the right of their line, and the
+    """Return vertices (5, c): new ones, the nearest unsmoothed ones to the left and to the right of their line, and the
     new ones before and after them.
 
     Ends of lines, and new vertices with unsmoothed ones on one side only, are left out.
@@ -73,7 +72,7 @@ Tensile = Annotated[float, quantity("N/m", gt=0)]
 
 
 class WrinkleConfig(Config):
-    """Lines, and what becomes of the cloth about them."""
+    """Lines, and the treatment of the cloth near them."""
 
     lines: tuple[Line, ...] = Field(min_length=1, max_length=1000, description="ridges and valleys")
     tolerance: Length | Literal["auto"] = Field(
@@ -93,13 +92,13 @@ class WrinkleConfig(Config):
 
 
 class Wrinkle:
-    """Raises ridges and valleys; nothing is changed where a line is refused."""
+    """Raises ridges and valleys. A refused line changes nothing."""
 
     name: ClassVar[str] = "wrinkle"
     Config: ClassVar[type[BaseModel]] = WrinkleConfig
 
     def compile(self) -> None:
-        """Draw a line on two triangles."""
+        """Compile the kernels by a line on two triangles."""
         x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
         pairs = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [0, 2]], np.int32)
         one = np.ones(len(pairs))
@@ -110,11 +109,11 @@ class Wrinkle:
         self.apply(WrinkleConfig(lines=(line,)), cloth, State(x, 0.0 * x), None)
 
     def resolve(self, config: WrinkleConfig, files: Files) -> WrinkleConfig:
-        """The lines of files as points. Raises BadInput."""
+        """Return the configuration with lines of files as points. Raises BadInput."""
         return config.model_copy(update={"lines": read_lines(config.lines, files)})
 
     def require(self, config: WrinkleConfig, fabric: Fabric) -> None:
-        """Raises BadInput for cloth that has no place for such a line, wherever it moves."""
+        """Raise BadInput for cloth that cannot have such a line, wherever it moves."""
         _require_triangles(fabric)
         describe(fabric)
         if config.keep and fabric.hinges is None:
@@ -123,11 +122,11 @@ class Wrinkle:
         for i, line in enumerate(config.lines):
             if line.texture is not None:
                 on_texture(fabric, i)
-        if not sprung(fabric).any():
+        if not find_sprung(fabric).any():
             raise BadInput("the triangles of the cloth have no spring along an edge", field="object", remedy=ON_SPRINGS)
 
     def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
+        """Return the fabric with its lines raised at `state`. Raises BadInput without a change."""
         self.require(config, fabric)
         model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
         used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
@@ -166,7 +165,7 @@ def _outcome(
     corners = fabric.faces[crossed.face]
 
     def extended(values: Float) -> Float:
-        """What new vertices have between their corners, behind the old ones'."""
+        """Return values with those of new vertices, interpolated between their corners, at the end."""
         between = np.einsum("mc,mc...->m...", crossed.at, values[corners].astype(np.float64))
         return np.ascontiguousarray(np.concatenate([values, between.astype(values.dtype)]))
 
@@ -182,7 +181,7 @@ def _outcome(
         hinges=net.hinges,
         uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
         corners=None if raised.uv is None else Corners.of(raised.faces, raised.uv),
-        bindings=tuple(_bound(binding, fabric, crossed) for binding in fabric.bindings),
+        bindings=tuple(_extend_binding(binding, fabric, crossed) for binding in fabric.bindings),
         origin=model,
     )
     m = len(crossed.face)
@@ -201,16 +200,16 @@ def _outcome(
     return Outcome(facts, arrays={"crests": crests}, changed=Changed(changed, after, source))
 
 
-def _bound(binding: Binding, fabric: Fabric, crossed: Crossed) -> Binding:
-    """The binding, with new vertices all of whose corners it holds."""
+def _extend_binding(binding: Binding, fabric: Fabric, crossed: Crossed) -> Binding:
+    """Return the binding with the new vertices whose corners it all holds."""
     place = np.full(fabric.number, -1, np.int64)
     place[binding.vertices] = np.arange(len(binding.vertices))
     corners = place[fabric.faces[crossed.face]]
-    mine = (corners >= 0).all(axis=1)
-    if not mine.any():
+    selected = (corners >= 0).all(axis=1)
+    if not selected.any():
         return binding
-    vertices = np.append(binding.vertices, fabric.number + np.flatnonzero(mine)).astype(np.int32)
+    vertices = np.append(binding.vertices, fabric.number + np.flatnonzero(selected)).astype(np.int32)
     if binding.local is None:
         return replace(binding, vertices=vertices)
-    between = np.einsum("mc,mck->mk", crossed.at[mine], binding.local[corners[mine]])
+    between = np.einsum("mc,mck->mk", crossed.at[selected], binding.local[corners[selected]])
     return replace(binding, vertices=vertices, local=np.concatenate([binding.local, between]))

@@ -12,12 +12,12 @@ from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, spots, who
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.coarse import Lay
+from nuno_dye.cloths.coarse import Layout
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.pictures import picture as module
 from nuno_dye.pictures.colour import colour_of, mix
 from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
-from nuno_dye.pictures.texture import Shades, TextureConfig, find_lays
+from nuno_dye.pictures.texture import Shades, TextureConfig, find_layouts
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Window, amount_seen
 from nuno_schemas.errors import BadInput
@@ -182,7 +182,7 @@ def test_colours_that_are_none_are_refused() -> None:
     for wrong in ({"light": "whit"}, {"dark": "#12345"}, {"full": 0.0}, {"hue": 3}):
         with pytest.raises(ValidationError):
             DyeColour.model_validate(wrong)
-    assert isinstance(find_lays(cloth(draw_plain()))[0], Lay)
+    assert isinstance(find_layouts(cloth(draw_plain()))[0], Layout)
 
 
 def test_no_texture_is_colours_alone() -> None:

@@ -97,7 +97,7 @@ def test_where_nothing_can_be_limited_the_faster_kernel_has_the_bits_of_the_whol
     for system in (dyed(cells, LAWS.get(law or ""), threads), replace(dyed(cells, None, threads), supply=supply)):
         solver, states = Explicit(), [DyeState(phi[None].copy(), 0 * phi[None]) for _ in range(2)]
         memory = [solver.prepare(CONFIG, system, state) for state in states]
-        assert memory[0].arrays["highest"][0] <= memory[0].work.known.room  # type: ignore[attr-defined]
+        assert memory[0].arrays["highest"][0] <= memory[0].work.derived.room  # type: ignore[attr-defined]
         memory[1].arrays["highest"][0] = np.inf
         dt = solver.limit(CONFIG, system)
         plain, whole = (solver.advance(system, *pair, 20, 0.9 * dt) for pair in zip(states, memory, strict=True))

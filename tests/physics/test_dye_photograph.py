@@ -13,7 +13,7 @@ from PIL import Image
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.photograph import Colours, find_up, read_photograph, share_out, split_by_colour, to_oklab
+from nuno_dye.cloths.photograph import Colours, assign_rest, find_up, read_photograph, split_by_colour, to_oklab
 from nuno_dye.cloths.photograph_cloth import (
     PhotographCloth,
     PhotographConfig,
@@ -92,7 +92,7 @@ def test_what_no_mask_holds_goes_to_the_nearer_one() -> None:
     seeds = rng.random((30, 40)) > 0.985
     warp, weft = seeds & (rng.random((30, 40)) > 0.5), seeds.copy()
     weft &= ~warp
-    found = share_out(warp, weft, {})
+    found = assign_rest(warp, weft, {})
     y, x = np.mgrid[0:30, 0:40]
 
     def away(mask: Bool) -> np.ndarray:

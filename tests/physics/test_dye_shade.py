@@ -15,7 +15,7 @@ from nuno_dye.pictures.texture import (
     TextureConfig,
     draw_noise,
     find_floats,
-    find_lays,
+    find_layouts,
     look_across,
     shade_yarn,
 )
@@ -98,10 +98,10 @@ def test_yarns_without_gaps_are_told_apart_by_their_lays() -> None:
         and np.array_equal(one[0], -one[0][::-1])
         and np.abs(one[0]).max() == pytest.approx(23 / 24)
     )
-    assert (look_across(find_lays(replace(cells, yarns=None))[1], 4).width == 60.0).all()
+    assert (look_across(find_layouts(replace(cells, yarns=None))[1], 4).width == 60.0).all()
     gapped = cloth(draw_plain(), 8, 2)
     for found, exact in zip(
-        find_lays(replace(gapped, yarns=None)), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True
+        find_layouts(replace(gapped, yarns=None)), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True
     ):
         assert np.array_equal(found.fibre, exact.fibre)
         assert np.array_equal(found.yarn[found.fibre], exact.yarn[exact.fibre])

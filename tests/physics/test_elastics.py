@@ -18,7 +18,7 @@ from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno_cloth.models.pattern import HELD, Pattern, PatternConfig
-from nuno_cloth.sewing.elastic import DENSITY, STIFFNESS, tape
+from nuno_cloth.sewing.elastic import DENSITY, STIFFNESS, girth_inside
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs
 
@@ -43,22 +43,24 @@ def put_on(folder: Path, cut: dict[str, Any], body: Body = BODY, edge: float = 0
 
 def test_a_tape_goes_round_a_body_as_its_section_does_and_bridges_what_is_between_two() -> None:
     ring = np.array([[np.sin(t), 0.0, np.cos(t)] for t in np.linspace(0.0, 6.0, 40)]) * 0.3 + [0.0, 1.1, 0.0]
-    assert tape(ring, *BODY) == pytest.approx(GIRTH, rel=1e-3)
+    assert girth_inside(ring, *BODY) == pytest.approx(GIRTH, rel=1e-3)
     # Tilted by 30 degrees about x: an ellipse that is deeper by 1 / cos.
     turn = np.array([[1, 0, 0], [0, np.cos(np.pi / 6), -np.sin(np.pi / 6)], [0, np.sin(np.pi / 6), np.cos(np.pi / 6)]])
     deep = DEEP / np.cos(np.pi / 6)
     tilted = 4.0 * WIDE * ellipe(1.0 - (deep / WIDE) ** 2)
-    assert tape((ring - [0, 1.1, 0]) @ turn.T + [0, 1.1, 0], *BODY) == pytest.approx(tilted, rel=1e-3)
+    assert girth_inside((ring - [0, 1.1, 0]) @ turn.T + [0, 1.1, 0], *BODY) == pytest.approx(tilted, rel=1e-3)
     # Two round legs, 30 cm apart: a tape round both has two straight parts; one round the left has none.
     one, faces = column((0.05, 0.05), (0.9, 1.4), around=256)
     apart = np.array([0.15, 0.0, 0.0])
     legs = np.concatenate([one - apart, one + apart]), np.concatenate([faces, faces + np.int32(len(one))])
-    assert tape(ring, *legs) == pytest.approx(2.0 * np.pi * 0.05 + 0.6, rel=1e-3)
-    assert tape(0.4 * (ring - [0, 1.1, 0]) + [0.15, 1.1, 0], *legs) == pytest.approx(2.0 * np.pi * 0.05, rel=1e-3)
+    assert girth_inside(ring, *legs) == pytest.approx(2.0 * np.pi * 0.05 + 0.6, rel=1e-3)
+    assert girth_inside(0.4 * (ring - [0, 1.1, 0]) + [0.15, 1.1, 0], *legs) == pytest.approx(
+        2.0 * np.pi * 0.05, rel=1e-3
+    )
     beside, line = ring.copy(), ring.copy()
     beside[:, 0] += 2.0
     line[:, 2] = 0.0
-    assert tape(beside, *BODY) == tape(line, *BODY) == 0.0
+    assert girth_inside(beside, *BODY) == girth_inside(line, *BODY) == 0.0
 
 
 @pytest.mark.quick(edge=[0.03])

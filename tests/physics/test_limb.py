@@ -15,7 +15,7 @@ from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.harmonic import solve_harmonic
 from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
 from nuno_kernels.meshes.tree import build_tree
-from nuno_knit.over import ROOM, Over, _clear
+from nuno_knit.over import ROOM, Over, _lift_off
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -46,7 +46,7 @@ def test_a_point_on_the_surface_is_moved_out_along_its_rows_normal() -> None:
     over = Over(body="box", between=(0.0, 1.0), clearance=2.0**-8)
     points, up = np.zeros((3, 1, 3)), np.zeros((3, 1, 3))
     points[:, 0, 1], up[:, 0, 1] = (2.0, 1.0 - 2.0**-8, 2.0), 1.0
-    position = _clear(over, Rows(points, up, np.ones(3), 1.0), x, faces)
+    position = _lift_off(over, Rows(points, up, np.ones(3), 1.0), x, faces)
     assert position[1] == pytest.approx([0.0, 1.0 + 2.0 * ROOM, 0.0], abs=1e-12)
 
 

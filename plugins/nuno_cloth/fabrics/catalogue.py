@@ -1,4 +1,4 @@
-"""The presets as a table: what their source gives, and what virtual tests measure on a mesh."""
+"""The presets as a table: values of their sources, and results of virtual tests on a mesh."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLUMNS = (
     ("bend_warp", "uN*m", 1e6),
     ("bend_weft", "uN*m", 1e6),
 )
-"""Field of a material, unit of the table, and the table's units in one SI unit."""
+"""Fields of a material, units of the table, and the number of these in one SI unit."""
 
 
 RESOLUTION, SIZE = (9, 9), (0.05, 0.05)
@@ -25,10 +25,9 @@ RESOLUTION, SIZE = (9, 9), (0.05, 0.05)
 
 
 def list_presets(cut: Callable[[str], Fabric]) -> tuple[Preset, ...]:
-    """Every preset, measured on a specimen of it, RESOLUTION and SIZE, that `cut` makes by the preset's name.
-
-    With the sides held a specimen gives back the preset's own values but for the tests' geometry
-    (kes.py); with free sides, as in the apparatus, it narrows and gives less in tension.
+    """Return every preset with tests of a specimen, RESOLUTION and SIZE, that `cut` makes by the preset's name. With
+    the sides held a specimen has the preset's values but for the tests' geometry (kes.py); with free sides, as in the
+    apparatus, it narrows and is softer in tension.
     """
     return tuple(_preset(name, material, cut(name)) for name, material in PRESETS.items())
 
@@ -42,5 +41,5 @@ def _preset(name: str, material: Material, piece: Fabric) -> Preset:
 
 def _measure(material: Material, held: Measures, free: Measures, field: str, unit: str, per_si: float) -> Measure:
     tests = {"sides held": held, "sides free": free}
-    measured = {test: getattr(found, field) * per_si for test, found in tests.items()}
+    measured = {test: getattr(results, field) * per_si for test, results in tests.items()}
     return Measure(field, unit, getattr(material, field) * per_si, measured)

@@ -1,4 +1,4 @@
-"""Values of a laboratory's sheet: each has a unit of its own, and a range in which fabrics are known."""
+"""Values of a laboratory's sheet: each has its own unit, and a range in which fabrics are known."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from nuno_schemas.units import Plausible, decimal_point, to_si
 
 PER_CENT = "percent"
 _BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
-"""A number, or the text of one, that has no unit of its own."""
+"""A number, or its text, without a unit."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A value of a sheet: its own unit, the SI unit, and what is plausible in that."""
+    """A value of a sheet: its unit, the SI unit, and the plausible range in SI."""
 
     unit: str
     si: str
@@ -23,17 +23,17 @@ class Column:
     pair: bool = True
 
 
-def values_of(name: str, given: object, column: Column) -> tuple[float, ...]:
-    """In SI: of warp and weft where there are two. Raises BadInput."""
-    parts = list(given) if isinstance(given, (list, tuple)) else [given]
+def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
+    """Return a value in SI, for warp and weft if there are two. Raises BadInput."""
+    parts = list(entry) if isinstance(entry, (list, tuple)) else [entry]
     if len(parts) > (2 if column.pair else 1) or not parts:
         limit = "one number, or [warp, weft]" if column.pair else "one number"
-        raise BadInput("too many values, or none", field=name, value=given, limit=limit)
-    found = []
+        raise BadInput("too many values, or none", field=name, value=entry, limit=limit)
+    values = []
     for part in parts:
-        own = f"{part} {column.unit}" if column.unit and _BARE.fullmatch(str(part)) else part
+        with_unit = f"{part} {column.unit}" if column.unit and _BARE.fullmatch(str(part)) else part
         try:
-            value = to_si(own, column.si)
+            value = to_si(with_unit, column.si)
         except ValueError as error:
             remedy = decimal_point(str(part)) or f"a plain number is in {column.unit or 'no unit'}"
             raise BadInput(str(error).partition("; ")[0], field=name, value=part, remedy=remedy) from None
@@ -47,5 +47,5 @@ def values_of(name: str, given: object, column: Column) -> tuple[float, ...]:
                 "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
                 limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
             )  # fmt: skip
-        found.append(value)
-    return tuple(found * 2 if column.pair and len(found) == 1 else found)
+        values.append(value)
+    return tuple(values * 2 if column.pair and len(values) == 1 else values)

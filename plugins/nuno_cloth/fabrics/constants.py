@@ -6,20 +6,19 @@ the shear angle g a diagonal of length l = sqrt(a^2 + b^2) has the strain
 
     kd / l^2 ((a^2 ef + b^2 ew)^2 + a^2 b^2 g^2).
 
-Shear: this must be G g^2 / 2 per area a b, hence kd = G l^2 / (2 a b). Tension: the diagonals then
-add G (a/b)^2 to the weft's stiffness, G (b/a)^2 to the warp's, and the coupling C12 = G. The first
-two are subtracted from the structural springs, whose k is (modulus) x (width it stands for) /
-(length), with half the width on a border. So tension with the width held, and shear, are exact for
-homogeneous strain at any resolution. What remains is the coupling: with free sides the sheet
-narrows by G / Cf of its warp strain and the warp's modulus is Cw - G^2 / Cf. (The denim was measured to couple
-by 20 N/m, with G = 27 N/m; other samples differ, one even in sign.) Cells so elongated that
-a structural constant would not be positive are refused.
+Shear: this must be G g^2 / 2 per area a b, hence kd = G l^2 / (2 a b). Tension: the diagonals then add G (a/b)^2 to the
+weft's stiffness, G (b/a)^2 to the warp's, and the coupling C12 = G. The first two are subtracted from the structural
+springs, whose k is (modulus) x (width per spring) / (length), with half the width on a border. So tension with the
+width held, and shear, are exact for homogeneous strain at any resolution. What remains is the coupling: with free sides
+the sheet narrows by G / Cf of its warp strain and the warp's modulus is Cw - G^2 / Cf. (The denim was measured to
+couple by 20 N/m, with G = 27 N/m; other samples differ, one even in sign.) Cells too elongated for positive structural
+constants are refused.
 
 On a cone the cells are trapezoids: a is the mean width, b the height, and a weft spring takes
 half of each row of cells at it.
 
-Hinges. A hinge needs an edge and two opposite vertices, but not that they are triangles of the
-drawn mesh. Three families, on w = (kx x^2 + 2 t x y + ky y^2) / 2:
+Hinges. A hinge needs an edge and two opposite vertices, which need not be triangles of the drawn mesh. Three families,
+on w = (kx x^2 + 2 t x y + ky y^2) / 2:
 warp lines   edge (r, c)-(r, c+1), opposite (r-1, c) and (r+1, c): angle b ky, k = Bw a / b;
 weft lines   edge (r, c)-(r+1, c), opposite (r, c+1) and (r, c-1): angle a kx, k = Bf b / a;
 twist        diagonal of a cell, its other corners opposite: angle l t, k = 2 D a b / l^2.
@@ -27,10 +26,9 @@ Each family sees one component only, so the energy per area is exactly
 
     (Bf kx^2 + Bw ky^2 + 2 D t^2) / 2,
 
-the orthotropic plate without Poisson coupling; with D = sqrt(Bf Bw) (twist was not measured) and
-Bf = Bw it is the isotropic one, which bends alike in every direction. The lines on a border stand
-for half the width. A strip bent along its length has its last hinge one cell before its end: the
-half cells beyond carry no moment, as a free edge should.
+the orthotropic plate without Poisson coupling; with D = sqrt(Bf Bw) (twist was not measured) and Bf = Bw it is the
+isotropic one, which bends alike in every direction. Lines on a border have half the width. A strip bent along its
+length has its last hinge one cell before its end: the half cells beyond carry no moment, as a free edge should.
 
 Rejected: hinges on the edges of the drawn triangles, with B e^2 / (A1 + A2) on straight edges and
 half of that on alternating diagonals. It gives the same energy for a smooth w, but the vertices
@@ -53,9 +51,7 @@ from nuno_schemas.fabric import Float
 
 @dataclass(frozen=True)
 class Lattice:
-    """Flat measures of a grid: width (rows,) of a cell along each row [m] and length (rows - 1,)
-    of the warp edges between rows [m].
-    """
+    """Rest measures of a grid: width (rows,) of a cell along each row and length (rows - 1,) of warp edges [m]."""
 
     width: Float
     length: Float
@@ -64,25 +60,25 @@ class Lattice:
         return 0.5 * (self.width[1:] + self.width[:-1])
 
     def height(self) -> Float:
-        """(rows - 1,) height of the trapezoids [m]."""
+        """Return heights (rows - 1,) of the trapezoids [m]."""
         return np.sqrt(self.length**2 - 0.25 * (self.width[1:] - self.width[:-1]) ** 2)
 
     def diagonal(self) -> Float:
-        """(rows - 1,) diagonals of the trapezoids [m]: Ptolemy's d^2 = b^2 + a1 a2."""
+        """Return diagonals (rows - 1,) of the trapezoids [m]: Ptolemy's d^2 = b^2 + a1 a2."""
         return np.sqrt(self.length**2 + self.width[1:] * self.width[:-1])
 
     def row_area(self) -> Float:
-        """(rows,) area that an inner vertex stands for [m^2]: a quarter of each cell at it."""
+        """Return areas (rows,) of inner vertices [m^2]: a quarter of each adjacent cell."""
         area = self.mean_width() * self.height()
         return 0.5 * (np.append(area, 0.0) + np.insert(area, 0, 0.0))
 
 
 @dataclass(frozen=True)
 class Constants:
-    """Per row of vertices (weft_*, hinge_warp, hinge_weft: rows) or of cells (the others: rows - 1).
+    """Constants per row of vertices (weft_*, hinge_warp, hinge_weft: rows) or of cells (the others: rows - 1).
 
-    k [N/m], rest [m], c [N s/m]; hinges [N m]; bend_* are the papers' springs two apart;
-    border is what a warp line on a free side has of an inner one's constants.
+    k [N/m], rest [m], c [N s/m]; hinges [N m]; bend_* are the papers' springs two apart; border is the ratio of a warp
+    line's constants on a free side to an inner line's.
     """
 
     warp_k: Float
@@ -105,7 +101,7 @@ class Constants:
 
 
 def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
-    """Constants of a grid. Raises BadInput where cells are too elongated for the material."""
+    """Return constants of a grid. Raises BadInput if cells are too elongated for the material."""
     if isinstance(material, HandSet):
         return _by_hand(material, lattice)
     a, b, g = lattice.mean_width(), lattice.height(), material.shear
@@ -140,7 +136,7 @@ def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
 
 
 def _half_sum(cells: Float) -> Float:
-    """(rows,) half of each of the two rows of cells at a row of vertices."""
+    """Return sums (rows,) of half of each of the two rows of cells at a row of vertices."""
     return 0.5 * (np.append(cells, 0.0) + np.insert(cells, 0, 0.0))
 
 
@@ -164,7 +160,7 @@ def _by_hand(material: HandSet, lattice: Lattice) -> Constants:
     rows = lattice.width.shape[0]
     cells, vertices = np.ones(rows - 1), np.ones(rows)
     mass = material.density * lattice.row_area()
-    ratio, between = 2 * material.damping_ratio, mass[1:] * mass[:-1] / (mass[1:] + mass[:-1])
+    ratio, reduced_mass = 2 * material.damping_ratio, mass[1:] * mass[:-1] / (mass[1:] + mass[:-1])
 
     def damping(k: float, reduced: Float) -> Float:
         return np.asarray(material.damping + ratio * np.sqrt(k * reduced))
@@ -172,13 +168,13 @@ def _by_hand(material: HandSet, lattice: Lattice) -> Constants:
     return Constants(
         warp_k=cells * material.structural[0],
         warp_rest=lattice.length,
-        warp_c=damping(material.structural[0], between),
+        warp_c=damping(material.structural[0], reduced_mass),
         weft_k=vertices * material.structural[1],
         weft_rest=lattice.width,
         weft_c=damping(material.structural[1], mass / 2),
         shear_k=cells * material.shear,
         shear_rest=lattice.diagonal(),
-        shear_c=damping(material.shear, between),
+        shear_c=damping(material.shear, reduced_mass),
         hinge_warp=vertices * material.hinge,
         hinge_weft=vertices * material.hinge,
         hinge_twist=cells * material.hinge,

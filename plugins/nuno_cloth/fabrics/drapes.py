@@ -23,58 +23,60 @@ DRAPE = {
 }
 ALIASES = {"dc": "drape coefficient", "number of nodes": "nodes", "millimetres per pixel": "mm per pixel"}
 DRAPED = {"drape_coefficient": "%", "nodes": "", "specimen": "cm", "support": "cm"}
-"""What is kept of a drape, and the units."""
+"""Units of the values that a drape gives."""
 
 
-def read_drape(given: Mapping[str, Any], folder: Path) -> tuple[dict[str, float], dict[str, str]]:
-    """What was measured of a drape, in the units of DRAPED, and how each was had. `given` holds the `drape coefficient`
+def read_drape(entries: Mapping[str, Any], folder: Path) -> tuple[dict[str, float], dict[str, str]]:
+    """Return a drape's values, in the units of DRAPED, and the origin of each. `entries` hold the `drape coefficient`
     [%] and the `nodes`, or a photograph of the `shadow`, in this folder, and its scale in `mm per pixel`; the diameters
-    of `specimen` and `support` are 30 cm and 18 cm unless given. Raises BadInput that names the value at fault.
+    of `specimen` and `support` are 30 cm and 18 cm by default. Raises BadInput that names the value at fault.
     """
     names, values = dict[str, str](), {"specimen": 0.3, "support": 0.18}
-    for name, value in given.items():
-        own = _drape_name(name)
+    for name, value in entries.items():
+        key = _drape_key(name)
         if not is_drape(name):
             raise BadInput("not a value of a drape", field=name, remedy=nearest(str(name), (*DRAPE, "shadow")))
-        if own in names:
-            raise BadInput(f"{names[own]} is the same value: it is given twice", field=name, remedy="leave one out")
-        names[own] = name
-        if own in DRAPE:
-            (values[own],) = values_of(name, value, DRAPE[own])
+        if key in names:
+            raise BadInput(f"{names[key]} is the same value: it is given twice", field=name, remedy="leave one out")
+        names[key] = name
+        if key in DRAPE:
+            (values[key],) = values_of(name, value, DRAPE[key])
     if values["support"] >= values["specimen"]:
         field, limit = names.get("support", names.get("specimen")), f"below {100.0 * values['specimen']:g} cm"
         value = f"{100.0 * values['support']:g} cm"
         raise BadInput("the support is as wide as the specimen", field=field, value=value, limit=limit)
     if values.get("nodes", 0.0) % 1.0:
         raise BadInput("nodes are a whole number", field=names["nodes"], value=values["nodes"], limit="0, 1, 2, ...")
-    how: dict[str, str] = {own: f"measured: {names[own]}" for own in ("drape coefficient", "nodes") if own in names}
+    how: dict[str, str] = {key: f"measured: {names[key]}" for key in ("drape coefficient", "nodes") if key in names}
     if "shadow" in names or "mm per pixel" in names:
-        picture = _measure_shadow(given, names, values, folder)
+        picture = _measure_shadow(entries, names, values, folder)
         how = dict.fromkeys(("drape coefficient", "nodes"), f"measured: {picture}")
     if not how:
         return {}, {}
-    how |= {own: "measured: diameter" if own in names else "assumed: diameter" for own in ("specimen", "support")}
-    kept = {own.replace(" ", "_"): 100.0 * values[own] if own != "nodes" else values[own] for own in how}
-    return kept, {own.replace(" ", "_"): words for own, words in how.items()}
+    how |= {key: "measured: diameter" if key in names else "assumed: diameter" for key in ("specimen", "support")}
+    drape = {key.replace(" ", "_"): 100.0 * values[key] if key != "nodes" else values[key] for key in how}
+    return drape, {key.replace(" ", "_"): words for key, words in how.items()}
 
 
-def _measure_shadow(given: Mapping[str, Any], names: Mapping[str, str], values: dict[str, float], folder: Path) -> str:
-    """Add to the values what a photograph tells, and return its name."""
-    for own, other in (("shadow", "mm per pixel"), ("mm per pixel", "shadow")):
-        if own not in names:
+def _measure_shadow(
+    entries: Mapping[str, Any], names: Mapping[str, str], values: dict[str, float], folder: Path
+) -> str:
+    """Add the drape coefficient and nodes of a photograph to the values, and return its name."""
+    for key, other in (("shadow", "mm per pixel"), ("mm per pixel", "shadow")):
+        if key not in names:
             raise BadInput(
-                f"a photograph goes with its scale, and {own} is missing", field=names[other],
-                value=given[names[other]], limit="shadow and mm per pixel, or neither", remedy=f"add {own}",
+                f"a photograph goes with its scale, and {key} is missing", field=names[other],
+                value=entries[names[other]], limit="shadow and mm per pixel, or neither", remedy=f"add {key}",
             )  # fmt: skip
-    for own in ("drape coefficient", "nodes"):
-        if own in names:
-            remedy = f"leave out {names[own]}, or {names['shadow']}"
-            raise BadInput("the photograph tells this too", field=names[own], value=given[names[own]], remedy=remedy)
-    name, pixel = given[names["shadow"]], values["mm per pixel"]
+    for key in ("drape coefficient", "nodes"):
+        if key in names:
+            remedy = f"leave out {names[key]}, or {names['shadow']}"
+            raise BadInput("the photograph tells this too", field=names[key], value=entries[names[key]], remedy=remedy)
+    name, pixel = entries[names["shadow"]], values["mm per pixel"]
     picture = str(name[0] if isinstance(name, list) and len(name) == 1 else name)  # of CSV, a list of cells
     shadow = read_shadow(folder / picture, names["shadow"])
     area = float(shadow.sum()) * pixel**2
-    least, most = (0.25 * math.pi * values[own] ** 2 for own in ("support", "specimen"))
+    least, most = (0.25 * math.pi * values[key] ** 2 for key in ("support", "specimen"))
     if not least <= area <= most:
         which = "smaller than the support" if area < least else "larger than the specimen"
         raise BadInput(
@@ -87,10 +89,10 @@ def _measure_shadow(given: Mapping[str, Any], names: Mapping[str, str], values: 
     return " ".join(picture.split())  # in one line, as a comment holds it
 
 
-def _drape_name(name: str) -> str:
+def _drape_key(name: str) -> str:
     plain = str(name).lower().replace("_", " ")
     return ALIASES.get(plain, plain)
 
 
 def is_drape(name: str) -> bool:
-    return _drape_name(name) in (*DRAPE, "shadow")
+    return _drape_key(name) in (*DRAPE, "shadow")

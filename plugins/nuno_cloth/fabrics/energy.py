@@ -1,7 +1,4 @@
-"""Energies and their gradients in plain NumPy: what virtual tests and checks are made with.
-
-Written for reading, not for speed; the compiled forces are in nuno_kernels.
-"""
+"""Energies and their gradients in plain NumPy, for virtual tests and checks: nuno_kernels has the fast ones."""
 
 from __future__ import annotations
 
@@ -11,9 +8,9 @@ from nuno_schemas.fabric import Fabric, Float
 
 
 def spring_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Sum of k (|d| - rest)^2 / 2 [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+    """Return the sum of k (|d| - rest)^2 / 2 [J] and its gradient (n, 3) [N]; x (n, 3) [m].
 
-    A spring whose length is 0 has no direction and gives no gradient.
+    A spring of length 0 has no direction and gives no gradient.
     """
     gradient = np.zeros_like(x)
     springs = fabric.springs
@@ -31,11 +28,11 @@ def spring_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 
 
 def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Sum of k (1 - cos(angle - rest)) [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+    """Return the sum of k (1 - cos(angle - rest)) [J] and its gradient (n, 3) [N]; x (n, 3) [m].
 
-    The angle is 0 when flat, positive where the triangles fold towards their normals. Its
-    gradient is n1 |e| / |n1|^2 and n2 |e| / |n2|^2 at the opposite vertices, and the reaction is
-    shared by the ends of the edge like that of a lever (Tamstorf and Grinspun 2013).
+    The angle is 0 if flat, positive if the triangles fold towards their normals. Its gradient is n1 |e| / |n1|^2 and n2
+    |e| / |n2|^2 at the opposite vertices, and the reaction is shared by the ends of the edge like that of a lever
+    (Tamstorf and Grinspun 2013).
     """
     gradient = np.zeros_like(x)
     hinges = fabric.hinges
@@ -59,9 +56,9 @@ def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 
 
 def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Energy of triangles of constant strain [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+    """Return the energy of triangles of constant strain [J] and its gradient (n, 3) [N]; x (n, 3) [m].
 
-    See nuno_schemas.triangles.Membrane; a yarn whose length is 0 has no direction and gives no gradient.
+    nuno_schemas.triangles.Membrane defines it. A yarn of length 0 has no direction and gives no gradient.
     """
     gradient, membrane = np.zeros_like(x), fabric.membrane
     if membrane is None:
@@ -81,7 +78,7 @@ def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 
 
 def bending_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Energy of bending as a quadratic form [J] and its gradient (n, 3) [N]; x (n, 3) [m]."""
+    """Return the energy of bending, a quadratic form [J], and its gradient (n, 3) [N]; x (n, 3) [m]."""
     gradient = np.zeros_like(x)
     if fabric.bending is None:
         return 0.0, gradient
@@ -94,6 +91,6 @@ def bending_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 
 
 def elastic_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Energy of springs, hinges, triangles of constant strain and bending [J] and its gradient (n, 3) [N]."""
+    """Return the energy of springs, hinges, membrane and bending [J] and its gradient (n, 3) [N]."""
     parts = [energy(fabric, x) for energy in (spring_energy, hinge_energy, membrane_energy, bending_energy)]
     return sum(part[0] for part in parts), np.sum([part[1] for part in parts], axis=0)

@@ -1,9 +1,8 @@
-"""Virtual KES tests: what a fabric really gives on a mesh, in the units of its measures.
+"""Virtual KES tests: the stiffness of a fabric on a mesh, in the units of its measures.
 
-A specimen is strained at its border, its inside relaxes until it rests, and force or energy tell
-the stiffness. With the sides held (the deformation is then the same everywhere) a preset must come
-back exactly. With free sides, as in the KES apparatus, a wide specimen gives a little less, as
-it narrows: between C and C - G^2 / C'.
+A specimen is strained at its border, its inside relaxes to rest, and force or energy give the stiffness. With the sides
+held (the deformation is then the same everywhere) a preset's values must result exactly. With free sides, as in the KES
+apparatus, a wide specimen narrows and is a little softer: between C and C - G^2 / C'.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Bool, Fabric, Float
 
 STRAIN = 1e-4
-"""Strain, and shear angle [rad], of the tests: forces at + and - STRAIN are compared, so that what is
-left of the springs' nonlinearity is of order STRAIN^2."""
+"""Strain, and shear angle [rad], of the tests: the difference of forces at + and - STRAIN has an error of order
+STRAIN^2."""
 
 TURN = 0.02
 """Angle between neighbouring rows in the bending test [rad]: 1 - cos differs from half its square
@@ -44,7 +43,7 @@ def measure(
     size: tuple[float, float],
     sides_held: bool = True,
 ) -> Measures:
-    """All tests on a specimen, a sheet of `size` (across, along) [m] with `resolution` vertices."""
+    """Run all tests on a specimen, a sheet of `size` (across, along) [m] with `resolution` vertices."""
     rows, cols = resolution[1], resolution[0]
     return Measures(
         warp=stretch(piece, rows, cols, along=1, sides_held=sides_held),
@@ -57,7 +56,7 @@ def measure(
 
 
 def _grips(rows: int, cols: int, along: int, depth: int = 1) -> tuple[Bool, Bool]:
-    """(n,) vertices in the two grips: the outer `depth` rows (along 1) or columns (along 0)."""
+    """Return the vertices (n,) in the two grips: the outer `depth` rows (along 1) or columns (along 0)."""
     low = np.zeros((rows, cols), np.bool_)
     high = np.zeros((rows, cols), np.bool_)
     if along == 1:
@@ -68,7 +67,7 @@ def _grips(rows: int, cols: int, along: int, depth: int = 1) -> tuple[Bool, Bool
 
 
 def stretch(piece: Fabric, rows: int, cols: int, along: int, sides_held: bool = True) -> float:
-    """Tensile stiffness [N/m] of a flat piece in the plane xy, along x (weft) or y (warp)."""
+    """Return the tensile stiffness [N/m] of a flat piece in the plane xy, along x (weft) or y (warp)."""
     x = piece.position
     low, high = _grips(rows, cols, along)
     fixed = _in_plane(low | high)
@@ -85,7 +84,7 @@ def stretch(piece: Fabric, rows: int, cols: int, along: int, sides_held: bool = 
 
 
 def shear(piece: Fabric, rows: int, cols: int, sides_held: bool = True) -> float:
-    """Shear stiffness [N/m per rad]: the top row slides along x over the bottom row."""
+    """Return the shear stiffness [N/m per rad]: the top row slides along x over the bottom row."""
     x = piece.position
     low, high = _grips(rows, cols, 1)
     left, right = _grips(rows, cols, 0)
@@ -100,10 +99,10 @@ def shear(piece: Fabric, rows: int, cols: int, sides_held: bool = True) -> float
 
 
 def bend(piece: Fabric, rows: int, cols: int, along: int) -> float:
-    """Bending rigidity per width [N m] of the yarns along x (weft) or y (warp).
+    """Return the bending rigidity per width [N m] of the yarns along x (weft) or y (warp).
 
-    The outer two rows at either end lie on a cylinder, one step of arc apart, and hold its
-    tangents. The fold lines between the grips stand for (rows - 2) steps of length.
+    The outer two rows at either end lie on a cylinder, one step of arc apart, and hold its tangents. The fold lines
+    between the grips bend (rows - 2) steps of length.
     """
     x = piece.position
     lines = rows if along == 1 else cols
@@ -121,14 +120,14 @@ def bend(piece: Fabric, rows: int, cols: int, along: int) -> float:
 
 
 def _in_plane(held: Bool) -> Bool:
-    """(n, 3) coordinates that do not move: all of the held vertices, z of the others."""
+    """Return the fixed coordinates (n, 3): all of the held vertices, z of the others."""
     fixed = np.repeat(held[:, None], 3, axis=1)
     fixed[:, 2] = True
     return fixed
 
 
 def relax(piece: Fabric, start: Float, fixed: Bool) -> tuple[float, Float]:
-    """Energy [J] and gradient (n, 3) [N] at rest, from `start` (n, 3), with some coordinates fixed.
+    """Return energy [J] and gradient (n, 3) [N] at rest, from `start` (n, 3), with some coordinates fixed.
 
     Raises RunFailed if the piece does not come to rest.
     """
@@ -145,10 +144,10 @@ def relax(piece: Fabric, start: Float, fixed: Bool) -> tuple[float, Float]:
 
 
 def minimise(evaluate: Callable[[Float], tuple[float, Float]], start: Float, tolerance: float = 1e-12) -> Float:
-    """Minimum by L-BFGS (Nocedal and Wright, algorithm 7.5) with backtracking.
+    """Return the minimum by L-BFGS (Nocedal and Wright, algorithm 7.5) with backtracking.
 
-    Stops where the gradient is below 1e-6 of its first norm, or where the energy has no digits left. Weighed: SciPy's
-    L-BFGS-B, which stops at absolute sizes, needs energies scaled, and takes twice as long to the same digits.
+    Stops when the gradient is below 1e-6 of its first norm, or the energy changes by less than `tolerance`. Rejected:
+    SciPy's L-BFGS-B, which stops at absolute sizes, needs scaled energies, and takes twice as long to the same digits.
     """
     x = start.copy()
     energy, gradient = evaluate(x)
@@ -177,7 +176,7 @@ def minimise(evaluate: Callable[[Float], tuple[float, Float]], start: Float, tol
 
 
 def _quasi_newton(gradient: Float, steps: Sequence[tuple[Float, Float]]) -> Float:
-    """The two-loop recursion; without history a step as long as 1e-3 of a newton per newton/metre."""
+    """Return the direction by the two-loop recursion; without history the gradient times -1e-3 m/N."""
     direction = -gradient
     weights = []
     for s, y in reversed(steps):

@@ -1,6 +1,6 @@
 """A fabric from a laboratory's sheet: KES-F (Kawabata 1980), FAST (CSIRO 1989) or a cantilever (ASTM D1388).
 
-Sheets hold numbers in their instrument's units, of warp and weft where they have two. What a fabric is described by:
+Sheets hold numbers in their instrument's units, for warp and weft if there are two. The measures of a fabric:
 
 density       W.
 bending       B of KES-F and FAST; of a bending length c, B = W g c^3 (Peirce 1930), C45 along the bias.
@@ -12,7 +12,7 @@ tension       the secant at 5 gf/cm, about what garments bear by their own weigh
 shear         the mean of G along warp and weft; of FAST's bias extension, G = 123 N/m / EB5 (EB5 in per cent).
 
 A sheet of any instrument may hold a drape by Cusick's drapemeter (ISO 9073-9): the drape coefficient and the nodes, or
-a photograph of the shadow. It is kept for `nuno test` to be held against, and nothing of the fabric is made of it.
+a photograph of the shadow. `nuno test` compares with it; it does not change the fabric.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ GRAVITY = 9.80665
 PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 """5 and 500 gf/cm [N/m]."""
 CURVATURE = 250.0
-"""KES-F bends up to so much [1/m]."""
+"""Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
 
 
@@ -70,17 +70,17 @@ UNUSED = {
     "FAST": {"E20", "E100", "T2", "T100", "ST", "STR", "RS", "HE", "F"},
     "cantilever": set[str](),
 }
-"""What sheets hold besides, which no force here has: hysteresis of shear, compression, surface, thickness."""
+"""Values of sheets that no force here uses: hysteresis of shear, compression, surface, thickness."""
 NEEDED = {
     "density": "kg/m^2", "warp": "N/m", "weft": "N/m", "shear": "N/m", "bend_warp": "N*m", "bend_weft": "N*m",
 }  # fmt: skip
 MORE = {"bend_bias": "N*m", "hysteresis_warp": "N", "hysteresis_weft": "N"}
-"""What a fabric is described by, and what it may be besides, and the units."""
+"""Units of the measures that a fabric needs, and of those that it may have."""
 
 
 @dataclass
 class Sheet:
-    """Values in SI, of warp and weft, and what is told of how each measure of a fabric was had."""
+    """A laboratory's sheet: values in SI, for warp and weft, and the fabric's measures with the origin of each."""
 
     values: dict[str, tuple[float, ...]]
     fabric: dict[str, float] = field(default_factory=dict)
@@ -91,36 +91,37 @@ class Sheet:
             self.fabric[name], self.how[name] = value, how
 
 
-def read_sheet(given: Mapping[str, Any], like: str | None = None, folder: Path = Path()) -> Imported:
-    """The fabric of a sheet: `instrument`, and values by the instrument's own names, one number or [warp, weft], in its
-    units or as text with another; what it lacks is that of a preset `like`. Pictures lie in the sheet's folder.
+def read_sheet(entries: Mapping[str, Any], like: str | None = None, folder: Path = Path()) -> Imported:
+    """Return the fabric of a sheet: `instrument`, and values by the instrument's names, one number or [warp, weft], in
+    its units or as text with another. Missing measures are those of a preset `like`. Pictures are in the sheet's
+    folder.
 
     Raises BadInput that names the value at fault.
     """
-    instrument = _instrument(given)
+    instrument = _instrument(entries)
     columns, unused = SHEETS[instrument], UNUSED[instrument]
     sheet = Sheet({})
-    for name, value in given.items():
+    for name, value in entries.items():
         if name in columns:
             sheet.values[name] = values_of(name, value, columns[name])
         elif name not in unused and name != "instrument" and not is_drape(name):
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
-    drape, how = read_drape({name: value for name, value in given.items() if is_drape(name)}, folder)
-    left_over = tuple(name for name in given if name in unused)
-    return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, left_over, drape=drape)
+    drape, how = read_drape({name: value for name, value in entries.items() if is_drape(name)}, folder)
+    ignored = tuple(name for name in entries if name in unused)
+    return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, ignored, drape=drape)
 
 
-def _instrument(given: Mapping[str, Any]) -> str:
-    named = given.get("instrument")
-    known = {name.lower(): name for name in SHEETS}
-    if not isinstance(named, str) or named.lower() not in known:
+def _instrument(entries: Mapping[str, Any]) -> str:
+    name = entries.get("instrument")
+    instruments = {each.lower(): each for each in SHEETS}
+    if not isinstance(name, str) or name.lower() not in instruments:
         raise BadInput(
-            "which instrument's sheet is this?", field="instrument", value=named, limit=f"one of {', '.join(SHEETS)}",
+            "which instrument's sheet is this?", field="instrument", value=name, limit=f"one of {', '.join(SHEETS)}",
             remedy="write for example instrument: KES-F: names and units follow from it",
         )  # fmt: skip
-    return known[named.lower()]
+    return instruments[name.lower()]
 
 
 def _unknown(name: str, instrument: str) -> BadInput:
@@ -128,8 +129,8 @@ def _unknown(name: str, instrument: str) -> BadInput:
     if others:
         problem, remedy = f"a sheet of {instrument} has no such value", f"is it instrument: {others[0]}?"
         return BadInput(problem, field=name, remedy=remedy)
-    known = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument", "shadow"} | DRAPE.keys()
-    return BadInput(f"not a value of a sheet of {instrument}", field=name, remedy=nearest(name, known))
+    names = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument", "shadow"} | DRAPE.keys()
+    return BadInput(f"not a value of a sheet of {instrument}", field=name, remedy=nearest(name, names))
 
 
 def _kes(sheet: Sheet) -> None:
@@ -152,20 +153,20 @@ def _kes(sheet: Sheet) -> None:
         return
     strains = values["EMT"]
     if "LT" in values:
-        linear, by = values["LT"], "LT"
+        lts, key = values["LT"], "LT"
     elif "WT" in values:
-        linear, by = tuple(w / (0.5 * MOST * e) for w, e in zip(values["WT"], strains, strict=True)), "WT"
+        lts, key = tuple(w / (0.5 * MOST * e) for w, e in zip(values["WT"], strains, strict=True)), "WT"
     else:
-        linear, by = (1.0, 1.0), "assuming LT = 1, for neither LT nor WT is given"
-    powers = [2.0 / each - 1.0 for each in linear]
-    for name, each, power in zip(("warp", "weft"), linear, powers, strict=True):
-        if not power > 0.0:
+        lts, key = (1.0, 1.0), "assuming LT = 1, for neither LT nor WT is given"
+    exponents = [2.0 / lt - 1.0 for lt in lts]
+    for name, lt, exponent in zip(("warp", "weft"), lts, exponents, strict=True):
+        if not exponent > 0.0:
             raise BadInput(
-                "no cloth gets so much softer as it is pulled", field=by, value=f"LT {each:.3g}, {name}",
+                "no cloth gets so much softer as it is pulled", field=key, value=f"LT {lt:.3g}, {name}",
                 limit="an LT below 2", remedy="look at WT and EMT",
             )  # fmt: skip
-    stiff = [PULL / (e * (PULL / MOST) ** (1.0 / p)) for e, p in zip(strains, powers, strict=True)]
-    sheet.take(("warp", "weft"), stiff, f"derived: secant at 5 gf/cm, from EMT and {by}")
+    stiff = [PULL / (e * (PULL / MOST) ** (1.0 / p)) for e, p in zip(strains, exponents, strict=True)]
+    sheet.take(("warp", "weft"), stiff, f"derived: secant at 5 gf/cm, from EMT and {key}")
 
 
 def _fast(sheet: Sheet) -> None:
@@ -194,7 +195,7 @@ READ: dict[str, Callable[[Sheet], None]] = {"KES-F": _kes, "FAST": _fast, "canti
 
 
 def _fill(sheet: Sheet, like: str | None, instrument: str) -> None:
-    """The density, and what is missing, from a preset."""
+    """Add the density, and missing measures from a preset."""
     if "W" in sheet.values:
         sheet.take(("density",), sheet.values["W"], "measured: W")
     missing = [name for name in NEEDED if name not in sheet.fabric]

@@ -15,10 +15,10 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
 
 LIKE = {"jeans": "denim", "jersey": "interlock", "knit": "interlock"}
-"""Presets that are much like a cloth of another name."""
+"""Presets that are similar to cloth of another name."""
 
 
-def _known(preset: str) -> str:
+def _require_preset(preset: str) -> str:
     if preset not in PRESETS:
         like = f"much like it is {LIKE[preset]!r}; " if preset in LIKE else ""
         raise ValueError(f"unknown fabric preset {preset!r}; {like}{nearest(preset, PRESETS)}")
@@ -26,14 +26,14 @@ def _known(preset: str) -> str:
 
 
 MOST_BENT = 250.0
-"""Curvature to which KES bends cloth [1/m]; what stays bent by more was not measured so."""
+"""Curvature to which KES bends cloth [1/m], above which no residual curvature can be measured."""
 
 
 class Measured(Config):
-    """A fabric in measured units: a preset, some of its values replaced, or all of them given."""
+    """A fabric in measured units: a preset with some of its values replaced, or all values."""
 
     preset: str | None = Field(
-        default=None, description="whose values hold where none is given (nuno fabrics lists them)"
+        default=None, description="a preset, for all values that are not given (nuno fabrics lists them)"
     )
     density: Density | None = Field(default=None, description="areal density [kg/m^2]")
     warp: Tensile | None = Field(
@@ -47,18 +47,18 @@ class Measured(Config):
     bend_weft: Rigidity | None = Field(default=None, description="bending rigidity of the weft yarns, per width [N*m]")
     bend_bias: Rigidity | None = Field(
         default=None,
-        description="the same of a strip cut at 45 degrees to both [N*m]; follows from the two unless given",
+        description="bending rigidity of a strip cut at 45 degrees to both [N*m]; derived from the two unless given",
     )
     bend_poisson: float | None = Field(
         default=None,
         gt=-1,
         lt=1,
-        description="how far cloth that is bent curls up across: Poisson's ratio of bending; 0 unless given",
+        description="Poisson's ratio of bending, by which bent cloth curls up across; 0 unless given",
     )
     hysteresis_warp: MomentPerWidth | None = Field(
         default=None,
-        description="2HB, moment per width that warp bent to and fro has lost on its way back [N]; it keeps the "
-        "curvature 2HB / 2B; 0 unless given",
+        description="2HB, moment per width that the bent warp has lost when it returns [N]; its residual curvature is "
+        "2HB / 2B; 0 unless given",
     )
     hysteresis_weft: MomentPerWidth | None = Field(default=None, description="2HB of the weft [N]; 0 unless given")
     damping_ratio: Ratio | None = Field(
@@ -68,7 +68,7 @@ class Measured(Config):
     @field_validator("preset")
     @classmethod
     def _preset_exists(cls, preset: str | None) -> str | None:
-        return preset if preset is None else _known(preset)
+        return preset if preset is None else _require_preset(preset)
 
     @model_validator(mode="after")
     def _complete(self) -> Measured:
@@ -79,40 +79,41 @@ class Measured(Config):
         for yarn in ("warp", "weft"):
             rigidity, width = getattr(material, f"bend_{yarn}"), getattr(material, f"hysteresis_{yarn}")
             if 0.5 * width > MOST_BENT * rigidity:
-                kept = f"would stay bent by more than the {MOST_BENT:g} 1/m to which cloth is tested"
+                problem = f"would stay bent by more than the {MOST_BENT:g} 1/m to which cloth is tested"
                 limit = f"hysteresis_{yarn} at most {2.0 * MOST_BENT * rigidity:.3g} N"
-                raise ValueError(f"cloth whose bend_{yarn} is {rigidity:.3g} N*m {kept}: {limit}")
+                raise ValueError(f"cloth whose bend_{yarn} is {rigidity:.3g} N*m {problem}: {limit}")
         if material.bend_bias is not None:
             if 0.0 in (material.bend_warp, material.bend_weft, material.bend_bias):
                 raise ValueError("cloth with a bend_bias has bend_warp, bend_weft and bend_bias above 0")
-            if material.bend_bias * material.straight >= 4.0:
-                limit = f"below {4.0 / material.straight:.3g} N*m, which would take an endless stiffness against twist"
+            if material.bend_bias * material.bias_compliance >= 4.0:
+                most = 4.0 / material.bias_compliance
+                limit = f"below {most:.3g} N*m, which would take an endless stiffness against twist"
                 raise ValueError(f"bend_bias of {material.bend_bias:.3g} N*m does not go with warp and weft: {limit}")
         return self
 
     def material(self) -> Material:
-        given: dict[str, Any] = self.model_dump(exclude={"preset"}, exclude_none=True)
+        values: dict[str, Any] = self.model_dump(exclude={"preset"}, exclude_none=True)
         if self.preset is None:
-            return Material(**given, how=dict.fromkeys(given, "measured"))
+            return Material(**values, how=dict.fromkeys(values, "measured"))
         base = PRESETS[self.preset]
-        if not given:
+        if not values:
             return base
-        source = f"{base.source}, changed: {', '.join(given)}"
-        return replace(base, **given, source=source, how={**base.how, **dict.fromkeys(given, "measured")})
+        source = f"{base.source}, changed: {', '.join(values)}"
+        return replace(base, **values, source=source, how={**base.how, **dict.fromkeys(values, "measured")})
 
 
-def _pair(value: object) -> object:
-    """One constant stands for warp and weft alike."""
+def _as_pair(value: object) -> object:
+    """Return [warp, weft], which are equal if one number is given."""
     return value if isinstance(value, (list, tuple)) else (value, value)
 
 
 Pair = Annotated[
-    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+    tuple[Modulus, Modulus], BeforeValidator(_as_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
 ]
 
 
 class HandSet(Config):
-    """Constants per spring, as the papers tune them: they do not follow the mesh."""
+    """Constants per spring, as the papers tune them, whatever the mesh."""
 
     density: Density = Field(description="areal density [kg/m^2]")
     structural: Pair = Field(description="springs between neighbours [N/m]: one number, or [warp, weft]")
@@ -128,7 +129,7 @@ class HandSet(Config):
     )
 
 
-def _form(value: object) -> Literal["name", "by hand", "measured"]:
+def _discriminate(value: object) -> Literal["name", "by hand", "measured"]:
     if isinstance(value, str):
         return "name"
     by_hand = "structural" in value if isinstance(value, dict) else isinstance(value, HandSet)
@@ -140,31 +141,31 @@ FABRIC = (
     "per spring set by hand"
 )
 FabricChoice = Annotated[
-    Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)}), BeforeValidator(_known), Tag("name")]
+    Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)}), BeforeValidator(_require_preset), Tag("name")]
     | Annotated[Measured, Tag("measured")]
     | Annotated[HandSet, Tag("by hand")],
-    Discriminator(_form),
+    Discriminator(_discriminate),
 ]
 
 
 class Materials(NamedTuple):
-    """Several fabrics, and which of them each triangle is of: (f,) places in `each`."""
+    """Several fabrics, and the index of each triangle's fabric (f,)."""
 
-    each: tuple[Material, ...]
-    of: Int
+    fabrics: tuple[Material, ...]
+    fabric_index: Int
 
     def by_triangle(self, measure: str) -> Float:
-        """(f,) a measure of Material."""
-        return np.array([float(getattr(one, measure)) for one in self.each])[self.of]
+        """Return a measure of Material by triangle (f,)."""
+        return np.array([float(getattr(one, measure)) for one in self.fabrics])[self.fabric_index]
 
     @staticmethod
     def spread(material: Material | Materials, triangles: int) -> Materials:
-        """One fabric for so many triangles, unless it says itself which is where."""
+        """Return one material for all of so many triangles, or the materials unchanged."""
         return material if isinstance(material, Materials) else Materials((material,), np.zeros(triangles, np.int32))
 
 
 def resolve(choice: str | Measured | HandSet) -> Material | HandSet:
-    """The material in measured units, or the constants set by hand."""
+    """Return the material in measured units, or the constants set by hand."""
     if isinstance(choice, str):
         return PRESETS[choice]
     return choice.material() if isinstance(choice, Measured) else choice

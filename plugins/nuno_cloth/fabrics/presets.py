@@ -4,9 +4,9 @@ The numbers come from the samples of Wang, O'Brien and Ramamoorthi, "Data-driven
 for cloth" (2011), as distributed with ARCSim's material files, first strain and first curvature
 bin. They are converted as ARCSim's code reads them:
 
-tensile   The file's C11 and C22 are doubled when read. With Green strain the energy per area is
-          (C11 exx^2 + C22 eyy^2 + 2 C12 exx eyy) / 2, so they are force per width and strain
-          with the width held. The file's first axis is taken as the warp; it does not say.
+tensile   The file's C11 and C22 are doubled when read. With Green strain the energy per area is (C11 exx^2 + C22 eyy^2
+          + 2 C12 exx eyy) / 2, so they are force per width and strain with the width held. The file's first axis is
+          assumed to be the warp; it does not say.
 shear     The file's C33 is doubled, halved in the stress and multiplies the tensor strain
           exy = gamma / 2: energy C33 gamma^2 / 4 per area, hence G = C33 / 2.
 bending   Its hinge has the energy K e^2 theta^2 / (8 (A1 + A2)) (Bridson's coefficient). A plate
@@ -14,16 +14,16 @@ bending   Its hinge has the energy K e^2 theta^2 / (8 (A1 + A2)) (Bridson's coef
           table is the fold along the first axis, which bends the weft; the third bends the warp.
 
 Silk, chiffon, wool, linen, canvas and leather are not among those samples, and no open source has all six measures of
-one such cloth. Each of their measures says how it was had, in `how`:
+one such cloth. `how` gives the origin of each of their measures:
 
-bending   Where the fibre tells it: fibres that slide freely in their yarns and lie straight bend each by itself. Of a
-          mass m per area along the yarns that bend there are n = 4 m / (pi rho d^2) fibres of diameter d and density
-          rho in a width, each of rigidity E pi d^4 / 64, hence B = m E d^2 / (16 rho). Cloth whose fibres hold each
-          other is stiffer: what Feng et al. measured within a tenth of chiffon's weight has 1.5 to 2.1 times as much,
-          and of silk's, of any fibre, 0.5 to 6 times.
-tension   As of the preset whose yarns and weave are most like it: what cloth gives at first is crimp, not its fibre.
+bending   From the fibre: straight fibres that slide freely in their yarns bend independently. A mass m per area of
+          bending yarns has n = 4 m / (pi rho d^2) fibres of diameter d and density rho per width, each of rigidity E pi
+          d^4 / 64, hence B = m E d^2 / (16 rho). Cloth whose fibres hold each other is stiffer: fabrics of Feng et al.
+          within a tenth of chiffon's weight have 1.5 to 2.1 times as much, those of silk's, of any fibre, 0.5 to 6
+          times.
+tension   That of the preset with the most similar yarns and weave: cloth first gives by crimp, not by its fibre.
 
-No source gives damping: the ratio is ours, chosen to let a sheet settle in seconds.
+No source gives damping: the ratio is chosen to let a sheet settle in seconds.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 
 DAMPING_RATIO = 0.05
 MEASURES = ("density", "warp", "weft", "shear", "bend_warp", "bend_weft")
-"""What every fabric is described by."""
+"""Measures that every fabric has."""
 OTHERWISE = {
     "bend_bias": "derived: from the other rigidities",
     "bend_twist": "derived: from the other rigidities",
@@ -43,11 +43,11 @@ OTHERWISE = {
     "hysteresis_weft": "assumed: 0, not measured",
     "damping_ratio": f"assumed: {DAMPING_RATIO:g}, no source gives any",
 }
-"""How the rest of a fabric's measures is had where its source does not give them."""
+"""Origin of the other measures of a fabric whose source does not give them."""
 
 
 def complete(how: Mapping[str, str]) -> dict[str, str]:
-    """Of every measure whether it was `measured`, `derived` or `assumed`, and by what: `how` says it of what a source
+    """Return for every measure `measured`, `derived` or `assumed`, and the reason; `how` holds those that a source
     gives.
     """
     return OTHERWISE | dict(how)
@@ -55,7 +55,7 @@ def complete(how: Mapping[str, str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Material:
-    """A fabric whatever its mesh.
+    """A fabric, independent of any mesh.
 
     density               areal density [kg/m^2]
     warp, weft            tensile stiffness, width held [N/m]
@@ -66,8 +66,8 @@ class Material:
     hysteresis_warp, hysteresis_weft  2HB [N]: width of the loop of moment per width over curvature
     damping_ratio         damping of each spring as a part of its critical damping
     source                where the numbers come from
-    how                   of each measure `measured`, by the source, or `derived` or `assumed`, a colon and the reason;
-                          of what is left out see OTHERWISE
+    how                   for each measure `measured`, by the source, or `derived` or `assumed`, a colon and the reason;
+                          by default as in OTHERWISE
     """
 
     density: float
@@ -88,17 +88,17 @@ class Material:
     def bend_twist(self) -> float:
         """B_t [N m], of the energy 2 B_t t^2 per area and twist t.
 
-        A strip along the bias is as stiff as 4 / B_45 = S_w + S_f + 2 S_wf + 1 / B_t says, S being the inverse of the
-        rigidities. Where that was not measured, 2 B_t = (1 - nu) sqrt(B_w B_f).
+        The rigidity of a strip along the bias is 4 / B_45 = S_w + S_f + 2 S_wf + 1 / B_t, S being the inverse of the
+        rigidities. If it was not measured, 2 B_t = (1 - nu) sqrt(B_w B_f).
         """
         both = math.sqrt(self.bend_warp * self.bend_weft)
         if self.bend_bias is None:
             return 0.5 * (1.0 - self.bend_poisson) * both
-        return 1.0 / (4.0 / self.bend_bias - self.straight)
+        return 1.0 / (4.0 / self.bend_bias - self.bias_compliance)
 
     @property
-    def straight(self) -> float:
-        """S_w + S_f + 2 S_wf [1/(N m)]: what warp and weft give to a strip along the bias."""
+    def bias_compliance(self) -> float:
+        """S_w + S_f + 2 S_wf [1/(N m)]: the compliance of a strip along the bias by warp and weft."""
         nu, both = self.bend_poisson, math.sqrt(self.bend_warp * self.bend_weft)
         return (1.0 / self.bend_warp + 1.0 / self.bend_weft - 2.0 * nu / both) / (1.0 - nu * nu)
 
@@ -106,7 +106,7 @@ class Material:
 def _sample(
     name: str, what: str, density: float, c11: float, c22: float, c33: float, k_weft: float, k_warp: float
 ) -> Material:
-    """A material from the numbers of a sample's file; the bending coefficients are in uN m."""
+    """Return a material from the numbers of a sample's file; the bending coefficients are in uN m."""
     return Material(
         density=density,
         warp=2 * c11,
@@ -118,17 +118,17 @@ def _sample(
     )
 
 
-def _slide(mass: float, modulus: float, density: float, diameter: float) -> float:
-    """Rigidity per width [N m] of fibres that slide: mass per area [kg/m^2], modulus [Pa], density [kg/m^3], m."""
+def _sliding(mass: float, modulus: float, density: float, diameter: float) -> float:
+    """Return rigidity per width [N m] of sliding fibres: mass per area [kg/m^2], modulus [Pa], density [kg/m^3], m."""
     return mass * modulus * diameter**2 / (16.0 * density)
 
 
-def _like(name: str, why: str, *measures: str) -> dict[str, str]:
+def _as_of(name: str, why: str, *measures: str) -> dict[str, str]:
     return dict.fromkeys(measures, f"assumed: as of {name}, {why}")
 
 
-def _fibres(words: str) -> dict[str, str]:
-    """How both rigidities were had of the fibre, half of the cloth's mass lying each way."""
+def _by_fibre(words: str) -> dict[str, str]:
+    """Return the origin of both rigidities that are derived from the fibre, with half of the mass each way."""
     return dict.fromkeys(("bend_warp", "bend_weft"), f"derived: of {words}, that slide freely, half of them each way")
 
 
@@ -199,34 +199,34 @@ _IN_PLANE = ("warp", "weft", "shear")
 PRESETS: dict[str, Material] = SAMPLES | {
     "silk": Material(
         density=16 * MOMME, warp=_POLYESTER.warp, weft=_POLYESTER.weft, shear=_POLYESTER.shear,
-        bend_warp=_slide(8 * MOMME, 7e9, 1340.0, 10e-6), bend_weft=_slide(8 * MOMME, 7e9, 1340.0, 10e-6),
+        bend_warp=_sliding(8 * MOMME, 7e9, 1340.0, 10e-6), bend_weft=_sliding(8 * MOMME, 7e9, 1340.0, 10e-6),
         source=f"habotai of 16 momme, not a sample; {SILKS}",
-        how={"density": "assumed: 16 momme", **_fibres(SILK),
-             **_like("polyester", "a plain weave of filaments, too", *_IN_PLANE)},
+        how={"density": "assumed: 16 momme", **_by_fibre(SILK),
+             **_as_of("polyester", "a plain weave of filaments, too", *_IN_PLANE)},
     ),
     "chiffon": Material(
         density=8 * MOMME, warp=_JACKET.warp, weft=_JACKET.weft, shear=_JACKET.shear,
-        bend_warp=_slide(4 * MOMME, 7e9, 1340.0, 10e-6), bend_weft=_slide(4 * MOMME, 7e9, 1340.0, 10e-6),
+        bend_warp=_sliding(4 * MOMME, 7e9, 1340.0, 10e-6), bend_weft=_sliding(4 * MOMME, 7e9, 1340.0, 10e-6),
         source=f"silk chiffon of 8 momme, not a sample; {SILKS}",
-        how={"density": "assumed: 8 momme", **_fibres(SILK),
-             **_like("jacket", "the light woven cloth that gives most", *_IN_PLANE)},
+        how={"density": "assumed: 8 momme", **_by_fibre(SILK),
+             **_as_of("jacket", "the light woven cloth that gives most", *_IN_PLANE)},
     ),
     "wool": Material(
         density=0.2348, warp=0.170e6 * 0.568e-3, weft=0.170e6 * 0.568e-3, shear=_DENIM.shear,
-        bend_warp=_slide(0.1174, 2e9, 1300.0, 20e-6), bend_weft=_slide(0.1174, 2e9, 1300.0, 20e-6),
+        bend_warp=_sliding(0.1174, 2e9, 1300.0, 20e-6), bend_weft=_sliding(0.1174, 2e9, 1300.0, 20e-6),
         source=f"{PENAVA}, plain woven wool; {HANDBOOK}",
         how={"density": "measured",
              **dict.fromkeys(("warp", "weft"), "derived: 0.170 MPa times 0.568 mm, the mean of both ways, sides free"),
-             **_like("denim", "a woven cloth of spun yarns, too", "shear"),
-             **_fibres("wool fibres of 20 um, 2 GPa and 1.3 g/cm^3")},
+             **_as_of("denim", "a woven cloth of spun yarns, too", "shear"),
+             **_by_fibre("wool fibres of 20 um, 2 GPa and 1.3 g/cm^3")},
     ),
     "linen": Material(
         density=0.185, warp=_TROUSERS.warp, weft=_TROUSERS.weft, shear=_TROUSERS.shear,
-        bend_warp=_slide(0.0925, 65e9, 1530.0, 14e-6), bend_weft=_slide(0.0925, 65e9, 1530.0, 14e-6),
+        bend_warp=_sliding(0.0925, 65e9, 1530.0, 14e-6), bend_weft=_sliding(0.0925, 65e9, 1530.0, 14e-6),
         source=f"linen for dresses and suits, not a sample; {HANDBOOK}",
         how={"density": "assumed: of linen for dresses and suits",
-             **_fibres("flax fibres of 14 um, 65 GPa and 1.53 g/cm^3"),
-             **_like("trousers", "a woven cloth of spun yarns, too", *_IN_PLANE)},
+             **_by_fibre("flax fibres of 14 um, 65 GPa and 1.53 g/cm^3"),
+             **_as_of("trousers", "a woven cloth of spun yarns, too", *_IN_PLANE)},
     ),
     "canvas": Material(
         density=10 * OUNCE, warp=_TROUSERS.warp, weft=_TROUSERS.weft, shear=_TROUSERS.shear,
@@ -235,7 +235,7 @@ PRESETS: dict[str, Material] = SAMPLES | {
         how={"density": "assumed: 10 oz/yd^2",
              **dict.fromkeys(("bend_warp", "bend_weft"),
                              "assumed: as of the stiffest of 618 fabrics within a tenth of its weight, of any fibre"),
-             **_like("trousers", "a woven cloth of spun yarns, too", *_IN_PLANE)},
+             **_as_of("trousers", "a woven cloth of spun yarns, too", *_IN_PLANE)},
     ),
     "leather": Material(
         density=0.8e-3 * 650.0, warp=1000.0, weft=1000.0, shear=1000.0 / 3.0, bend_warp=20.9e-6, bend_weft=20.9e-6,
@@ -247,4 +247,4 @@ PRESETS: dict[str, Material] = SAMPLES | {
                              "derived: a bending length of 16 mm, which drapes here at 55 to 67 %")},
     ),
 }  # fmt: skip
-"""Samples that were measured, and fabrics that makers ask for."""
+"""The measured samples, and common fabrics that are not among them."""

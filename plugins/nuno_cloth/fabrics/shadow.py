@@ -1,4 +1,4 @@
-"""The shadow of a draped specimen: read from a photograph, and its nodes."""
+"""The shadow of a draped specimen, read from a photograph, and its nodes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from nuno_schemas.errors import BadInput
 
 FORMATS = ("PNG", "JPEG")
 CONTRAST = 0.1
-"""By which a shadow's mean is darker than what is around it at least, as a share of white."""
+"""Least difference between a shadow's mean and that of its surroundings, as a share of white."""
 RAYS, SMOOTH, PEAK = 720, 24, 1e-3
-"""Directions in which the outline is read, harmonics that are kept of it, and how far a node stands out of what is
-beside it [m]."""
+"""Directions in which the outline is read, harmonics kept of it, and least height of a node over the rest [m]."""
 
 
 def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
-    """(h, w) pixels of the shadow: the largest dark area of a photograph, without holes. Dark is what Otsu's threshold
-    (1979) says. Raises BadInput, of this field, for a picture that cannot be read, that is alike everywhere, or that
-    cuts the shadow off.
+    """Return the pixels (h, w) of the shadow: the largest area of a photograph that is dark by Otsu's threshold (1979),
+    without holes. Raises BadInput, of this field, for a picture that cannot be read, has no contrast, or cuts the
+    shadow off.
     """
     from scipy import ndimage
 
@@ -49,13 +48,13 @@ def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
 
 
 def _read_grey(path: Path, field: str) -> NDArray[np.uint8]:
-    """(h, w) grey values."""
+    """Read the grey values (h, w)."""
     from PIL import Image
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
             return np.asarray(Image.fromarray(as_rgb(image)).convert("L"))
-    except Exception as error:  # whatever a broken file makes of the decoder
+    except Exception as error:  # a decoder may raise anything on a broken file
         reason = getattr(error, "strerror", None) or "it is none, or damaged"
         raise BadInput(
             f"the picture cannot be read: {reason}", field=field, value=str(path), limit=" or ".join(FORMATS),
@@ -64,16 +63,16 @@ def _read_grey(path: Path, field: str) -> NDArray[np.uint8]:
 
 
 def count_nodes(shadow: NDArray[np.bool_], dot: float, middle: tuple[float, float]) -> int:
-    """How many folds stand out of the outline of a shadow (h, w) of dots of this side [m], seen from a place in it
-    (row, column).
+    """Return the number of folds in the outline of a shadow (h, w), with pixels of side `dot` [m], seen from its
+    `middle` (row, column).
     """
-    angles, far = 2.0 * np.pi * np.arange(RAYS) / RAYS, np.arange(max(shadow.shape))
+    angles, steps = 2.0 * np.pi * np.arange(RAYS) / RAYS, np.arange(max(shadow.shape))
     rows, columns = (
-        np.clip(np.rint(start + np.outer(turn, far)).astype(int), 0, most - 1)
+        np.clip(np.rint(start + np.outer(turn, steps)).astype(int), 0, most - 1)
         for start, turn, most in zip(middle, (np.sin(angles), np.cos(angles)), shadow.shape, strict=True)
     )
-    reached = dot * (shadow[rows, columns] * far).max(axis=1)
-    waves = np.fft.rfft(reached)
+    reach = dot * (shadow[rows, columns] * steps).max(axis=1)
+    waves = np.fft.rfft(reach)
     waves[SMOOTH + 1 :] = 0.0
     outline = np.fft.irfft(waves, RAYS)
     high = np.flatnonzero((outline > np.roll(outline, 1)) & (outline >= np.roll(outline, -1)))

@@ -1,1 +1,1 @@
-"""Vertices taken hold of, and let go of, while a simulation goes on."""
+"""Operations that bind vertices to bodies, and release them, during a simulation."""

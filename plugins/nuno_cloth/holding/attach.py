@@ -1,4 +1,4 @@
-"""The operation `attach`: from now on a body carries vertices of the cloth, as a gripper does that has closed."""
+"""The operation `attach`: a body carries vertices of the cloth from now on, like a closed gripper."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nuno_schemas.vectors import turn
 
 
 class AttachConfig(Config):
-    """What a body takes hold of."""
+    """The body, and the vertices that it takes hold of."""
 
     body: str = Field(description="name of the body")
     frame: str | None = Field(
@@ -33,25 +33,25 @@ class AttachConfig(Config):
 
 
 class Attach:
-    """Vertices keep the place in the body's frame that they have now; nothing is changed where it is refused."""
+    """Binds vertices at their present places in a body's frame. A refused operation changes nothing."""
 
     name: ClassVar[str] = "attach"
     Config: ClassVar[type[BaseModel]] = AttachConfig
 
     def compile(self) -> None:
-        """There is nothing to compile."""
+        """Do nothing: there is nothing to compile."""
 
     def resolve(self, config: AttachConfig, files: Files) -> AttachConfig:
-        """It names no files."""
+        """Return the configuration unchanged: it names no files."""
         return config
 
     def body(self, config: AttachConfig) -> str:
-        """See nuno_schemas.operation.Holding."""
+        """Return the name of the body that takes hold."""
         return config.body
 
     def apply_beside(self, config: AttachConfig, fabric: Fabric, state: State, body: Beside) -> Outcome:
-        """The fabric with these vertices bound. Raises BadInput for a frame that there is not, for vertices that are
-        held already, and where nothing is within reach.
+        """Return the fabric with these vertices bound. Raises BadInput for an unknown frame, for vertices that are held
+        already, and if no vertex is within reach.
         """
         frames = list(body.frames)
         if config.frame is not None and config.frame not in frames:
@@ -60,21 +60,22 @@ class Attach:
         distance = body.distance.copy()
         if config.frame is not None:
             distance[[frame != config.frame for frame in frames]] = np.inf
-        chosen = _chosen(config, fabric, distance.min(axis=0))
-        # Of a frame that carries no surface all is infinitely far: it is then the one that is named, or the first.
+        chosen = _choose_vertices(config, fabric, distance.min(axis=0))
+        # All vertices are infinitely far from frames without a surface: then the named frame carries them, or the
+        # first.
         first = frames.index(config.frame) if config.frame is not None else 0
         near = distance[:, chosen]
         owner = np.where(np.isfinite(near).any(axis=0), near.argmin(axis=0), first)
         pinned = fabric.pinned.copy()
         pinned[chosen] = True
-        made = replace(
+        bound = replace(
             fabric, pinned=pinned, bindings=(*fabric.bindings, *_bindings(config, chosen, owner, state, body))
         )
-        return unchanged(made, state, len(chosen))
+        return unchanged(bound, state, len(chosen))
 
 
-def _chosen(config: AttachConfig, fabric: Fabric, distance: np.ndarray) -> Int:
-    """Numbers of the vertices that are taken, which nothing holds yet."""
+def _choose_vertices(config: AttachConfig, fabric: Fabric, distance: np.ndarray) -> Int:
+    """Return the numbers of the vertices to bind, which nothing holds yet."""
     if config.vertices is not None:
         chosen = check_vertices(config.vertices, fabric)
         if (held := fabric.pinned[chosen]).any():
@@ -97,11 +98,11 @@ def _chosen(config: AttachConfig, fabric: Fabric, distance: np.ndarray) -> Int:
 
 
 def _bindings(config: AttachConfig, chosen: Int, owner: np.ndarray, state: State, body: Beside) -> list[Binding]:
-    """By frame, with where each vertex is in it now."""
-    made = []
+    """Return a binding per frame, with the present place of each vertex in it."""
+    bindings = []
     for number in np.unique(owner).tolist():
-        own = chosen[owner == number]
+        carried = chosen[owner == number]
         inverse = rotation_matrices(body.rotation[number][None])[0].T
-        local = turn(inverse, state.x[own] - body.translation[number])
-        made.append(Binding(own, config.body, body.frames[number], local))
-    return made
+        local = turn(inverse, state.x[carried] - body.translation[number])
+        bindings.append(Binding(carried, config.body, body.frames[number], local))
+    return bindings

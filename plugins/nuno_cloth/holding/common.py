@@ -1,4 +1,4 @@
-"""What taking hold and letting go share."""
+"""Functions that `attach` and `release` share."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ VertexNumber = Annotated[int, Field(ge=0)]
 VERTICES = "or just these, by their numbers in the object"
 
 
-def check_vertices(given: tuple[int, ...], fabric: Fabric) -> Int:
-    """Numbers (k,) of vertices. Raises BadInput for none, one that there is not, and one that is named twice."""
-    chosen = np.array(given, np.int64)
+def check_vertices(numbers: tuple[int, ...], fabric: Fabric) -> Int:
+    """Return the numbers (k,) of vertices. Raises BadInput if there are none, one does not exist or is named twice."""
+    chosen = np.array(numbers, np.int64)
     if not len(chosen):
         raise BadInput("no vertex is named", field="vertices", value=[], limit="one or more")
     if chosen.max() >= fabric.number:
@@ -31,6 +31,6 @@ def check_vertices(given: tuple[int, ...], fabric: Fabric) -> Int:
 
 
 def unchanged(fabric: Fabric, state: State, vertices: int) -> Outcome:
-    """A fabric of the same vertices, where they are: how many were taken or let go of, and how many bodies hold now."""
+    """Return a fabric of the same vertices, in place, with the numbers bound or released, and held by bodies."""
     facts = {"vertices": vertices, "held": sum(len(binding.vertices) for binding in fabric.bindings)}
     return Outcome(facts, changed=Changed(fabric, state, np.arange(fabric.number, dtype=np.int32)))

@@ -1,4 +1,4 @@
-"""The operation `release`: vertices that were held, by a body or where they are, move freely from now on."""
+"""The operation `release`: vertices that were held, by a body or in place, move freely from now on."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from nuno_schemas.plugin import Config, Files
 
 
 class ReleaseConfig(Config):
-    """What is let go of: what a body carries, or vertices by number, or of a body's only these."""
+    """The vertices to release: those of a body, or by number, or both: those of the body with these numbers."""
 
     body: str | None = Field(default=None, description="name of the body that carries them")
     vertices: tuple[VertexNumber, ...] | None = Field(default=None, description=VERTICES)
 
     @model_validator(mode="after")
-    def _says_what(self) -> ReleaseConfig:
+    def _require_choice(self) -> ReleaseConfig:
         if self.body is None and self.vertices is None:
             raise PydanticCustomError("release_what", "say what is let go of: body: NAME, or vertices: [...]")
         return self
 
 
 class Release:
-    """They go on at the velocity that they were carried at; nothing is changed where it is refused."""
+    """Releases vertices, which keep the velocity of their body. A refused operation changes nothing."""
 
     name: ClassVar[str] = "release"
     Config: ClassVar[type[BaseModel]] = ReleaseConfig
 
     def compile(self) -> None:
-        """There is nothing to compile."""
+        """Do nothing: there is nothing to compile."""
 
     def resolve(self, config: ReleaseConfig, files: Files) -> ReleaseConfig:
-        """It names no files."""
+        """Return the configuration unchanged: it names no files."""
         return config
 
     def apply(self, config: ReleaseConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """The fabric without holding them. Raises BadInput for a body that carries nothing, and for vertices that are
-        not held.
+        """Return the fabric with these vertices free. Raises BadInput for a body that carries none, and for vertices
+        that are not held.
         """
         held = fabric.pinned.copy()
         if config.body is not None:
@@ -68,5 +68,5 @@ class Release:
             for one, stays in kept
             if stays.any()
         )
-        made = replace(fabric, pinned=fabric.pinned & ~held, bindings=bindings)
-        return unchanged(made, state, int(held.sum()))
+        released = replace(fabric, pinned=fabric.pinned & ~held, bindings=bindings)
+        return unchanged(released, state, int(held.sum()))

@@ -1,31 +1,32 @@
 """Bending of a triangle mesh: measured rigidities along warp and weft, and any Poisson's ratio, whatever the mesh.
 
-Over a triangle with all that touch its corners (nuno_cloth.models.patches) the surface is taken for the quadratic
-function that fits best, near vertices counting most: weights (1 + r)^-3, r the distance from the triangle's middle
-over the side of an equilateral triangle as large. Its second derivatives K (warp, weft, twist) are linear in the
-vertices, and the triangle, of area A, has the energy of an orthotropic plate,
+Over a triangle and all that touch its corners (nuno_cloth.models.patches) the surface is approximated by the quadratic
+function that fits best, with weights (1 + r)^-3, r the distance from the triangle's middle over the side of an
+equilateral triangle as large. Its second derivatives K (warp, weft, twist) are linear in the vertices, and the
+triangle, of area A, has the energy of an orthotropic plate,
 
     A K^T D K / 2,   D = (B_w, B_1, 0; B_1, B_f, 0; 0, 0, 4 B_t),
 
-with B_1 = nu sqrt(B_w B_f), and B_t from the rigidity that was measured along the bias, or as if the cloth, stretched
-by (B_f / B_w)^(1/4), were isotropic: 2 B_t = (1 - nu) sqrt(B_w B_f).
+with B_1 = nu sqrt(B_w B_f), and B_t from the rigidity measured along the bias, or as if the cloth, stretched by (B_f /
+B_w)^(1/4), were isotropic: 2 B_t = (1 - nu) sqrt(B_w B_f).
 
-What the fit leaves, r, is no curvature, and cloth could fold to and fro between vertices at hardly any cost. It costs
-A FIT sqrt(B_w B_f) times the weighted mean of r^2 over the fourth power of the side, which is 0 where the surface is
-quadratic, so that constant curvature stays exact, and vanishes as the square of the side elsewhere (as virtual elements
-are made stable: Beirao da Veiga et al. 2013, Math. Models Methods Appl. Sci. 23, 199-214). With
-FIT = 130 the lowest frequencies squared of a free square plate with 12 edges a side are within 5 % on any mesh, and a
-heavy strip of 16 clamped edges drops 1 to 2 % too far; half as much leaves 5 and 4 %, and twice as much is as far off
-to the other side, with steps that are half as long.
+The fit's residual r is not curvature, and without a cost of its own cloth could fold to and fro between vertices nearly
+freely. It costs A FIT sqrt(B_w B_f) times the weighted mean of r^2 over the fourth power of the side. This is 0 where
+the surface is quadratic, so that constant curvature stays exact, and vanishes as the square of the side elsewhere (the
+stabilisation of virtual elements: Beirao da Veiga et al. 2013, Math. Models Methods Appl. Sci. 23, 199-214). With FIT =
+130 the lowest frequencies squared of a free square plate with 12 edges a side are within 5 % on any mesh, and a heavy
+strip of 16 clamped edges drops 1 to 2 % too far; half as much leaves 5 and 4 %, and twice as much is as far off to the
+other side, with steps that are half as long.
 
 Few vertices, or vertices on two lines, do not determine all curvatures. The singular values s of the fit say which,
 over the root of the sum of squared weights and with the patch stretched until it spreads alike in all directions, so
-that elongated triangles are as clear as others: 0.4 on grids, 0.23 and more on patterns that are cut and meshed, 0 of a
-ribbon one cell wide. Curvatures of s < WEAK are not read off, since their errors grow as 1 / s and the matrix as 1 /
-s^2. They are unknowns c of least energy instead, where what c does not explain of the fit's coefficient y costs (y - s
-c)^2 as what the fit leaves does, times 1 / (1 - (s / WEAK)^2). At s = WEAK this is the fit, and at s = 0 the curvature
-is free: a ribbon one cell wide curls up across as narrow strips do, and two pieces that share one vertex turn freely
-about it. The matrix is bounded on any mesh and goes on steadily with its vertices.
+that elongated triangles are as well determined as others: 0.4 on grids, 0.23 and more on patterns that are cut and
+meshed, 0 of a ribbon one cell wide. Curvatures of s < WEAK are not taken from the fit, since their errors grow as 1 / s
+and the matrix as 1 / s^2. They are unknowns c that minimise the energy instead, in which the part of the fit's
+coefficient y that c does not explain costs (y - s c)^2 as the residual does, times 1 / (1 - (s / WEAK)^2). At s = WEAK
+this is the fit, and at s = 0 the curvature is free: a ribbon one cell wide curls up across as narrow strips do, and two
+pieces that share one vertex turn freely about it. The matrix is bounded on any mesh and a continuous function of its
+vertices.
 
 Rejected: hinges, k = B e^2 / (A_1 + A_2), 0.89 to 1.10 of B by the mesh, and with no choice of Poisson's ratio; the
 quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where diagonals alternate; weak curvatures
@@ -47,16 +48,16 @@ from nuno_schemas.triangles import Bending
 NEAR, STEEP = 1.0, 3
 FIT = 130.0
 WEAK = 0.22
-"""Singular values, over the root of the sum of squared weights, below which a curvature is not read off a patch: less
-than the least of patterns as they are cut and meshed here, whose matrix stays as it was."""
+"""Singular values, over the root of the sum of squared weights, below which a patch does not determine a curvature:
+below the least of patterns that are cut and meshed here."""
 WIDEST = 20.0
-"""Of a patch's reach over the length by which weights fall off: slivers among larger triangles are fitted as these."""
+"""Largest radius of a patch over the length by which weights fall off, which bounds the weights of slivers."""
 AT_ONCE = 8192
-"""Triangles whose matrices are held at a time."""
+"""Triangles whose matrices are in memory at a time."""
 
 
 def plate(material: Material) -> Float:
-    """(3, 3) D [N m]."""
+    """Return the plate's matrix D (3, 3) [N m]."""
     warp, weft = material.bend_warp, material.bend_weft
     both = material.bend_poisson * np.sqrt(warp * weft)
     return np.array([[warp, both, 0.0], [both, weft, 0.0], [0.0, 0.0, 4.0 * material.bend_twist]])
@@ -65,28 +66,30 @@ def plate(material: Material) -> Float:
 def build_bending(
     material: Material | Materials, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> Bending | None:
-    """Of triangles with corners (f, 3, 3) [m], flat as they are laid open, and yarn directions (f, 3), between vertices
-    faces (f, 3) of which some are held (n,); None where no vertex can bend.
+    """Build the bending matrix of triangles with corners (f, 3, 3) [m], flat once unfolded, yarn directions (f, 3) and
+    vertices faces (f, 3), of which some are held (n,). None where no vertex can bend.
     """
     n, cloth = len(held), Materials.spread(material, len(faces))
-    rigidity = np.array([plate(one) for one in cloth.each])
+    rigidity = np.array([plate(fabric) for fabric in cloth.fabrics])
     clamp = find_clamp(faces, held)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not rigidity.any() or n < 4 or not len(loose):
         return None
     sides, parts = find_sides(corners, faces), []
     for at in range(0, len(loose), AT_ONCE):
-        of = loose[at : at + AT_ONCE]
-        part = find_patches(sides, of, warp[of], weft[of])
+        triangles = loose[at : at + AT_ONCE]
+        part = find_patches(sides, triangles, warp[triangles], weft[triangles])
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
-        found = fit(part.flat - middle, base - middle, part.there, side, rigidity[cloth.of[of]])
-        matrix = np.empty_like(found.left)
-        for k, one in enumerate(cloth.each):
-            own = cloth.of[of] == k
-            second, left = found.second[own], found.left[own]
-            matrix[own] = np.einsum("fak,ab,fbl->fkl", second, rigidity[k], second, optimize=True)
-            matrix[own] += FIT * np.sqrt(one.bend_warp * one.bend_weft) * np.einsum("frk,frl->fkl", left, left)
+        fitted = fit(part.flat - middle, base - middle, part.there, side, rigidity[cloth.fabric_index[triangles]])
+        matrix = np.empty_like(fitted.left)
+        for k, fabric in enumerate(cloth.fabrics):
+            of_fabric = cloth.fabric_index[triangles] == k
+            curvature, residual = fitted.second[of_fabric], fitted.left[of_fabric]
+            matrix[of_fabric] = np.einsum("fak,ab,fbl->fkl", curvature, rigidity[k], curvature, optimize=True)
+            matrix[of_fabric] += (
+                FIT * np.sqrt(fabric.bend_warp * fabric.bend_weft) * np.einsum("frk,frl->fkl", residual, residual)
+            )
         parts.append(_pairs(part.vertices, -part.area[:, None, None] * matrix, n))
     keys, weights = (np.concatenate(values) for values in zip(*parts, strict=True))
     keys, weights = _sum_alike(keys, weights)
@@ -94,9 +97,9 @@ def build_bending(
 
 
 class Fit(NamedTuple):
-    """A quadratic function's derivatives by the heights of a patch's vertices: (f, 2, k) along warp and weft [1/m],
-    (f, 3, k) second ones along warp, weft and between them [1/m^2]; (f, k, k) what it leaves, weighted and over the
-    square of the side [1/m^2].
+    """Linear maps from heights of a patch's vertices to the first derivatives (f, 2, k) of the fitted quadratic
+    function along warp and weft [1/m], to its second ones (f, 3, k) along warp, weft and between them [1/m^2], and to
+    its residuals (f, k, k), weighted and over the square of the side [1/m^2].
     """
 
     first: Float
@@ -105,8 +108,8 @@ class Fit(NamedTuple):
 
 
 class Clamp(NamedTuple):
-    """What holds cloth rigidly: (f,) triangles between vertices that are all held, (n,) vertices that only such touch,
-    and those on the clamp's edge.
+    """A clamp: its triangles (f,), whose vertices are all held, the vertices (n,) behind its edge, which touch no other
+    triangle, and those on its edge (n,).
     """
 
     faces: Bool
@@ -114,8 +117,8 @@ class Clamp(NamedTuple):
     edge: Bool
 
     def base(self, vertices: Int, flat: Float, there: Bool) -> Float:
-        """(f, k, 2) from where the surface goes on straight to each vertex of patches at flat (f, k, 2): to those in a
-        clamp from its edge, where curvature begins with a jump; to others from where they are.
+        """Return the points (f, k, 2) from which the surface is straight up to each vertex of patches at flat (f, k,
+        2): for vertices in a clamp its edge, where curvature begins with a jump, for others the vertex itself.
         """
         base, behind = flat.copy(), self.behind[vertices] & there
         some = np.flatnonzero(behind.any(axis=1))
@@ -127,7 +130,7 @@ class Clamp(NamedTuple):
 
 
 def find_clamp(faces: Int, held: Bool) -> Clamp:
-    """Of triangles (f, 3) and which vertices (n,) are held."""
+    """Return the clamp of triangles (f, 3), of whose vertices (n,) some are held."""
     rigid: Bool = np.all(held[faces], axis=1)
     loose = np.zeros(len(held), np.bool_)
     loose[faces[~rigid]] = True
@@ -137,9 +140,9 @@ def find_clamp(faces: Int, held: Bool) -> Clamp:
 
 
 def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float) -> Fit:
-    """The best one of patches with vertices at flat (f, k, 2) [m] along weft and warp from the point where it is asked
-    for, those that are there (f, k); `side` (f,) is the length [m] by which weights fall off, `rigidity` (f, 3, 3) D
-    [N m]. A vertex whose `base` lies elsewhere is on the tangent there.
+    """Fit a quadratic function to patches with vertices at flat (f, k, 2) [m] along weft and warp from the point where
+    it is evaluated; `there` (f, k) masks padding, `side` (f,) is the length [m] by which weights fall off, `rigidity`
+    (f, 3, 3) is D [N m]. A vertex whose `base` lies elsewhere is on the tangent at that base.
     """
     side = np.maximum(side, np.where(there, np.linalg.norm(flat, axis=2), 0.0).max(axis=1) / WIDEST)
     places, base = flat / side[:, None, None], base / side[:, None, None]
@@ -148,28 +151,28 @@ def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float) -> 
     plane = np.stack([np.ones_like(warp), warp, weft], axis=2) * weight[..., None]
     squares = warp0 * (warp - 0.5 * warp0), weft0 * (weft - 0.5 * weft0), warp0 * weft + weft0 * warp - warp0 * weft0
     curved = np.stack(squares, axis=2) * weight[..., None]
-    # Planes first, so that they are no curvature also where too few vertices tell all curvatures apart.
+    # Planes first, so that they add no curvature even where too few vertices determine all curvatures.
     level, upper = np.linalg.qr(plane)
     bent = curved - level @ (level.transpose(0, 2, 1) @ curved)
     u, size, v = np.linalg.svd(bent, full_matrices=False)
     number, total = np.eye(weight.shape[1]), np.sqrt(np.square(weight).sum(axis=1))
-    shape = _even(upper, total)
+    shape = _stretch_to_even(upper, total)
     clear = np.linalg.svd(bent @ shape, compute_uv=False)
     inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     second = (v.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
-    known = np.concatenate([level, u], axis=2)
-    left = number - known @ known.transpose(0, 2, 1)
+    explained = np.concatenate([level, u], axis=2)
+    residual = number - explained @ explained.transpose(0, 2, 1)
     weak = np.flatnonzero(clear[:, 2] < WEAK * total)
-    second[weak], left[weak] = _fit_weak(bent[weak], shape[weak], level[weak], total[weak], rigidity[weak])
+    second[weak], residual[weak] = _fit_weak(bent[weak], shape[weak], level[weak], total[weak], rigidity[weak])
     slopes = np.linalg.solve(upper, level.transpose(0, 2, 1) @ (number - curved @ second))[:, 1:]
-    left /= total[:, None, None]
+    residual /= total[:, None, None]
     scale, length = weight[:, None, :], side[:, None, None]
-    return Fit(slopes * scale / length, second * scale / length**2, left * scale / length**2)
+    return Fit(slopes * scale / length, second * scale / length**2, residual * scale / length**2)
 
 
 def _fit_weak(bent: Float, shape: Float, level: Float, total: Float, rigidity: Float) -> tuple[Float, Float]:
-    """Second derivatives (f, 3, k) by weighted heights, and what is left of these (f, k, k), where some are weak: of
-    weighted heights (f, k, 3) of unit curvatures without their planes, which are `level` (f, k, 3).
+    """Return the maps of weighted heights to second derivatives (f, 3, k) and residuals (f, k, k) where some are weak.
+    `bent` (f, k, 3) are weighted heights of unit curvatures without their planes, which are `level` (f, k, 3).
     """
     u, size, v = np.linalg.svd(bent @ shape, full_matrices=False)
     share, coefficient = size / total[:, None], u.transpose(0, 2, 1)
@@ -181,18 +184,18 @@ def _fit_weak(bent: Float, shape: Float, level: Float, total: Float, rigidity: F
     stiffness = rigidity / np.maximum(rigidity.max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
     pull = FIT * np.sqrt(stiffness[:, 0, 0] * stiffness[:, 1, 1])[:, None] * gain * size / np.square(total)[:, None]
     matrix = way.transpose(0, 2, 1) @ stiffness @ way + (pull * size)[:, :, None] * np.eye(3)
-    # Of cloth that does not bend along one yarn there may be no least energy, but many: the pseudo-inverse takes one.
+    # Cloth without rigidity along one yarn may have many minima of energy: the pseudo-inverse takes one.
     inverse = np.linalg.pinv(np.where(weak[:, :, None], matrix, np.eye(3)))
     curvature = inverse @ (np.divide(1.0, size, out=pull, where=~weak)[:, :, None] * coefficient)
-    known = np.concatenate([level, u * ~weak[:, None, :]], axis=2)
+    explained = np.concatenate([level, u * ~weak[:, None, :]], axis=2)
     beyond = np.sqrt(gain)[:, :, None] * (coefficient - size[:, :, None] * curvature) - coefficient
-    left = np.eye(u.shape[1]) - known @ known.transpose(0, 2, 1) + (u * weak[:, None, :]) @ beyond
-    return way @ curvature, left
+    residual = np.eye(u.shape[1]) - explained @ explained.transpose(0, 2, 1) + (u * weak[:, None, :]) @ beyond
+    return way @ curvature, residual
 
 
-def _even(upper: Float, total: Float) -> Float:
-    """(f, 3, 3) curvatures along warp and weft and between them, by those of a patch that is stretched until its
-    weighted vertices are spread alike in all directions: by the triangular factor of their planes.
+def _stretch_to_even(upper: Float, total: Float) -> Float:
+    """Return the map (f, 3, 3) to curvatures along warp and weft and between them from those of a patch that is
+    stretched until its weighted vertices spread alike in all directions, by the triangular factor of their planes.
     """
     (a, c), (b, d) = np.moveaxis(np.linalg.inv(upper[:, 1:, 1:]) * total[:, None, None], 0, 2)
     columns = (a * a, b * b, a * b), (c * c, d * d, c * d), (2.0 * a * c, 2.0 * b * d, a * d + b * c)
@@ -200,7 +203,7 @@ def _even(upper: Float, total: Float) -> Float:
 
 
 def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:
-    """Keys i n + j of pairs of different vertices i < j, and their entries of (f, k, k) matrices, summed."""
+    """Return keys i n + j of pairs of different vertices i < j, and the sums of their entries in matrices (f, k, k)."""
     first, second = np.triu_indices(vertices.shape[1], 1)
     low, high = vertices[:, first].astype(np.int64), vertices[:, second].astype(np.int64)
     keys, weights = np.minimum(low, high) * n + np.maximum(low, high), matrix[:, first, second]
@@ -209,5 +212,5 @@ def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:
 
 
 def _sum_alike(keys: Int, weights: Float) -> tuple[Int, Float]:
-    found, which = np.unique(keys, return_inverse=True)
-    return found, np.bincount(which, weights, len(found)).astype(np.float64)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    return unique, np.bincount(inverse, weights, len(unique)).astype(np.float64)

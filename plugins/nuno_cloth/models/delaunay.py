@@ -1,4 +1,4 @@
-"""Triangles of a flat piece of cloth: points spread evenly inside of an outline, joined after Delaunay."""
+"""Triangles of a flat piece of cloth: a Delaunay triangulation of points spread evenly inside an outline."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import sides
 
 INSET = 0.6
-"""Least distance of points inside from the outline, in spacings: nearer ones would give flat triangles."""
+"""Least distance of inner points from the outline, in spacings: nearer ones would give flat triangles."""
 ROUNDS = 10
-"""Times that points inside are moved to the mean of their neighbours."""
+"""Number of times that inner points move to the mean of their neighbours."""
 
 
 def fill_outline(outline: Float, spacing: float) -> tuple[Float, Int]:
-    """Points (n, 2), the outline's (m, 2) first, and triangles (f, 3), counter-clockwise.
+    """Return points (n, 2), the outline's (m, 2) first, and triangles (f, 3), counter-clockwise.
 
     The outline is simple, counter-clockwise, and has its points about `spacing` apart.
     """
@@ -33,7 +33,7 @@ def fill_outline(outline: Float, spacing: float) -> tuple[Float, Int]:
 
 
 def lay_grid(outline: Float, spacing: float) -> Float:
-    """(n, 2) points of a grid of equilateral triangles over the box round an outline (m, 2)."""
+    """Return the points (n, 2) of a grid of equilateral triangles over the box round an outline (m, 2)."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     rows = np.arange(low[1], high[1], spacing * np.sqrt(0.75))
     across = np.arange(low[0], high[0] + spacing, spacing)
@@ -42,7 +42,7 @@ def lay_grid(outline: Float, spacing: float) -> Float:
 
 
 def is_inside(points: Float, outline: Float) -> Bool:
-    """(n,) whether points (n, 2) lie inside of a polygon (m, 2): its sides cross a ray to the right an odd number of
+    """Return which points (n, 2) lie inside a polygon (m, 2): its sides cross a ray to the right an odd number of
     times.
     """
     a, b = outline, np.roll(outline, -1, axis=0)
@@ -54,7 +54,7 @@ def is_inside(points: Float, outline: Float) -> Bool:
 
 
 def distances(points: Float, sides: Float) -> Float:
-    """(n, m) of points (n, 2) from sides (m, 2, 2)."""
+    """Return the distances (n, m) of points (n, 2) from sides (m, 2, 2)."""
     (px, py), (ax, ay) = points.T[..., None], sides[:, 0].T
     wx, wy = (sides[:, 1] - sides[:, 0]).T
     dx, dy = px - ax, py - ay
@@ -63,8 +63,8 @@ def distances(points: Float, sides: Float) -> Float:
 
 
 def triangulate(points: Float) -> Int:
-    """(f, 3) Delaunay triangles of points (n, 2), no two of them at one place: counter-clockwise, each from its first
-    vertex on, sorted.
+    """Return the Delaunay triangles (f, 3) of points (n, 2), no two of them at one place: counter-clockwise, each from
+    its lowest vertex, sorted.
     """
     from scipy.spatial import Delaunay  # half a second to import, for shirts alone
 

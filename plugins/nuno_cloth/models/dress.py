@@ -1,8 +1,8 @@
-"""Where a shirt starts: put on a body, clear of it, with as little strain as that takes.
+"""The start of a shirt on a body: clear of it, with as little strain as that takes.
 
 Below the underarms the shirt is rings about the trunk, and beyond them rings about the arms: each is the convex hull of
-the body's section, set off by as much as the ring is longer, so that it has its length at rest and is clear. The yoke
-between is harmonic, and then everything is drawn together (nuno_cloth.sewing.draw).
+the body's section, offset outwards so that the ring has its length at rest and is clear of the body. The yoke between
+them is harmonic, and then everything is drawn together (nuno_cloth.sewing.draw).
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.vectors import dot, norm
 
 RINGS, AROUND = 24, 96
-"""Rings that are laid about a trunk and about an arm, and points of each."""
+"""Rings about a trunk and about an arm, and points of each."""
 UPPER = 0.2
-"""Share of the cloth round an arm that is laid over it from the overarm on, where the underarm is not closed yet."""
+"""Share of the cloth round an arm that lies over it, from the overarm, where the underarm is not closed yet."""
 WIDER = "more ease, or longer"
 MARGIN = 0.02
-"""Where a shirt is longer than the body, its rings are those about the body so far above its lower end [m]."""
+"""Rings of a shirt that is longer than the body are those about the body this far above its lower end [m]."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What ties a cut to its wearer.
+    """The fit of a cut to its wearer.
 
-    shoulder: along the overarm, from N to the arm's root [m]; height: of N; deep: half the chest's depth, by which the
-    way from N to the underarms' ring is longer than the drop [m]
+    shoulder: along the overarm, from N to the arm's root [m]; height: of N; deep: half the chest's depth, which makes
+    the cloth from N to the underarms' ring longer than the drop [m]
     """
 
     shoulder: float
@@ -51,12 +51,11 @@ class Fit:
 
 
 def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, edges: Edges, clearance: float) -> Float:
-    """(n, 3) start of a sewn shirt whose edges are its springs, no point nearer to the body than `clearance` [m].
-
-    Raises BadInput, with the place and how deep, for a shirt that would start inside of the body.
+    """Return the start (n, 3) of a sewn shirt with springs on its `edges`, no point nearer to the body than `clearance`
+    [m]. Raises BadInput, with place and depth, for a shirt that would start inside of the body.
     """
     pairs = edges.pairs
-    x, placed = _lay(wearer, cut, fit, sewn, clearance)
+    x, placed = _place_on_rings(wearer, cut, fit, sewn, clearance)
     for k in range(3):
         x[:, k] = solve_harmonic(sewn.flat + 1e-3 * sewn.front[:, None] * [0.0, 0.0, 1.0], sewn.faces, placed, x[:, k])
     tree = build_tree(wearer.x, wearer.faces)
@@ -66,12 +65,12 @@ def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, edges: Edges, clearanc
     return np.ascontiguousarray(x)
 
 
-def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tuple[Float, Bool]:
-    """Places (n, 3) of the points on rings, overarms and round the neck, and which those are (n,)."""
+def _place_on_rings(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tuple[Float, Bool]:
+    """Return the places (n, 3) of points on rings, overarms and round the neck, and which points these are (n,)."""
     u, v = np.abs(sewn.flat[:, 0]), sewn.flat[:, 1]
     x = np.zeros_like(sewn.flat)
-    # Round the arms from the overarm, by the front and the underarm, from where that is straight; over their upper
-    # side from the root on.
+    # Round the arms from the overarm, by the front and the underarm, from where the underarm is straight; over their
+    # upper side from the root.
     away = np.stack([u, v], axis=1) - [cut.neck, 0.0]
     along, across = dot(away, cut.along), dot(away, cut.across)
     inner, outer = (point - [cut.neck, 0.0] for point in (cut.curve()[1], cut.corners()["B"]))
@@ -82,14 +81,14 @@ def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tu
     share = np.where(sewn.front < 0, 1.0 - 0.5 * part, 0.5 * part)
     levels = np.linspace(fit.shoulder, ends[1], RINGS)
     for side, arm in zip((1, -1), wearer.arms, strict=True):
-        mine = on_sleeve & (sewn.side == side)
+        selected = on_sleeve & (sewn.side == side)
         girths = np.where(levels < ends[0], -1.0, 1.0) * 2.0 * np.interp(levels, ends, widths)
         rings = _round_arm(wearer, arm, levels - fit.shoulder, girths, clearance)
-        x[mine] = _on_rings(rings, levels, along[mine], share[mine])
+        x[selected] = _on_rings(rings, levels, along[selected], share[selected])
         # The overarm before that, from the neck to the arm's root.
-        mine = on_seam & (sewn.side == side)
+        selected = on_seam & (sewn.side == side)
         start = np.array([wearer.middle + side * cut.neck, fit.height, wearer.neck[2]])
-        x[mine] = start + (along[mine] / fit.shoulder)[:, None] * (rings[0, 0] - start)
+        x[selected] = start + (along[selected] / fit.shoulder)[:, None] * (rings[0, 0] - start)
     # Round the trunk from the middle of the front, by the left side and the middle of the back.
     down, long = -v - cut.depth, cut.length - cut.depth
     quarter = 0.25 * u / np.interp(down, [0.0, long], [cut.width, cut.hem])
@@ -98,25 +97,25 @@ def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tu
     girths = 4.0 * np.interp(levels, [0.0, long], [cut.width, cut.hem])
     top = fit.height - fit.drop(cut.depth)
     rings = np.stack([_round_trunk(wearer, top - s, girth, clearance) for s, girth in zip(levels, girths, strict=True)])
-    mine = (down >= 0.0) & ~on_sleeve
-    x[mine] = _on_rings(rings, levels, down[mine], np.where(sewn.side < 0, 1.0 - half, half)[mine])
-    placed = on_sleeve | on_seam | mine
-    mine = sewn.neck
+    selected = (down >= 0.0) & ~on_sleeve
+    x[selected] = _on_rings(rings, levels, down[selected], np.where(sewn.side < 0, 1.0 - half, half)[selected])
+    placed = on_sleeve | on_seam | selected
+    selected = sewn.neck
     depth = np.where(sewn.front > 0, cut.front, cut.back)
     turn = np.arctan2(sewn.flat[:, 0] / cut.neck, -v / depth)
-    x[mine] = np.stack(
+    x[selected] = np.stack(
         [
             wearer.middle + cut.neck * np.sin(turn),
             fit.height - depth * np.cos(turn),
             wearer.neck[2] + np.where(sewn.front < 0, -1.0, 1.0) * cut.neck * np.cos(turn),
         ],
         axis=1,
-    )[mine]
-    return x, placed | mine
+    )[selected]
+    return x, placed | selected
 
 
 def _round_trunk(wearer: Wearer, level: float, girth: float, clearance: float) -> Float:
-    """(AROUND, 3) ring about the trunk at a height [m]."""
+    """Return a ring (AROUND, 3) about the trunk at a height [m]."""
     loop = wearer.trunk(max(level, float(wearer.x[:, 1].min()) + MARGIN))
     if loop is None:
         raise BadInput(
@@ -129,7 +128,7 @@ def _round_trunk(wearer: Wearer, level: float, girth: float, clearance: float) -
 
 
 def _round_arm(wearer: Wearer, arm: Arm, places: Float, girths: Float, clearance: float) -> Float:
-    """(r, AROUND, 3) rings round an arm at places (r,) from its root; beyond its end as the last one on it."""
+    """Return rings (r, AROUND, 3) round an arm at places (r,) from its root [m], past its end copies of the last."""
     up, ahead = (axis - dot(axis, arm.way) * arm.way for axis in (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))
     seam = up / norm(up)
     side = ahead - dot(ahead, seam) * seam
@@ -146,9 +145,10 @@ def _round_arm(wearer: Wearer, arm: Arm, places: Float, girths: Float, clearance
 
 
 def _ring(loop: Loop, seam: Float, side: Float, girth: float, clearance: float) -> Float:
-    """(AROUND, 3) places in equal steps along a loop's hull, set off to this girth [m]; below 0: by the clearance.
+    """Return points (AROUND, 3) in equal steps on a loop's hull, offset to this girth [m], or, below 0, by the
+    clearance.
 
-    The hull of length l set off by d is l + 2 pi d long (J. Steiner).
+    The hull of length l offset by d is l + 2 pi d long (J. Steiner).
     """
     places, normals, length = spread_hull(loop.points, loop.centroid(), seam, side, AROUND)
     off = (girth - length) / (2.0 * np.pi)
@@ -158,7 +158,9 @@ def _ring(loop: Loop, seam: Float, side: Float, girth: float, clearance: float) 
 
 
 def _on_rings(rings: Float, levels: Float, level: Float, share: Float) -> Float:
-    """(n, 3) places at levels (n,) and shares (n,) of the way round, between rings (r, AROUND, 3) at `levels` (r,)."""
+    """Return places (n, 3) at a level (n,) and share (n,) of the way round, between rings (r, AROUND, 3) at levels
+    (r,).
+    """
     row = np.clip((level - levels[0]) / (levels[-1] - levels[0]) * (len(levels) - 1), 0.0, len(levels) - 1.0)
     column = np.mod(share, 1.0) * AROUND
     i, j = np.minimum(row.astype(int), len(levels) - 2), column.astype(int) % AROUND

@@ -22,7 +22,7 @@ from nuno_schemas.fabric import BENDING, SHEAR, STRUCTURAL, Float, Hinges, Int, 
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of rows x cols vertices; a periodic one needs an even number of columns, at least 4."""
+    """A grid of rows x cols vertices. A periodic one has an even number of columns, at least 4."""
 
     rows: int
     cols: int
@@ -40,7 +40,7 @@ class Grid:
         return row * self.cols + (col % self.cols if self.periodic else col)
 
     def segments(self, low: int, high: int, reach: tuple[int, int]) -> Iterator[tuple[int, int]]:
-        """Column ranges [first, last] within low..high inside which no column wraps.
+        """Yield column ranges [first, last] within low..high inside which no column wraps.
 
         `reach` is the lowest and highest column offset that an element at a column uses.
         """
@@ -54,7 +54,7 @@ class Grid:
 
 
 def build_faces(grid: Grid) -> Int:
-    """(2 cells, 3) int32 triangles, counter-clockwise seen from outside."""
+    """Return triangles (2 cells, 3) int32, counter-clockwise seen from outside."""
     rows = np.arange(grid.rows - 1, dtype=np.int32)[:, None]
     cols = np.arange(grid.cells_across, dtype=np.int32)[None, :]
     v00, v10 = rows * grid.cols + cols, (rows + 1) * grid.cols + cols
@@ -67,7 +67,7 @@ def build_faces(grid: Grid) -> Int:
 
 
 class _Runs:
-    """Collects runs; those of one row stay together, so that a sweep reads memory in order."""
+    """A list of runs. Runs of one row stay together, so that a sweep reads memory in order."""
 
     def __init__(self) -> None:
         self.first: list[tuple[int, ...]] = []
@@ -86,7 +86,7 @@ class _Runs:
 
 
 def build_springs(grid: Grid, constants: Constants) -> Springs | None:
-    """Springs as runs along rows, constants per run; families of stiffness 0 are left out."""
+    """Return springs as runs along rows, with constants per run, without families of stiffness 0."""
     runs = _Runs()
     for row in range(grid.rows):
         _add_structural(runs, grid, constants, row)
@@ -123,7 +123,7 @@ def _add_structural(runs: _Runs, grid: Grid, constants: Constants, row: int) -> 
 
 
 def _add_bending(runs: _Runs, grid: Grid, constants: Constants, row: int) -> None:
-    """The papers' springs between vertices two apart."""
+    """Add the papers' bending springs, between vertices two apart."""
     if constants.bend_weft_k > 0:
         spring = constants.bend_weft_k, 2 * constants.weft_rest[row], constants.bend_weft_c[row], BENDING
         # On a tube of 4 columns the spring (c, c + 2) would be the spring (c + 2, c) again.
@@ -138,7 +138,7 @@ def _add_bending(runs: _Runs, grid: Grid, constants: Constants, row: int) -> Non
 def _add_springs(
     runs: _Runs, grid: Grid, row: int, cols: tuple[int, int], step: tuple[int, int], spring: tuple[float, ...]
 ) -> None:
-    """Springs from (row, c) to (row + step[0], c + step[1]) for all columns c in `cols`."""
+    """Add springs from (row, c) to (row + step[0], c + step[1]) for all columns c in `cols`."""
     reach = min(step[1], 0), max(step[1], 0)
     for low, high in grid.segments(*cols, reach):
         runs.add((grid.at(row, low), grid.at(row + step[0], low + step[1])), high - low + 1, *spring)
@@ -156,7 +156,7 @@ TWIST: Corners = ((0, 0), (1, 1), (0, 1), (1, 0))
 
 
 def build_hinges(grid: Grid, constants: Constants) -> Hinges | None:
-    """Hinges as runs along rows, flat at rest, constants per run."""
+    """Return hinges as runs along rows, flat at rest, with constants per run."""
     runs = _Runs()
     last_row, last = grid.rows - 1, grid.cols - 1
     inner = (0, last) if grid.periodic else (1, last - 1)

@@ -1,9 +1,9 @@
 """The membrane of a triangle mesh: a measured fabric's tension and shear, whatever the mesh.
 
-A triangle of constant strain stores what the measures say for any shape of its own and any direction of the yarns
-across it, as springs on its edges cannot (nuno_cloth.models.triangles). Warp and weft couple as those of a grid of
-springs do, C_wf = G (nuno_cloth.fabrics.constants), so that the same fabric hangs the same on both; of a fabric so
-stiff in shear that this would be no elastic body, as far as one can be.
+A triangle of constant strain stores the measured energy whatever its shape and the direction of the yarns across it, as
+springs on its edges cannot (nuno_cloth.models.triangles). Warp and weft couple as those of a grid of springs do, C_wf =
+G (nuno_cloth.fabrics.constants), so that the same fabric hangs the same on both. If a fabric is so stiff in shear that
+its energy would not be positive, C_wf = sqrt(C_w C_f).
 
 Damping. Strained alone, a triangle of area A whose yarn F = a (x1 - x0) + b (x2 - x0) has the modulus C swings with
 
@@ -28,7 +28,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import BENDING, STRUCTURAL, Bool, Float, Hinges, Int, Springs
 from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 
-# What cloth of triangles is simulated with: a measured fabric's membrane and bending, or springs with hinges.
+# Elements of cloth of triangles: a measured fabric's membrane and bending, or springs with hinges.
 
 Tension = Literal["auto", "membrane", "springs"]
 TENSION = (
@@ -37,12 +37,12 @@ TENSION = (
     "fabrics, springs of constants set by hand"
 )
 BYTES_PER_VERTEX, SPRUNG = 4500, 2000
-"""What a run takes at most, of a membrane and of springs: 4,188 and 1,896 were measured, between meshes of 90,000 and
-250,000 and of 262,144 and 640,000 vertices, and the file's text and triangles while it is read."""
+"""The most memory that a run takes, with a membrane and with springs: 4,188 and 1,896 were measured, between meshes of
+90,000 and 250,000 and of 262,144 and 640,000 vertices, and the file's text and triangles while it is read."""
 
 
 class Elements(NamedTuple):
-    """Parts of a fabric, by their names there: masses, triangles, what bears tension, and what bending."""
+    """Fields of a fabric: masses, triangles, and the elements that bear tension and bending."""
 
     mass: Float
     faces: Int
@@ -57,13 +57,11 @@ def build_elements(
     material: Material | HandSet, x: Float, faces: Int, edges: Edges, warp: Float, folded: bool = False,
     tension: Tension = "springs", held: Bool | None = None,
 ) -> Elements:  # fmt: skip
-    """A membrane and bending by a matrix, or springs on edges with hinges or bending springs across the inner ones.
-    Raises BadInput for a membrane of constants per spring, and for hinges that are to bend as they cannot.
+    """Build a membrane and bending by a matrix, or springs on edges with hinges or bending springs across inner edges.
+    Raises BadInput for a membrane of constants per spring, and for measures of bending that hinges cannot have.
 
-    What is `held` (n,) between triangles that are held all round does not bend.
-
-    Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
-    seams, with it laid open.
+    Cloth between vertices that are all `held` (n,) does not bend. Bending springs are at rest in the shape x, or, if
+    pieces lie `folded` on each other along their seams, with x laid open.
     """
     if tension == "membrane" and isinstance(material, HandSet):
         remedy = "give a preset or measured values, or take tension: springs"
@@ -100,10 +98,8 @@ def build_elements(
 
 
 def build_triangles(material: Material | Materials, corners: Float, faces: Int, warp: Float, held: Bool) -> Elements:
-    """A membrane, and bending by a matrix, of triangles with corners (f, 3, 3) at rest [m] between vertices faces
-    (f, 3), with the warp (3,) or (f, 3) laid onto each. Along a seam two that are neighbours have corners of their own.
-
-    What is `held` (n,) between triangles that are held all round does not bend.
+    """Build a membrane, and bending by a matrix, of triangles with vertices faces (f, 3) and corners (f, 3, 3) at rest
+    [m], with the warp (3,) or (f, 3) laid onto each. Neighbours along a seam each have their own corners.
     """
     density = Materials.spread(material, len(faces)).by_triangle("density")
     mass, axes = _masses(density, face_areas(corners), faces, len(held)), yarn_axes(corners, warp)
@@ -114,7 +110,7 @@ def build_triangles(material: Material | Materials, corners: Float, faces: Int, 
 
 
 def open_spans(x: Float, quads: Int) -> Float:
-    """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
+    """Return distances (h,) [m] between the last two vertices of hinges (h, 4) that are unfolded into a plane."""
     start, end, left, right = (x[quads[:, i]] for i in range(4))
     along = end - start
     along /= np.linalg.norm(along, axis=1)[:, None]
@@ -126,12 +122,12 @@ def open_spans(x: Float, quads: Int) -> Float:
 
 
 def _masses(density: Float | float, area: Float, faces: Int, n: int) -> Float:
-    """(n,) a third of each triangle's mass for each of its corners [kg]."""
+    """Return masses (n,) of vertices [kg]: a third of each triangle's mass for each of its corners."""
     return np.bincount(faces.reshape(-1), np.repeat(area * density / 3, 3), n).astype(np.float64)
 
 
 def _reduced(mass: Float, pairs: Int) -> Float:
-    """(s,) reduced masses of springs (s, 2) [kg]."""
+    """Return reduced masses (s,) of springs (s, 2) [kg]."""
     one, other = mass[pairs[:, 0]], mass[pairs[:, 1]]
     return np.asarray(one * other / (one + other))
 
@@ -146,8 +142,8 @@ def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
 def build_membrane(
     material: Material | Materials, corners: Float, faces: Int, mass: Float, warp: Float, weft: Float
 ) -> Membrane:
-    """Of triangles with corners (f, 3, 3) at rest [m], between vertices faces (f, 3) of mass (n,) [kg], with the yarn
-    directions (f, 3) of each.
+    """Build the membrane of triangles with corners (f, 3, 3) at rest [m], vertices faces (f, 3) of mass (n,) [kg] and
+    yarn directions (f, 3).
     """
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     flat = np.einsum("fyi,fis->fys", np.stack([warp, weft], axis=1), sides)
@@ -164,6 +160,6 @@ def build_membrane(
 
 
 def _mobility(yarn: Float, mass: Float) -> Float:
-    """(f,) S [1 / (kg m^2)] of yarns (f, 2) between vertices of mass (f, 3)."""
+    """Return S (f,) [1 / (kg m^2)] of yarns (f, 2) between vertices of mass (f, 3)."""
     shares = np.column_stack([yarn.sum(axis=1), yarn])
     return np.asarray((np.square(shares) / mass).sum(axis=1))

@@ -34,7 +34,7 @@ from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")
 FARTHEST = 1e100
-"""Coordinates beyond this [m] have no squares and cubes that are numbers."""
+"""Squares and cubes of coordinates beyond this [m] overflow."""
 
 
 class Box(Config):
@@ -45,7 +45,7 @@ class Box(Config):
 
 
 def _not_a_name(pin: object) -> object:
-    """A sheet's edges have names; a mesh has neither rows nor edges that could bear them."""
+    """Refuse names, which only a sheet's rows and edges have."""
     if isinstance(pin, str):
         raise ValueError(
             "a mesh has no pins with names; give vertex numbers, such as pin: [0, 7], "
@@ -82,8 +82,8 @@ class MeshConfig(Config):
 
 
 class Mesh:
-    """A measured fabric's membrane and bending, or springs on the edges with hinges, or with the wrinkle paper's
-    springs between the two vertices opposite each inner edge where the fabric is set by hand with `bending`.
+    """A mesh with a measured fabric's membrane and bending, or with springs on the edges and hinges, or, for a fabric
+    set by hand with `bending`, the wrinkle paper's springs between the two vertices opposite each inner edge.
     """
 
     name: ClassVar[str] = "mesh"
@@ -93,11 +93,11 @@ class Mesh:
         return len(read_mesh(files.resolve(config.file), config.merge)[0])
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
+        """Build the garment. Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
         path = files.resolve(config.file)
         points, faces, uv = read_mesh(path, config.merge)
         edges = find_edges(faces)
@@ -120,20 +120,20 @@ class Mesh:
             pinned=held,
             texture=find_texture(config.texture, files),
             **lay_out(path, len(x), faces, uv, config.texture is not None),
-            origin=_unseen(material, edges),
+            origin=_bending_without_springs(material, edges),
             **elements._asdict(),
         )
 
 
-def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
-    """The bending stiffness that a mesh without inner edges has no spring to show."""
+def _bending_without_springs(material: Material | HandSet, edges: Edges) -> dict[str, float]:
+    """Return the bending stiffness of a mesh without inner edges, whose springs cannot show it."""
     if isinstance(material, Material) or len(edges.inner):
         return {}
     return {"k_bend": material.bending[0]}
 
 
 def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
-    """Vertices (n, 3), faces (f, 3) and texture coordinates (f, 3, 2) of their corners or None of a file.
+    """Read a file's vertices (n, 3), faces (f, 3) and texture coordinates (f, 3, 2) of their corners, or None.
 
     Raises BadInput.
     """
@@ -146,8 +146,8 @@ def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] 
 
 
 def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None, printed: bool) -> dict[str, Any]:
-    """Texture coordinates as a fabric of so many vertices has them: `uv` of vertices where all triangles agree, else
-    `corners`; none where some triangle has none. Raises BadInput where a print needs them.
+    """Return texture coordinates as fields of a fabric of `number` vertices: `uv` of vertices where all triangles
+    agree, else `corners`; empty if a triangle has none. Raises BadInput if `printed`, because a print needs them.
     """
     missing = np.ones(len(faces), bool) if uv is None else ~np.isfinite(uv).all(axis=(1, 2))
     if uv is None or missing.any():
@@ -161,12 +161,12 @@ def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None,
 
 
 def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
-    """Raises BadInput that names the first bad vertex, face or edge; nothing is mended in silence."""
+    """Raise BadInput that names the first bad vertex, face or edge; nothing is mended silently."""
 
     def refuse(
         bad: NDArray[np.integer], field: str, shown: Float | Int, problem: str, remedy: str | None = None
     ) -> None:
-        """Where there are bad ones, by number: with the first, and what is `shown` of it."""
+        """Raise BadInput for the first of the `bad` numbers, if any, with its row of `shown`."""
         if bad.size:
             first = int(bad[0])
             raise BadInput(problem, str(path), field=field.format(first), value=shown[first].tolist(), remedy=remedy)
@@ -191,7 +191,7 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
 
 
 def pin_mesh(pins: tuple[int | Box, ...], x: Float) -> Bool:
-    """(n,) bool; x (n, 3) in the world."""
+    """Return which vertices (n,) are pinned; x (n, 3) in the world [m]."""
     pinned = np.zeros(len(x), np.bool_)
     for index, pin in enumerate(pins):
         if isinstance(pin, int):

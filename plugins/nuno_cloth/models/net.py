@@ -1,4 +1,4 @@
-"""A raw mass-spring net from a .npz file, so that anybody can pose an exact problem."""
+"""A raw mass-spring net from a .npz file, which poses an exact problem."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nuno_schemas.fabric import Fabric, Float, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.yarns import Yarns
 
-# What a net's yarns must be: runs of springs, each sharing a vertex with the next, none used twice.
+# A net's yarns are runs of springs, each sharing a vertex with the next, none used twice.
 
 
 def check_yarns(path: Path, springs: Int, links: Int, ptr: Int, mu: Float) -> None:
-    """Raises BadInput, with key and index, for yarns (links (l,), ptr (y + 1,), mu (y,)) of springs (s, 2) that are
-    none: see nuno_schemas.fabric.Yarns.
+    """Raise BadInput, with key and index, for links (l,), ptr (y + 1,), mu (y,) that are not yarns of springs (s, 2) as
+    nuno_schemas.yarns.Yarns defines them.
     """
     _check_bounds(path, links, ptr, mu)
     require_values(
@@ -36,17 +36,17 @@ def check_yarns(path: Path, springs: Int, links: Int, ptr: Int, mu: Float) -> No
 def _check_bounds(path: Path, links: Int, ptr: Int, mu: Float) -> None:
     if ptr.shape[0] != mu.shape[0] + 1:
         raise BadInput("wrong shape", file=str(path), field="yarn_ptr", value=ptr.shape, limit=f"({mu.shape[0] + 1},)")
-    for at, wanted in ((0, 0), (-1, links.shape[0])):
-        if ptr[at] != wanted:
+    for at, expected in ((0, 0), (-1, links.shape[0])):
+        if ptr[at] != expected:
             place = at % ptr.shape[0]
             problem = "yarns begin with the first link and end with the last"
-            raise BadInput(problem, file=str(path), field=f"yarn_ptr[{place}]", value=int(ptr[at]), limit=f"{wanted}")
+            raise BadInput(problem, file=str(path), field=f"yarn_ptr[{place}]", value=int(ptr[at]), limit=f"{expected}")
     rising = np.concatenate([[True], np.diff(ptr) > 0])
     require_values(path, "yarn_ptr", ptr, rising, "a yarn has no link", "more than the one before")
 
 
 def _check_chains(path: Path, springs: Int, links: Int, ptr: Int) -> None:
-    """Each link shares one vertex with the next, and leaves by the other one than it came by."""
+    """Check that each link shares one vertex with the link before it and the other with the link after it."""
     ends = springs[links]
     following = np.ones(links.shape[0], bool)
     following[ptr[:-1]] = False
@@ -64,7 +64,7 @@ def _check_chains(path: Path, springs: Int, links: Int, ptr: Int) -> None:
 
 
 def _check_once(path: Path, links: Int, ptr: Int) -> None:
-    """A spring belongs to one yarn, once; a ring names its first link again at its end."""
+    """Check that each spring belongs to one yarn, once; a ring names its first link again at its end."""
     first, last = ptr[:-1], ptr[1:] - 1
     counted = np.ones(links.shape[0], bool)
     counted[last[(links[first] == links[last]) & (last >= first + 3)]] = False
@@ -84,16 +84,15 @@ KEYS: dict[str, Spec] = {
 """Shapes by the numbers of vertices n, springs s, links of yarns l, yarns y and y + 1, and kinds of dtype."""
 YARN_KEYS: dict[str, Spec] = {"yarn_links": (("l",), INDEX), "yarn_ptr": (("y + 1",), INDEX), "mu": (("y",), REAL)}
 LOCK_KEYS: dict[str, Spec] = {"lock": (("s",), REAL), "k_lock": (("s",), REAL)}
-"""All or none of each."""
+"""A file has all keys of a group or none."""
 ALL_KEYS = KEYS | YARN_KEYS | LOCK_KEYS
 BYTES_PER_VERTEX, BYTES_PER_SPRING = 300, 80
-"""What a run takes at most, from peaks of recorded runs of 262,144 and 786,432 vertices in a row,
-springs in random order: 265 bytes a vertex without springs, 653 with 6 springs for each, 1,193
-with 12."""
+"""The most memory that a run takes, from peaks of recorded runs of 262,144 and 786,432 vertices in a row, springs in
+random order: 265 bytes a vertex without springs, 653 with 6 springs for each, 1,193 with 12."""
 
 
 class NetConfig(Config):
-    """Arrays of a file, as they are."""
+    """The arrays of a file, unchanged."""
 
     file: str = Field(
         description="a .npz beside the scene with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool, "
@@ -104,7 +103,7 @@ class NetConfig(Config):
 
 
 class Net:
-    """Exactly the points and springs of the file: no faces, no hinges."""
+    """A net with exactly the points and springs of its file: no faces, no hinges."""
 
     name: ClassVar[str] = "net"
     Config: ClassVar[type[BaseModel]] = NetConfig
@@ -114,12 +113,12 @@ class Net:
             return read_sizes(file)["n"]
 
     def memory(self, config: NetConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]; from the file's headers, like count."""
+        """Return the most memory that a run takes [bytes], from the file's headers alone, like `count`."""
         with open_npz(files.resolve(config.file)) as file:
             return vertices * BYTES_PER_VERTEX + read_sizes(file)["s"] * BYTES_PER_SPRING
 
     def build(self, config: NetConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput that names the key, the index and the value."""
+        """Build the net. Raises BadInput that names the key, the index and the value."""
         path = files.resolve(config.file)
         with open_npz(path) as file:
             number = read_sizes(file)["n"]
@@ -145,10 +144,10 @@ def _yarns(data: dict[str, NDArray[Any]]) -> Yarns:
 
 
 def read_sizes(file: NpzFile) -> dict[str, int]:
-    """Numbers of vertices "n" and springs "s", and of yarns where it has any, from the headers alone.
+    """Return the numbers of vertices "n" and springs "s", and of yarns if there are any, from the headers alone.
 
-    Raises BadInput for a missing or unknown key, a wrong dtype or shape, and a header that
-    announces more than the file holds: nothing is allocated for a lie.
+    Raises BadInput for a missing or unknown key, a wrong dtype or shape, and a header that announces more than the file
+    holds, before anything is allocated.
     """
     file.require(KEYS, ALL_KEYS)
     for what, keys in (("yarns", YARN_KEYS), ("springs that lock", LOCK_KEYS)):
@@ -160,7 +159,7 @@ def read_sizes(file: NpzFile) -> dict[str, int]:
 
 
 def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
-    """Raises BadInput for the first value out of range, with its key and index."""
+    """Raise BadInput for the first value out of range, with its key and index."""
 
     def require(name: str, good: NDArray[np.bool_], problem: str, limit: str) -> None:
         require_values(path, name, data[name], good, problem, limit)
@@ -187,8 +186,8 @@ def _require_distinct(path: Path, springs: Int) -> None:
         )
     # One number per pair: a net's springs are most of its memory, and sorting pairs copies them.
     key = springs.min(axis=1).astype(np.int64) << 32 | springs.max(axis=1)
-    known = np.sort(key)
-    same = known[1:][known[1:] == known[:-1]]
+    ordered = np.sort(key)
+    same = ordered[1:][ordered[1:] == ordered[:-1]]
     if same.size:
         first, second = (int(row) for row in np.flatnonzero(key == same[0])[:2])
         raise BadInput(

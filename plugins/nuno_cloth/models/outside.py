@@ -1,4 +1,4 @@
-"""Whether cloth starts outside of the body that it is put on."""
+"""Check that cloth starts outside of the body that wears it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nuno_schemas.fabric import Float
 
 
 def require_outside(x: Float, clear: Float, body: Tree, what: str, remedy: str) -> None:
-    """Raises BadInput for points (n, 3) [m] of `what` that are not outside of a body by `clear` (n,) [m]."""
+    """Raise BadInput if points (n, 3) [m] of the piece `what` are not outside of a body by `clear` (n,) [m]."""
     away = closest_points(body, x).distance
     worst = int(np.argmin(away / clear))
     if away[worst] < clear[worst]:
@@ -20,7 +20,7 @@ def require_outside(x: Float, clear: Float, body: Tree, what: str, remedy: str) 
 
 
 def not_outside(away: float, place: Float, clear: float, what: str, remedy: str) -> BadInput:
-    """Of a point (3,) of `what` that lies `away` from a body [m], below 0 inside, and should by `clear` [m]."""
+    """Return the error for a point (3,) of `what` that is `away` off a body [m] (negative: inside), not `clear`."""
     value = f"{abs(1e3 * away):.3g} mm {'inside' if away < 0.0 else 'from it'}, {place_of(place)}"
     problem, limit = f"the {what} would start inside of the body, or too near to it", f"{1e3 * clear:.3g} mm outside"
     return BadInput(problem, field="over", value=value, limit=limit, remedy=remedy)

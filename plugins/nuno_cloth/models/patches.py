@@ -1,8 +1,8 @@
-"""Patches of a triangle mesh: each triangle with all that touch one of its corners, laid open into its plane.
+"""Patches of a triangle mesh: each triangle with all triangles that touch one of its corners, unfolded into its plane.
 
 Neighbours are unfolded one after another across the edges that they share, round each corner both ways until the two
-meet. Cloth that is sewn, or lies folded, is thus laid open; where a mesh is curved in both directions, angles round a
-corner do not sum to a full turn, and the gap is where the two ways meet.
+meet. Sewn or folded cloth is thus laid open; where a mesh is curved in both directions, angles round a corner do not
+sum to a full turn, and the gap is where the two ways meet.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from nuno_schemas.fabric import Bool, Float, Int
 class Patches(NamedTuple):
     """Patches of f triangles, padded to k vertices by the triangle's first.
 
-    vertices (f, k); flat (f, k, 2) where they lie, along weft and warp from the first vertex on [m]; there (f, k)
-    whether one is; area (f,) of the triangles [m^2]
+    vertices (f, k); flat (f, k, 2) their places along weft and warp from the first vertex [m]; there (f, k) whether an
+    entry is a vertex and not padding; area (f,) of the triangles [m^2]
     """
 
     vertices: Int
@@ -28,9 +28,9 @@ class Patches(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Sides of triangles, 3 f, each from a corner to the next: the side that runs the other way or -1; where the third
-    corner is, `along` from the side's start on and `high` over it [m]; of vertices, the triangles round each and
-    whether it is on a border. Triangles between vertices faces (f, 3) have their corners (f, 3, 3) at rest [m].
+    """The 3 f sides of triangles with vertices faces (f, 3) and corners (f, 3, 3) at rest [m]: `other` the side that
+    runs the other way or -1, the third corner's place `along` the side and its height `high` over it [m]; of each
+    vertex, the number of triangles `round` it and whether it is on a `border`.
     """
 
     corners: Float
@@ -42,24 +42,24 @@ class Sides(NamedTuple):
     border: Bool
 
 
-def find_patches(sides: Sides, of: Int, warp: Float, weft: Float) -> Patches:
-    """Patches of some triangles (f,) of a mesh, with the yarn directions (f, 3) of these."""
-    corners, at = sides.faces[of], sides.corners[of]
+def find_patches(sides: Sides, triangles: Int, warp: Float, weft: Float) -> Patches:
+    """Return the patches of `triangles` (f,) of a mesh, with their yarn directions (f, 3)."""
+    corners, at = sides.faces[triangles], sides.corners[triangles]
     edges = at - at[:, :1]
     flat = np.stack([np.einsum("fcd,fd->fc", edges, axis) for axis in (weft, warp)], axis=2)
-    area = 0.5 * sides.high[3 * of] * np.linalg.norm(edges[:, 1], axis=1)
-    found: list[Any] = [(np.repeat(np.arange(len(of)), 3), corners.reshape(-1), flat.reshape(-1, 2))]
+    area = 0.5 * sides.high[3 * triangles] * np.linalg.norm(edges[:, 1], axis=1)
+    steps: list[Any] = [(np.repeat(np.arange(len(triangles)), 3), corners.reshape(-1), flat.reshape(-1, 2))]
     for corner in range(3):
         for way in (1, -1):
-            found += _walk(sides, of, flat, corner, way)
-    face, vertex, place = (np.concatenate(part) for part in zip(*found, strict=True))
-    # Of a vertex that is met twice the first place stays.
+            steps += _walk(sides, triangles, flat, corner, way)
+    face, vertex, place = (np.concatenate(part) for part in zip(*steps, strict=True))
+    # A vertex that is reached twice keeps its first place.
     _, first = np.unique(face.astype(np.int64) * len(sides.border) + vertex, return_index=True)
     first = first[np.lexsort((first, face[first]))]
     face, vertex, place = face[first], vertex[first], place[first]
-    count = np.bincount(face, minlength=len(of))
+    count = np.bincount(face, minlength=len(triangles))
     column = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    shape = (len(of), int(count.max(initial=0)))
+    shape = (len(triangles), int(count.max(initial=0)))
     vertices, places = np.repeat(corners[:, :1], shape[1], axis=1), np.zeros((*shape, 2))
     there = np.zeros(shape, np.bool_)
     vertices[face, column], places[face, column], there[face, column] = vertex, place, True
@@ -67,8 +67,8 @@ def find_patches(sides: Sides, of: Int, warp: Float, weft: Float) -> Patches:
 
 
 def find_sides(corners: Float, faces: Int) -> Sides:
-    """Of triangles between vertices faces (f, 3), each with its corners (f, 3, 3) at rest [m]: two that are sewn to
-    each other have corners of their own along the seam.
+    """Return the sides of triangles with vertices faces (f, 3) and corners (f, 3, 3) at rest [m]. Two triangles that
+    are sewn to each other each have their own corners along the seam.
     """
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     n = int(faces.max(initial=-1)) + 1
@@ -85,25 +85,25 @@ def find_sides(corners: Float, faces: Int) -> Sides:
     return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
 
 
-def _walk(sides: Sides, of: Int, flat: Float, corner: int, way: int) -> list[Any]:
-    """Triangles, vertices and their places, step by step round one corner of every triangle, counter-clockwise (1) or
-    clockwise (-1).
+def _walk(sides: Sides, triangles: Int, flat: Float, corner: int, way: int) -> list[Any]:
+    """Unfold triangles round one corner of every triangle, counter-clockwise (`way` 1) or clockwise (-1). Return, step
+    by step, the patches, their new vertices and the places of these.
     """
-    face, pivot, beside = np.arange(len(of)), flat[:, corner], flat[:, (corner - way) % 3]
-    around = sides.faces[of, corner]
-    left = (sides.round[around] - (1 if way == 1 else 2)) // 2
-    left = np.where(sides.border[around], np.iinfo(np.int32).max, left)
-    side = sides.other[3 * of + (corner if way == -1 else (corner + 2) % 3)]
-    found: list[Any] = []
+    face, pivot, edge_end = np.arange(len(triangles)), flat[:, corner], flat[:, (corner - way) % 3]
+    around = sides.faces[triangles, corner]
+    remaining = (sides.round[around] - (1 if way == 1 else 2)) // 2
+    remaining = np.where(sides.border[around], np.iinfo(np.int32).max, remaining)
+    side = sides.other[3 * triangles + (corner if way == -1 else (corner + 2) % 3)]
+    steps: list[Any] = []
     while True:
-        on = (side >= 0) & (left > 0)
-        face, pivot, beside, left, side = face[on], pivot[on], beside[on], left[on] - 1, side[on]
+        on = (side >= 0) & (remaining > 0)
+        face, pivot, edge_end, remaining, side = face[on], pivot[on], edge_end[on], remaining[on] - 1, side[on]
         if not len(face):
-            return found
-        start, end = (pivot, beside) if way == 1 else (beside, pivot)
+            return steps
+        start, end = (pivot, edge_end) if way == 1 else (edge_end, pivot)
         along = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
         up = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        beside = start + sides.along[side, None] * along + sides.high[side, None] * up
+        edge_end = start + sides.along[side, None] * along + sides.high[side, None] * up
         base, place = side - side % 3, side % 3
-        found.append((face, sides.faces[base // 3, (place + 2) % 3], beside))
+        steps.append((face, sides.faces[base // 3, (place + 2) % 3], edge_end))
         side = sides.other[base + (place + (2 if way == 1 else 1)) % 3]

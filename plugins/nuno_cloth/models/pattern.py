@@ -18,7 +18,7 @@ from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.stance import check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import EdgeLength, Length
-from nuno_cloth.sewing.assemble import sound
+from nuno_cloth.sewing.assemble import require_sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
@@ -39,13 +39,12 @@ from nuno_schemas.pattern import Checked
 from nuno_schemas.plugin import Config, Files, Rested
 from nuno_schemas.units import quantity
 
-# Texture coordinates of a sewn garment, by cut vertex: on each panel a print runs as it is cut.
+# Texture coordinates of a sewn garment, by cut vertex: a print runs along the warp of each panel.
 
 
 def lay_out(sewn: Sewn) -> tuple[Float, float]:
-    """(m, 2) of the cut vertices, u to the right and v upwards, in [0, 1]; and how long a unit of them is [m].
-
-    Triangles into them are `sewn.faces`.
+    """Return texture coordinates (m, 2) of the cut vertices, u to the right and v upwards, in [0, 1], and the length of
+    their unit [m]. `sewn.faces` index them.
 
     Each panel lies with its outside up, turned so that its warp runs along v; panels stand side by side in their
     order, all on v = 0, and all at one scale: that of the longer side of the rectangle round them. So a stripe along v
@@ -53,30 +52,30 @@ def lay_out(sewn: Sewn) -> tuple[Float, float]:
     """
     points, start = np.empty_like(sewn.flat), 0.0
     for k, (x, y) in enumerate(sewn.warp):
-        own = np.unique(sewn.faces[sewn.panel == k])
-        flat = sewn.flat[own]
+        used = np.unique(sewn.faces[sewn.panel == k])
+        flat = sewn.flat[used]
         # Sums of two products, and no matrix product: BLAS may round in another order.
         turned = np.stack([flat[:, 0] * y - flat[:, 1] * x, flat[:, 0] * x + flat[:, 1] * y], axis=1)
         turned -= turned.min(axis=0)
         turned[:, 0] += start
-        points[own] = turned
+        points[used] = turned
         start = float(turned[:, 0].max())
     unit = float(points.max())
     return points / unit, unit
 
 
-# A dressed body: what the next garment is drawn together round.
+# The surface of a dressed body, which the next garment goes round.
 
 CELLS, FINEST = 2.0, 8e-3
-"""Cells of the grid to the clearance, and how small they are at least [m]."""
+"""Grid cells per clearance, and their least size [m]."""
 
 
 def enclose(x: Float, faces: Int, worn: Sequence[Fabric], clearance: float) -> tuple[Float, Int]:
-    """Vertices (v, 3) [m] and triangles (f, 3) of a closed surface about `clearance` [m] off a body, with vertices x
-    (n, 3) and triangles faces (m, 3), and off the cloth that it wears.
+    """Return vertices (v, 3) [m] and triangles (f, 3) of a closed surface about `clearance` [m] off a body with
+    vertices x (n, 3) and triangles faces (m, 3) and off the cloth that it wears.
 
-    Room between body and cloth that is less than twice the clearance wide, or that nothing leads into, belongs to what
-    is enclosed: a garment that is drawn round that does not get beneath a hem.
+    Space between body and cloth that is narrower than twice the clearance, or closed off, is enclosed, so that a
+    garment drawn round the surface does not get beneath a hem.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -95,10 +94,10 @@ def enclose(x: Float, faces: Int, worn: Sequence[Fabric], clearance: float) -> t
 
 
 SHORTEST, SHARE = 3e-3, 0.2
-"""Sides are closed that are shorter than this [m], and than this share of what they should be."""
+"""Sides shorter than this [m], and than this share of the intended length, are collapsed."""
 
 HELD = "lower_interface", "strapless_top"
-"""Edges at the waist and at the top of what has no straps, as GarmentCode labels them."""
+"""GarmentCode's labels of edges at the waist and at the top of a strapless garment."""
 
 
 class Over(Config):
@@ -106,21 +105,21 @@ class Over(Config):
 
     body: str = Field(min_length=1, description="name of the body, which has a mesh as collider")
     clearance: Length = Field(
-        default=2e-2, description="how far from its surface, and from what it wears already, the cloth starts [m]"
+        default=2e-2, description="how far off the body, and off cloth that it wears already, the cloth starts [m]"
     )
 
 
 class Elastic(Config):
-    """A band that is sewn along edges, shorter than they are."""
+    """An elastic band that is sewn along edges and is shorter than these."""
 
     along: str = Field(min_length=1, description="label of edges of the pattern that go round the body")
     girth: Annotated[float, quantity("", gt=0.2, le=1)] = Field(
-        default=0.85, description="how long it is, of what a tape measures round the body where it starts"
+        default=0.85, description="its length over the body's girth where it starts"
     )
 
 
 class PatternConfig(Config):
-    """A sewing pattern, and the body that its panels are placed round: see docs/how-to/sewing.md."""
+    """A sewing pattern, and the body that its panels are placed round. docs/how-to/sewing.md shows how to use it."""
 
     file: str = Field(description="the pattern beside the scene: JSON as GarmentCode writes it, or YAML of that")
     over: Over | None = Field(default=None, description="the body it is put on: upright, facing +z; none: as if in air")
@@ -145,9 +144,9 @@ class PatternConfig(Config):
 
 
 class Pattern(Wearable):
-    """Triangles keep the shapes they are cut to, warp and weft run as in their panel, and bending goes on across seams.
-
-    A seam's vertices are one from the start; panels are drawn together round the body by nuno_cloth.sewing.draw.
+    """A garment sewn from a pattern: triangles have their cut shapes at rest, warp and weft follow each panel, and
+    cloth bends across seams. A seam's vertices are merged from the start; nuno_cloth.sewing.draw pulls panels together
+    round the body.
     """
 
     name: ClassVar[str] = "pattern"
@@ -157,21 +156,21 @@ class Pattern(Wearable):
         return _sewn(config, files).number
 
     def memory(self, config: PatternConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         rubs = max(bytes_of_friction(one) for one in (config.fabric, *config.fabrics.values()))
         return vertices * (BYTES_PER_VERTEX + rubs)
 
     def build(self, config: PatternConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for a pattern that cannot be sewn, a fabric of constants per spring, a missing texture."""
+        """Sew the pattern. Raises BadInput for one that cannot be sewn, constants per spring, a missing texture."""
         sewn = _sewn(config, files)
         texture = find_texture(config.texture, files)
         if config.elastics:
             problem, remedy = "an elastic is as long as the body is round, and there is none", "give over: {body: NAME}"
             raise BadInput(problem, field="elastics", remedy=remedy)
-        return self._fabric(config, texture, sewn, _drawn(sewn, find_edges(sewn.sewn_faces), None, 0.0))
+        return self._fabric(config, texture, sewn, _start(sewn, find_edges(sewn.sewn_faces), None, 0.0))
 
     def coarser(self, config: PatternConfig) -> PatternConfig | None:
-        """See nuno_schemas.plugin.Refined."""
+        """Return the configuration with `coarse` triangles on which the garment first comes to rest, or None."""
         if config.over is None or config.coarse is None or config.coarse <= config.edge:
             return None
         return config.model_copy(update={"edge": config.coarse, "coarse": None})
@@ -180,11 +179,9 @@ class Pattern(Wearable):
         self, config: PatternConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = (),
         rested: Rested | None = None,
     ) -> Fabric:  # fmt: skip
-        """The garment on a body's mesh x (v, 3) [m], faces (f, 3), over what it has `worn` since before, or where
-        it has `rested` on fewer vertices.
-
-        Raises BadInput, as `build`, and for a body that the garment does not close round: with
-        the panel and the place.
+        """Sew the garment on a body's mesh x (v, 3) [m], faces (f, 3), over the garments already `worn`, or start it
+        where it `rested` on fewer vertices. Raises BadInput, as `build`, and, with panel and place, where the garment
+        does not close round the body.
         """
         if config.over is None:
             raise BadInput("the garment has no body to be put on", field="over")
@@ -201,7 +198,7 @@ class Pattern(Wearable):
         # A flared panel that is laid through a hand starts narrower, in waves, and opens.
         for wide in (WIDE, LESS):
             sewn = replace(sewn, placed=flare(sewn, wrapped, x, faces, clearance, wide))
-            position = _drawn(sewn, edges, around, clear)
+            position = _start(sewn, edges, around, clear)
             try:
                 _require_outside(position, edges, sewn, body, config.over.body)
                 break
@@ -226,33 +223,33 @@ class Pattern(Wearable):
         )  # fmt: skip
 
     def check_pattern(self, files: Files, name: str, gather: float) -> Checked:
-        """What is to be said of a sewing pattern before it is sewn; `gather` is the ratio of a seam's edges that is
-        told of. Raises BadInput for a file that is none.
+        """Check a sewing pattern before it is sewn: `gather` is the ratio of a seam's edges from which the check warns.
+        Raises BadInput for a file that is not a pattern.
         """
         return check_pattern(files, name, gather)
 
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A pattern by what its file says."""
+    """A pattern that is cached by the text of its file."""
 
-    said: str
+    text: str
     pattern: Drawn = field(compare=False)
 
 
 def _sewn(config: PatternConfig, files: Files) -> Sewn:
     written = files.read(config.file, PatternFile)
-    return _cut(_Drawing(written.said.model_dump_json(), sound(written)), config.edge)
+    return _cut(_Drawing(written.said.model_dump_json(), require_sound(written)), config.edge)
 
 
 @lru_cache(maxsize=8)
 def _cut(drawing: _Drawing, edge: float) -> Sewn:
-    """In triangles: a scene asks three times for the same, and for coarser ones as often."""
+    """Sew a pattern in triangles. Cached, since a scene sews the same pattern three times at each edge length."""
     return close_short(sew(drawing.pattern, edge), min(SHORTEST, SHARE * edge))
 
 
 def _materials(config: PatternConfig, sewn: Sewn) -> Materials:
-    """Which fabric each triangle is of. Raises BadInput."""
+    """Return the fabric of each triangle. Raises BadInput for constants per spring and unknown panels."""
     each: list[Material] = []
     for place, choice in {
         "fabric": config.fabric,
@@ -262,13 +259,13 @@ def _materials(config: PatternConfig, sewn: Sewn) -> Materials:
             remedy = "give a preset or measured values"
             raise BadInput("constants per spring make no membrane", field=place, remedy=remedy)
         each.append(material)
-    of = np.zeros(len(sewn.names), np.int32)
+    choice_of_panel = np.zeros(len(sewn.names), np.int32)
     for k, panel in enumerate(config.fabrics, 1):
         if panel not in sewn.names:
             raise BadInput("the pattern has no such panel", field="fabrics", value=panel,
                            remedy=nearest(panel, sewn.names))  # fmt: skip
-        of[sewn.names.index(panel)] = k
-    return Materials(tuple(each), of[sewn.panel])
+        choice_of_panel[sewn.names.index(panel)] = k
+    return Materials(tuple(each), choice_of_panel[sewn.panel])
 
 
 def _corners(sewn: Sewn) -> Corners:
@@ -284,34 +281,36 @@ def _level(flat: Float) -> Float:
 
 
 def _warp(sewn: Sewn) -> Float:
-    """(f, 3) of each triangle, in `flat`."""
+    """Return the warp (f, 3) of each triangle in the plane of `flat`."""
     return _level(sewn.warp)[sewn.panel]
 
 
-def _drawn(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Float:
-    """(n, 3) where the garment starts [m]: vertices of a seam begin midway between the panels as they are placed."""
+def _start(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Float:
+    """Return the start (n, 3) of the garment [m]. Vertices of a seam begin midway between the placed panels."""
     share = np.bincount(sewn.merged)
     x = np.stack([np.bincount(sewn.merged, along) / share for along in sewn.placed.T], axis=1)
     number = edges.of_face.reshape(-1)
-    # Gathers: a side is as long as the mean of what it is in both panels.
+    # Gathers: a side's rest length is the mean of its lengths in both panels.
     rest = np.bincount(number, sewn.sides.reshape(-1)) / np.bincount(number)
     return draw_together(x, edges, rest, body, clearance)
 
 
 def _bands(config: PatternConfig, sewn: Sewn, edges: Edges, x: Float, body: tuple[Float, Int]) -> list[Band]:
-    """Elastics of a garment that starts at x (n, 3) [m]. Raises BadInput."""
-    given, found = config.elastics, list[Band]()
-    for i, one in enumerate([Elastic(along=label) for label in HELD] if given is None else given):
+    """Return the elastic bands of a garment that starts at x (n, 3) [m]. Raises BadInput for labels that name no closed
+    edge.
+    """
+    configured, bands = config.elastics, list[Band]()
+    for i, one in enumerate([Elastic(along=label) for label in HELD] if configured is None else configured):
         try:
-            found += bands_along(one.along, one.girth, sewn, edges, x, *body)
+            bands += bands_along(one.along, one.girth, sewn, edges, x, *body)
         except BadInput as error:
-            if given is not None:
+            if configured is not None:
                 raise error.at(f"elastics.{i}.along") from None
-    return found
+    return bands
 
 
 def _require_outside(x: Float, edges: Edges, sewn: Sewn, body: Tree, name: str) -> None:
-    """Raises BadInput for a garment that is in the body, with the panel and the place."""
+    """Raise BadInput with the panel and the place for a garment that starts inside of the body."""
     a, b, part = points_between(x, edges.pairs, np.zeros(len(x)), 0.0, FINE)
     vertices = np.arange(len(x))
     a, b, part = np.concatenate([vertices, a]), np.concatenate([vertices, b]), np.concatenate([0.0 * vertices, part])

@@ -1,4 +1,4 @@
-"""Where a garment starts: rotation, pins by name, texture."""
+"""The start of a garment: its rotation, pins by name, texture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Rotation(Config):
     angle: Angle = Field(description="[rad]")
 
     def matrix(self) -> Float:
-        """(3, 3), by Rodrigues' formula."""
+        """Return the rotation matrix (3, 3), by Rodrigues' formula."""
         x, y, z = np.asarray(self.axis) / norm(np.asarray(self.axis))
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         turn: Float = np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * compose(cross, cross)
@@ -62,15 +62,15 @@ class Over(Config):
 
 
 class Wearable:
-    """A model of cloth that a body may wear: its configuration names it by `over`, or has None there."""
+    """A model of cloth that a body may wear: `over` in its configuration names the body, or is None."""
 
     def over(self, config: Any) -> str | None:
-        """Name of the body that wears it, if any."""
+        """Return the name of the body that wears it, or None."""
         return None if config.over is None else str(config.over.body)
 
 
 CUT_TO_BARE = "shirt", "skirt"
-"""Models of garments that are cut to a bare body; patterns go over what it wears."""
+"""Models of garments that are cut to a bare body; sewn patterns also go over other garments."""
 STILL = (0.0, 0.0, 0.0)
 VELOCITY = "of all free vertices at the start [m/s]"
 TEXTURE = "an image beside the scene, shown on the outside and the inside"
@@ -91,7 +91,7 @@ PinName = Literal[
 
 
 def pin_grid(grid: Grid, pins: tuple[PinName | int, ...]) -> Bool:
-    """(n,) bool. Names are as seen from outside; numbers are vertices, row * cols + column."""
+    """Return the pinned vertices (n,). Names are as seen from outside; numbers are row * cols + column."""
     pinned = np.zeros((grid.rows, grid.cols), np.bool_)
     places: dict[str, tuple[object, object]] = {
         "top-row": (0, slice(None)),
@@ -116,7 +116,7 @@ def pin_grid(grid: Grid, pins: tuple[PinName | int, ...]) -> Bool:
 
 
 def vertices(pins: tuple[str | int, ...], number: int, pinned: Bool) -> None:
-    """Mark the vertices that are named by number. Raises BadInput for one that does not exist."""
+    """Mark the vertices that are given by number as pinned. Raises BadInput for one that does not exist."""
     for index, pin in enumerate(pins):
         if isinstance(pin, str):
             continue
@@ -132,7 +132,7 @@ def vertices(pins: tuple[str | int, ...], number: int, pinned: Bool) -> None:
 
 
 def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:
-    """Raises BadInput for a body that wears cloth already, of a garment that is cut to a bare one."""
+    """Raise BadInput if a body already wears cloth, for a garment that is cut to a bare body."""
     if not worn:
         return
     others = [one.name for one in worn if one.name in CUT_TO_BARE]
@@ -144,7 +144,7 @@ def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:
 
 
 def find_texture(texture: str | None, files: Files) -> str | None:
-    """The image's path. Raises BadInput if it is missing, outside the allowed folders, or no image that can be read."""
+    """Return the image's path. Raises BadInput if it is missing, outside of allowed folders, or unreadable."""
     if texture is None:
         return None
     path = files.resolve(texture)

@@ -41,11 +41,11 @@ CELLS = (
     "has them and ridge and valley lines need them"
 )
 BYTES = {"quads": 400, "triangles": SPRUNG}
-"""What a run takes at most per vertex: rows of quads are runs of springs; `nuno bench speed` measures them."""
+"""The most memory that a run takes per vertex: rows of quads are runs of springs; `nuno bench speed` measures them."""
 
 
 def bytes_of_grid(cells: CellKind, fabric: FabricChoice) -> int:
-    """What a run of a grid takes at most per vertex."""
+    """Return the most memory that a run of a grid takes per vertex [bytes]."""
     material = resolve(fabric)
     curls = cells == "quads" and isinstance(material, Material) and material.bend_poisson != 0.0
     return BYTES[cells] + bytes_of_friction(fabric) + (BYTES_PER_VERTEX - SPRUNG if curls else 0)
@@ -53,8 +53,8 @@ def bytes_of_grid(cells: CellKind, fabric: FabricChoice) -> int:
 
 Vertices = Annotated[int, Field(ge=2, le=16384)]
 
-# Directions of columns and rows for each plane, so that their cross product rows x columns
-# is the axis that the plane lacks: that side is the outside.
+# Directions of columns and rows for each plane. Their cross product rows x columns is the plane's normal, on the
+# outside.
 PLANES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "xy": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
     "xz": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
@@ -67,7 +67,7 @@ class SheetConfig(Config):
 
     size: tuple[Length, Length] = Field(default=(1.0, 1.0), description="width and height [m]")
     resolution: tuple[Vertices, Vertices] = Field(default=(32, 32), description="vertices across and down")
-    centre: Point = Field(default=(0.0, 0.0, 0.0), description="of the sheet [m]")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="middle of the sheet [m]")
     plane: Literal["xy", "xz", "yz"] = Field(
         default="xy", description="xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up"
     )
@@ -84,12 +84,11 @@ class SheetConfig(Config):
 def build_grid(
     grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind, held: Bool
 ) -> Elements:
-    """What a grid is simulated with, of quads or of the triangles that it is drawn with.
+    """Build the elements of a grid, of quads or of the triangles that it is drawn with. Raises BadInput for elongated
+    cells.
 
-    Raises BadInput for elongated cells.
-
-    Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid. Where
-    cloth curls up across what is bent, quads bend as any mesh does too, for their hinges cannot.
+    Triangles are those of any mesh (triangles.py), with the warp down the grid. Cloth with a Poisson's ratio of bending
+    bends by a matrix also on quads, whose hinges cannot have one.
     """
     faces = build_faces(grid)
     rows = faces // grid.cols
@@ -110,9 +109,8 @@ def build_grid(
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
-    """(n,) masses [kg]: each cell gives a quarter to each of its corners.
-
-    Thirds of triangles would weigh vertices by where the diagonals happen to meet.
+    """Return masses (n,) [kg]: each cell gives a quarter to each of its corners. Rejected: thirds of triangles, which
+    would weigh vertices by where the diagonals happen to meet.
     """
     mass = np.repeat(density * lattice.row_area()[:, None], grid.cols, axis=1)
     if not grid.periodic:
@@ -130,11 +128,11 @@ class Sheet:
         return config.resolution[0] * config.resolution[1]
 
     def memory(self, config: SheetConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def presets(self) -> tuple[Preset, ...]:
-        """Fabrics known by name, to every model here; the virtual tests take about a second."""
+        """Return the presets, which all models here know by name. Their virtual tests take about a second."""
         from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE, list_presets
 
         def cut(name: str) -> Fabric:
@@ -144,18 +142,20 @@ class Sheet:
         return list_presets(cut)
 
     def import_fabric(self, given: Mapping[str, Any], like: str | None, folder: Path = Path()) -> Imported:
-        """A fabric from a laboratory's sheet in this folder, with what virtual tests find of it. Raises BadInput."""
+        """Import a fabric from a laboratory's sheet in this folder, with results of virtual tests. Raises BadInput."""
         from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE
         from nuno_cloth.fabrics.kes import measure
         from nuno_cloth.fabrics.laboratory import read_sheet
 
-        found = read_sheet(given, like, folder)
-        config = SheetConfig.model_validate({"size": SIZE, "resolution": RESOLUTION, "fabric": dict(found.fabric)})
+        imported = read_sheet(given, like, folder)
+        config = SheetConfig.model_validate({"size": SIZE, "resolution": RESOLUTION, "fabric": dict(imported.fabric)})
         tests = measure(self.build(config, None, 0), RESOLUTION, SIZE)  # type: ignore[arg-type] # no images
-        return replace(found, measured={name: float(getattr(tests, name)) for name in found.fabric if name in MEASURES})
+        return replace(
+            imported, measured={name: float(getattr(tests, name)) for name in imported.fabric if name in MEASURES}
+        )
 
     def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""
+        """Build the sheet. Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""
         cols, rows = config.resolution
         grid = Grid(rows, cols)
         a, b = config.size[0] / (cols - 1), config.size[1] / (rows - 1)
@@ -176,7 +176,7 @@ class Sheet:
 
 
 def place(config: SheetConfig, rows: int, cols: int) -> Float:
-    """(n, 3) positions [m]."""
+    """Return positions (n, 3) [m]."""
     right, down = (np.asarray(axis) for axis in PLANES[config.plane])
     if config.rotate is not None:
         matrix = config.rotate.matrix()
@@ -187,7 +187,7 @@ def place(config: SheetConfig, rows: int, cols: int) -> Float:
 
 
 def texture_coordinates(across: Float, rows: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """(n, 2) float32: u from `across` (cols,), v from 1 on the top row to 0 on the bottom row."""
+    """Return texture coordinates (n, 2) float32: u from `across` (cols,), v from 1 on the top row to 0 below."""
     uv = np.empty((rows, across.shape[0], 2), np.float32)
     uv[..., 0] = across
     uv[..., 1] = np.linspace(1, 0, rows)[:, None]

@@ -24,13 +24,13 @@ from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
 
 COLLAR = 0.02
-"""How much wider the neck is than the wearer's on either side [m]."""
+"""Width of the shirt's neck beyond the wearer's, on either side [m]."""
 LOWER = 0.03
-"""The underarms lie so far below the armpits [m]."""
+"""Distance of the underarms below the armpits [m]."""
 STEEPEST = 0.5
 """A steeper overarm would leave the sleeves no width at the underarm [rad]."""
 LEAVES = 0.05
-"""So far from its root an arm is free of the trunk [m]."""
+"""Distance from its root at which an arm is free of the trunk [m]."""
 BACK = 0.3
 """Depth of the neck behind, as a share of that in front."""
 SAMPLES = 9
@@ -38,7 +38,7 @@ SAMPLES = 9
 
 
 class ShirtConfig(Config):
-    """Cut to the body that it is put on: see nuno_cloth.models.shirt_pattern for what is cut, and how it is sewn."""
+    """A shirt cut to the body that wears it. nuno_cloth.models.shirt_pattern shows how it is cut and sewn."""
 
     over: Over = Field(description="the body that it is cut to and put on: upright, facing +z, arms off its sides")
     around: int = Field(default=100, ge=32, le=2000, description="triangles round the chest")
@@ -54,7 +54,7 @@ class ShirtConfig(Config):
 
 
 class Shirt(Wearable):
-    """Front and back on one texture, u to the right as seen from in front, as if printed through: no seam cuts it."""
+    """A shirt with one texture on front and back, without a seam, u to the right as seen from in front."""
 
     name: ClassVar[str] = "shirt"
     Config: ClassVar[type[BaseModel]] = ShirtConfig
@@ -63,7 +63,7 @@ class Shirt(Wearable):
         return len(sewn_for(STANDARD, config)[1].flat)
 
     def memory(self, config: ShirtConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: ShirtConfig, files: Files, seed: int) -> Fabric:
@@ -72,10 +72,8 @@ class Shirt(Wearable):
     def build_over(
         self, config: ShirtConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
     ) -> Fabric:
-        """The shirt on a body's mesh x (v, 3) [m], faces (f, 3).
-
-        Raises BadInput for a body without armpits and arms, for one that wears a garment
-        already, and for a shirt that would start inside of it.
+        """Build the shirt on a body's mesh x (v, 3) [m], faces (f, 3). Raises BadInput for a body without armpits and
+        arms, for one that wears a garment already, and for a shirt that would start inside of it.
         """
         require_bare(worn, self.name, config.over.body)
         check_stance(x, faces, config.over.body)
@@ -99,7 +97,7 @@ class Shirt(Wearable):
 
 
 class Sizes(NamedTuple):
-    """What a shirt is cut by [m].
+    """The measures of a body to which a shirt is cut [m].
 
     chest, hem: girths of the trunk, widest in the upper and in the lower half; neck: half the shirt's neck; down: from
     the shoulder at the neck to the underarm, over the chest; shoulder: from the neck to the arm; root, arm: girths
@@ -116,23 +114,25 @@ class Sizes(NamedTuple):
 
 
 STANDARD = Sizes(0.895, 0.955, 0.088, 0.26, 0.165, 0.315, 0.271)
-"""About those of the mannequin that comes with nuno: any shirt has the triangles that it would have there."""
+"""About the measures of the mannequin that comes with nuno. Every shirt has the triangles that it would have there."""
 
 
 def take_measures(wearer: Wearer, config: ShirtConfig) -> tuple[Sizes, Fit]:
-    """Sizes of a body, and how a shirt of them is put on it. Raises BadInput where it has no trunk or no arm there."""
+    """Return a body's sizes, and how a shirt of these sizes fits it. Raises BadInput if no trunk or arm is found."""
     neck = wearer.neck[0] + COLLAR
     height = wearer.top(neck)
     drop = height - wearer.armpit + LOWER
     chest, root = wearer.trunk(wearer.armpit - LOWER), wearer.across(wearer.arms[0], 0.0)
-    ways = np.linspace(LEAVES, max(config.sleeve, 2.0 * LEAVES), 4)
-    arms = [loop.girth for way in ways if (loop := wearer.across(wearer.arms[0], float(way))) is not None]
+    distances = np.linspace(LEAVES, max(config.sleeve, 2.0 * LEAVES), 4)
+    arms = [
+        loop.girth for distance in distances if (loop := wearer.across(wearer.arms[0], float(distance))) is not None
+    ]
     if chest is None or root is None or not arms:
         raise BadInput(
             "no trunk and arms are found on this body where its armpits seem to be", field="over.body",
             limit=STANDS, remedy=TURN,
         )  # fmt: skip
-    # Over the chest, which stands out by half its depth, the way down is longer than the drop.
+    # The chest stands out by half its depth: the cloth over it is longer than the drop.
     deep = 0.5 * float(np.ptp(chest.points[:, 2]))
     down = float(np.hypot(drop, deep))
     levels = height - drop - np.linspace(0.0, max(config.length - down, LOWER), SAMPLES)
@@ -147,7 +147,7 @@ def take_measures(wearer: Wearer, config: ShirtConfig) -> tuple[Sizes, Fit]:
 
 
 def cut_to(sizes: Sizes, config: ShirtConfig) -> Cut:
-    """The cut for a body of these sizes. Raises BadInput for an overarm that is too steep."""
+    """Return the cut for a body of these sizes. Raises BadInput for an overarm that is too steep."""
     slope = float(config.slope)
     if not 0.0 <= slope <= STEEPEST:
         raise BadInput(
@@ -173,13 +173,13 @@ def cut_to(sizes: Sizes, config: ShirtConfig) -> Cut:
 
 
 def sewn_for(sizes: Sizes, config: ShirtConfig) -> tuple[Cut, Sewn]:
-    """The cut and the sewn shirt for a body of these sizes. Raises BadInput where there is none."""
+    """Return the cut and the sewn shirt for a body of these sizes. Raises BadInput for sizes that give no pattern."""
     cut, standard = cut_to(sizes, config), cut_to(STANDARD, config)
     return cut, sew(cut, standard, 4.0 * standard.width / config.around)
 
 
 def texture_of(sewn: Sewn) -> NDArray[np.float32]:
-    """(n, 2) texture coordinates: the shirt as it lies, at one scale in u and v, in the middle of the image."""
+    """Return texture coordinates (n, 2): the flat shirt, at one scale in u and v, in the middle of the image."""
     low, high = sewn.flat[:, :2].min(axis=0), sewn.flat[:, :2].max(axis=0)
     uv = 0.5 + (sewn.flat[:, :2] - 0.5 * (low + high)) / (high - low).max()
     return np.ascontiguousarray(uv, np.float32)

@@ -11,10 +11,10 @@ Half of the front, with the wearer's centre on the left, v upwards from where th
 
 Sewn along sides, underarms and overarms, the two pieces are the shirt; on these lines they are alike, and they differ
 in the depth of the neck only. So the shirt can lie flat on a table, front over back, without a fold or a stretch: that
-is its rest shape. Rejected: sleeves of their own set into armholes, whose seams have two lengths at rest.
+is its rest shape. Rejected: separate sleeves set into armholes, whose seams have two lengths at rest.
 
 The triangles are drawn on the cut for a standard body and carried over to others by harmonic displacements from the
-outline (as patterns are graded), so that how many vertices there are does not depend on who wears it.
+outline (as patterns are graded), so that the number of vertices does not depend on the wearer.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import norm
 
 CURVE = 0.07
-"""How much of the side and of the underarm is rounded off about A [m]; no more than CURVED of the underarm."""
+"""Length of the side and of the underarm that is rounded off about A [m]; at most CURVED of the underarm."""
 CURVED = 0.6
 
 
@@ -59,16 +59,16 @@ class Cut:
 
     @property
     def along(self) -> Float:
-        """(2,) direction from N to T."""
+        """Direction (2,) from N to T."""
         return np.array([np.cos(self.slope), -np.sin(self.slope)])
 
     @property
     def across(self) -> Float:
-        """(2,) direction from T to B."""
+        """Direction (2,) from T to B."""
         return np.array([-np.sin(self.slope), -np.cos(self.slope)])
 
     def corners(self) -> dict[str, Float]:
-        """Places (2,) of the named corners."""
+        """Return the places (2,) of the named corners."""
         tip = np.array([self.neck, 0.0]) + self.overarm * self.along
         return {
             "N": np.array([self.neck, 0.0]),
@@ -79,7 +79,7 @@ class Cut:
         }
 
     def curve(self) -> tuple[Float, Float]:
-        """Ends (2,) of the curve about A: on the side, and on the underarm."""
+        """Return the ends (2,) of the curve about A, on the side and on the underarm."""
         c = self.corners()
         ways = [c[name] - c["A"] for name in ("H", "B")]
         lengths = [float(norm(way)) for way in ways]
@@ -89,11 +89,12 @@ class Cut:
 
 @dataclass(frozen=True)
 class Flat:
-    """Half of a piece: points (n, 2) [m], triangles (f, 3) counter-clockwise, and what the outline's points lie on.
+    """Half of a piece: points (n, 2) [m], triangles (f, 3) counter-clockwise, and the lines that points of its outline
+    lie on.
 
-    The outline's points come first: those of the side, the underarm, the sleeve's hem and the overarm are the same
-    in front and back. seam and centre: points that are shared with the other piece, and with the other half; neck:
-    those round the neck.
+    The outline's points come first: those of the side, the underarm, the sleeve's hem and the overarm are the same in
+    front and back. seam and centre: points that are shared with the other piece, and with the other half; neck: points
+    round the neck; outline: number of the outline's points.
     """
 
     points: Float
@@ -105,7 +106,7 @@ class Flat:
 
 
 def outline_of(cut: Cut, depth: float) -> list[Float]:
-    """Sides of half a piece with a neck of this depth [m], counter-clockwise from the middle of the hem."""
+    """Return the sides of half a piece with a neck of this depth [m], counter-clockwise from the middle of the hem."""
     c = cut.corners()
     a, b = cut.curve()
     t = np.linspace(0.0, 1.0, 33)[:, None]
@@ -120,7 +121,7 @@ def outline_of(cut: Cut, depth: float) -> list[Float]:
 
 
 def _spread(line: Float, steps: int) -> Float:
-    """(steps, 2) points in equal steps along a line, without its last."""
+    """Return points (steps, 2) in equal steps along a line, without its end."""
     along = lengths(line)
     at = along[-1] * np.arange(steps) / steps
     return np.stack([np.interp(at, along, line[:, k]) for k in (0, 1)], axis=1)
@@ -132,8 +133,8 @@ def _steps(cut: Cut, depth: float, spacing: float) -> list[int]:
 
 
 @lru_cache(maxsize=16)
-def _drawn(standard: Cut, depth: float, spacing: float) -> Flat:
-    """Half a piece of a standard cut with a neck of this depth [m], its triangles about `spacing` [m] wide."""
+def _mesh_half(standard: Cut, depth: float, spacing: float) -> Flat:
+    """Mesh half a piece of a standard cut with a neck of this depth [m], in triangles about `spacing` [m] wide."""
     steps = _steps(standard, depth, spacing)
     lines = [_spread(line, n) for line, n in zip(outline_of(standard, depth), steps, strict=True)]
     points, faces = fill_outline(np.concatenate(lines), spacing)
@@ -145,21 +146,20 @@ def _drawn(standard: Cut, depth: float, spacing: float) -> Flat:
 
 
 def draw_half(cut: Cut, standard: Cut, front: bool, spacing: float) -> Flat:
-    """Half of the front or the back, with the triangles that its standard has at `spacing` [m].
-
-    Raises BadInput for measures of which no pattern can be made.
+    """Return half of the front or the back, with the triangles that its standard has at `spacing` [m]. Raises BadInput
+    for measures that give no pattern.
     """
-    usual, depth = (standard.front, cut.front) if front else (standard.back, cut.back)
-    flat = _drawn(standard, usual, spacing)
-    steps = _steps(standard, usual, spacing)
+    standard_depth, depth = (standard.front, cut.front) if front else (standard.back, cut.back)
+    flat = _mesh_half(standard, standard_depth, spacing)
+    steps = _steps(standard, standard_depth, spacing)
     rim = np.concatenate([_spread(line, n) for line, n in zip(outline_of(cut, depth), steps, strict=True)])
-    given = np.arange(len(flat.points)) < flat.outline
+    fixed = np.arange(len(flat.points)) < flat.outline
     level = np.concatenate([flat.points, np.zeros((len(flat.points), 1))], axis=1)
     points = flat.points.copy()
     for k in (0, 1):
-        moved = np.zeros(len(points))
-        moved[: flat.outline] = rim[:, k] - points[: flat.outline, k]
-        points[:, k] += solve_harmonic(level, flat.faces, given, moved)
+        displacement = np.zeros(len(points))
+        displacement[: flat.outline] = rim[:, k] - points[: flat.outline, k]
+        points[:, k] += solve_harmonic(level, flat.faces, fixed, displacement)
     corner = points[flat.faces]
     one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
@@ -188,9 +188,8 @@ class Sewn:
 
 
 def sew(cut: Cut, standard: Cut, spacing: float) -> Sewn:
-    """Front and back of a cut, sewn together, with the triangles that its standard has at `spacing` [m].
-
-    Raises BadInput for measures of which no pattern can be made.
+    """Sew front and back of a cut together, with the triangles that its standard has at `spacing` [m]. Raises BadInput
+    for measures that give no pattern.
     """
     flat: list[Float] = []
     signs: list[Int] = []
@@ -199,24 +198,24 @@ def sew(cut: Cut, standard: Cut, spacing: float) -> Sewn:
     total = 0
     for facing in (1, -1):
         half = draw_half(cut, standard, facing > 0, spacing)
-        kinds = [np.isin(np.arange(len(half.points)), points) for points in (half.seam, half.centre, half.neck)]
+        masks = [np.isin(np.arange(len(half.points)), points) for points in (half.seam, half.centre, half.neck)]
         for side in (1, -1):
-            own = np.full(len(half.points), -1, np.int32)
+            index = np.full(len(half.points), -1, np.int32)
             if side < 0:
-                own[half.centre] = number[facing, 1][half.centre]
+                index[half.centre] = number[facing, 1][half.centre]
             if facing < 0:
-                own[half.seam] = number[1, side][half.seam]
-            new = np.flatnonzero(own < 0)
-            own[new] = total + np.arange(len(new))
+                index[half.seam] = number[1, side][half.seam]
+            new = np.flatnonzero(index < 0)
+            index[new] = total + np.arange(len(new))
             total += len(new)
-            number[facing, side] = own
+            number[facing, side] = index
             flat.append(half.points[new] * [side, 1.0])
-            seam, centre, neck = (kind[new] for kind in kinds)
+            seam, centre, neck = (mask[new] for mask in masks)
             signs.append(
                 np.stack([np.where(seam, 0, facing), np.where(centre, 0, side), neck], axis=1).astype(np.int32)
             )
-            # As drawn, triangles go round the way that is outwards on the left in front and on the right behind.
-            faces.append(own[half.faces if facing == side else half.faces[:, ::-1]])
+            # As meshed, triangles face outwards on the left in front and on the right behind.
+            faces.append(index[half.faces if facing == side else half.faces[:, ::-1]])
     front, left, neck = np.concatenate(signs).T
     level = np.concatenate([np.concatenate(flat), np.zeros((total, 1))], axis=1)
     return Sewn(level, front, left, neck > 0, np.ascontiguousarray(np.concatenate(faces), np.int32))

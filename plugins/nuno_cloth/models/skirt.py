@@ -1,13 +1,12 @@
 """A skirt: a tube or cone of quads whose top row follows a body's waist.
 
-The cloth is cut as a ring: row r, at the slant distance s from the waist, is 2 pi waist_radius
-long at the waist, 2 pi hem_radius fullness at the hem, linear between. It starts on a cone from
-waist_radius to hem_radius; what the cloth is longer than the cone's circle (fullness > 1) goes into
-`pleats` folds, whose depth follows row by row from the length. So the folds are cloth that is
-really there, not a texture, and they stay when the skirt swings.
+The cloth is cut as a ring: row r, at the slant distance s from the waist, is 2 pi waist_radius long at the waist, 2 pi
+hem_radius fullness at the hem, linear between. It starts on a cone from waist_radius to hem_radius; cloth that is
+longer than the cone's circle (fullness > 1) goes into `pleats` folds, whose depth follows row by row from the length.
+So the folds are real cloth, not a texture, and they stay when the skirt swings.
 
-A circle skirt is cut from a flat ring (nuno_cloth.models.skirt_cut) and starts as a cone that is as flat, where it has
-room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's own.
+A circle skirt is cut from a flat ring (nuno_cloth.models.skirt_cut) and starts as an equally flat cone, where it has
+room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ from nuno_schemas.vectors import turn
 FLARED = 0.35
 """Over a body a cone widens by this share of its length or more, as an A-line skirt does, if no hem_radius is given."""
 OPEN = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
-"""Shares of its width with which a skirt is tried to start, from the widest on, until no arm is in the way."""
+"""Shares of its width at which a skirt tries to start, from the widest, until no arm is in the way."""
 WIDER = "shorter, or another width; arms off the hips"
 FINEST = 256
-"""Places round each row that a ring's start is found at, at least."""
+"""The fewest places round each row at which a ring's start is computed."""
 
 
 class Skirt(Wearable):
@@ -58,16 +57,16 @@ class Skirt(Wearable):
     Config: ClassVar[type[BaseModel]] = SkirtConfig
 
     def count(self, config: SkirtConfig, files: Files) -> int:
-        return config.columns * config.rows if config.cut == "cone" else int(_round(config).sum())
+        return config.columns * config.rows if config.cut == "cone" else int(_count_columns_of_ring(config).sum())
 
     def memory(self, config: SkirtConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         if config.cut != "cone":
             return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
         return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for impossible measures, a missing texture, elongated cells."""
+        """Build the skirt in air. Raises BadInput for impossible measures, a missing texture, elongated cells."""
         waist, hem = config.waist_radius, config.hem_radius
         if config.cut != "cone" and "hem_radius" not in config.model_fields_set:
             hem = waist + SHARES[config.cut] * config.length
@@ -84,15 +83,15 @@ class Skirt(Wearable):
     def build_over(
         self, config: SkirtConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
     ) -> Fabric:
-        """The skirt on a body's mesh x (v, 3) [m], faces (f, 3).
-
-        Raises BadInput, as `build`, and for a body whose waist is not found, one that wears cloth
-        already, and for a skirt that is too narrow for it or would start inside of it.
+        """Build the skirt on a body's mesh x (v, 3) [m], faces (f, 3). Raises BadInput, as `build`, and for a body that
+        has no waist or wears cloth already, and for a skirt that is too narrow for it or would start inside of it.
         """
         assert config.over is not None
         require_bare(worn, self.name, config.over.body)
         check_stance(x, faces, config.over.body)
-        falls = np.linspace(0.0, config.length, len(_round(config)) if config.cut != "cone" else config.rows)
+        falls = np.linspace(
+            0.0, config.length, len(_count_columns_of_ring(config)) if config.cut != "cone" else config.rows
+        )
         wearing = measure(config.over, x, faces, falls)
         waist = (wearing.tape + config.over.ease) / (2.0 * np.pi)
         hem = _hem(config, wearing, waist)
@@ -105,17 +104,17 @@ class Skirt(Wearable):
         if config.cut == "cone":
             return self._of_grid(config, files, circle, points, attach)
         fabric = self._of_ring(config, files, circle, points, attach, (body, config.over.clearance))
-        row = np.repeat(np.arange(len(falls)), _round(config))
+        row = np.repeat(np.arange(len(falls)), _count_columns_of_ring(config))
         clear = np.interp(falls[row], falls, 0.5 * wearing.clear)
         require_outside(fabric.position, clear, body, "skirt", WIDER)
         return fabric
 
     def _worn(self, config: SkirtConfig, wearing: Wearing, circle: Float, hem: float, body: Tree) -> Float:
-        """(rows, columns, 3) where it starts on a body [m]: the hem on a curve `hem` long, or less by arms."""
+        """Return its start (rows, columns, 3) on a body [m], the hem `hem` long, or shorter to clear arms."""
         down = np.linspace(0.0, 1.0, len(circle))
         least = np.minimum(wearing.least, circle)
         for share in OPEN:
-            # Folds that deepen evenly take cloth with the square of the way down.
+            # Evenly deepening folds take up cloth in proportion to the square of the way down.
             base = np.maximum(circle - (circle[-1] - share * hem - (1.0 - share) * circle[0]) * down**2, least)
             base = np.minimum(base, circle)
             if base[-1] < circle[-1] * (1.0 - ROUNDING):
@@ -134,7 +133,7 @@ class Skirt(Wearable):
     def _of_grid(
         self, config: SkirtConfig, files: Files, circle: Float, points: Float, attach: Attach | None
     ) -> Fabric:
-        """A cone of rows that are `circle` (rows,) long, at points (rows, columns, 3) [m]."""
+        """Return a cone of rows that are `circle` (rows,) long, at points (rows, columns, 3) [m]."""
         grid = Grid(config.rows, config.columns, periodic=True)
         slant = np.full(config.rows - 1, config.length / (config.rows - 1))
         x, held = np.ascontiguousarray(points.reshape(-1, 3)), np.repeat(np.arange(config.rows) == 0, config.columns)
@@ -151,14 +150,14 @@ class Skirt(Wearable):
         self, config: SkirtConfig, files: Files, circle: Float, points: Float, attach: Attach | None,
         body: tuple[Tree, float] | None = None,
     ) -> Fabric:  # fmt: skip
-        """A ring round circles that are `circle` (rows,) long, at points (rows, columns, 3) [m]; on a body drawn to its
-        size from there on, not nearer to it than so far [m]. Raises BadInput for constants per spring.
+        """Return a ring with circles `circle` (rows,) long, at points (rows, columns, 3) [m], on a `body` then relaxed
+        to its size at least at the given clearance [m]. Raises BadInput for constants per spring.
         """
         material = resolve(config.fabric)
         if isinstance(material, HandSet):
             problem, remedy = "constants per spring make no membrane", "give a preset or measured values"
             raise BadInput(problem, field="fabric", remedy=remedy)
-        ring = lay_ring(_round(config), config.length, float(circle[0]), SHARES[config.cut])
+        ring = lay_ring(_count_columns_of_ring(config), config.length, float(circle[0]), SHARES[config.cut])
         x, held = place_ring(ring, points), ring.row == 0
         if body is not None:
             edges = find_edges(ring.faces)
@@ -185,27 +184,29 @@ class Skirt(Wearable):
         )
 
 
-def _round(config: SkirtConfig) -> Int:
-    """Vertices round each circle of a ring."""
+def _count_columns_of_ring(config: SkirtConfig) -> Int:
+    """Return the numbers (rows,) of vertices round each circle of a ring."""
     waist = STANDARD if config.over is not None else 2.0 * np.pi * config.waist_radius
     return count_round(config.length, waist, SHARES[config.cut], config.edge)
 
 
 def _columns(config: SkirtConfig) -> int:
-    """Places round each row that its start is found at."""
+    """Return the number of places round each row at which the start is computed."""
     return config.columns if config.cut == "cone" else max(FINEST, 16 * config.pleats)
 
 
 def _lengths(config: SkirtConfig, waist: float, hem: float) -> Float:
-    """(rows,) how long rows are cut, for a waist of this radius and a hem that starts on a circle of that [m]."""
+    """Return the cut lengths (rows,) of rows for these radii of the waist and of the hem's starting circle [m]."""
     if config.cut == "cone":
         return np.asarray(2 * np.pi * (waist + np.linspace(0, 1, config.rows) * (hem * config.fullness - waist)))
-    down = config.length * np.linspace(0.0, 1.0, len(_round(config)))
+    down = config.length * np.linspace(0.0, 1.0, len(_count_columns_of_ring(config)))
     return np.asarray(2.0 * np.pi * (waist + SHARES[config.cut] * down))
 
 
 def _hem(config: SkirtConfig, wearing: Wearing, waist: float) -> float:
-    """Radius of the circle as long as that on which a hem starts round a body, of a waist of this radius [m]."""
+    """Return the radius of a circle as long as the curve on which a hem starts round a body with a waist of this radius
+    [m].
+    """
     if "hem_radius" in config.model_fields_set:
         return config.hem_radius
     if config.cut != "cone":
@@ -216,10 +217,9 @@ def _hem(config: SkirtConfig, wearing: Wearing, waist: float) -> float:
 
 
 def lay_round(share: Float, row: Int, faces: Int) -> Corners:
-    """Texture coordinates of vertices (n,) of which are known the share of the way round and the row: u once round, to
-    the right as seen from outside, from 0 at the left side to 1 there; v from 1 at the waist to 0 at the hem.
-
-    Where rows begin half a step apart, as in a ring, u ends at 1 for both: the image ends at the side.
+    """Return texture coordinates of vertices (n,) from their share of the way round and their row: u from 0 at the left
+    side once round to 1, to the right as seen from outside; v from 1 at the waist to 0 at the hem. Where rows begin
+    half a step apart, as in a ring, u ends at 1 for both: the image ends at the side.
     """
     around = share[faces]
     over = (around < 0.5) & (np.ptp(around, axis=1)[:, None] > 0.5)

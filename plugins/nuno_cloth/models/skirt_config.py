@@ -1,4 +1,4 @@
-"""What a skirt is described by, and what cannot be made."""
+"""The configuration of a skirt, and checks that it can be made."""
 
 from __future__ import annotations
 
@@ -82,9 +82,7 @@ class SkirtConfig(Config):
 
 
 def require_measures(config: SkirtConfig, waist: float, hem: float) -> None:
-    """Raises BadInput if a skirt cannot start as wide as asked for, with circles of these radii [m], or has too few
-    columns to fold.
-    """
+    """Raise BadInput if a skirt cannot start with circles of these radii [m], or has too few columns to fold."""
     ring = config.cut != "cone"
     widest = waist + config.length * (SHARES[config.cut] if ring else 1.0)
     if (hem > widest * (1.0 + ROUNDING)) if ring else abs(hem - waist) >= config.length:
@@ -100,7 +98,7 @@ def require_measures(config: SkirtConfig, waist: float, hem: float) -> None:
 
 
 def require_columns(config: SkirtConfig) -> None:
-    """Raises BadInput for a cone with too few columns to fold."""
+    """Raise BadInput for a cone with too few columns to fold."""
     if config.cut == "cone" and config.columns < 8 * config.pleats:
         raise BadInput(
             "too few columns to show the pleats",
@@ -112,7 +110,7 @@ def require_columns(config: SkirtConfig) -> None:
 
 
 def require_width(config: SkirtConfig, circle: Float, wearing: Wearing, ease: float) -> None:
-    """Raises BadInput for rows, cut `circle` (rows,) long [m], that are too short to go round the body."""
+    """Raise BadInput if rows, cut `circle` (rows,) long [m], are too short to go round the body."""
     short = wearing.least - circle
     row = int(np.argmax(short))
     if short[row] > ROUNDING:

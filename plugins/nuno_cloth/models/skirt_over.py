@@ -1,9 +1,9 @@
-"""A skirt on a body: held round its waist, and clear of all that is below.
+"""A skirt on a body: held round its waist, and clear of the body below.
 
-What a row must go round is the convex hull of the trunk's and the legs' sections from the waist down to as deep as the
-row can hang, which is the depth of its cloth: whatever the row does below, it is outside. The hull of length h, set off
-by d, is h + 2 pi d long (J. Steiner), so that the waist is as long as a tape round the body there and the ease. What a
-row is longer than that goes into folds outwards of it.
+A row must go round the convex hull of the sections of trunk and legs from the waist down to the lowest place where the
+row can hang, which is its distance along the cloth: wherever it hangs, it is outside. The hull of length h, offset by
+d, is h + 2 pi d long (J. Steiner), so that the waist is as long as a tape round the body there and the ease. Cloth
+beyond that length goes into folds outwards of the hull.
 
 Rejected: an ellipse of the waist's width and depth. No trunk is one: with a centimetre of ease it cuts into flanks or
 back.
@@ -28,15 +28,15 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
 END = 0.03
-"""So near to its lower end a body that is cut off at the hips is rounded [m]."""
+"""Distance from its lower end within which a body that is cut off at the hips is rounded [m]."""
 OPENS = 0.3
-"""The clearance grows from the waist on by this share of the way down, to all of it."""
+"""The clearance grows below the waist by this share of the way down, up to its full value."""
 AMPLITUDES = 96
-"""Depths of folds that a row's length is known for."""
+"""Depths of folds for which a row's length is tabulated."""
 
 
 class AtWaist(Over):
-    """The body that wears it, and where."""
+    """The body that wears a skirt, and where the waist is held."""
 
     at: Literal["waist", "hips"] | Metres = Field(
         default="waist",
@@ -46,11 +46,11 @@ class AtWaist(Over):
 
 
 class Wearing(NamedTuple):
-    """What a skirt's rows go round.
+    """The hulls that a skirt's rows go round.
 
-    centre (3,) middle of the body's section where it is held, tape: round that [m]
-    places, out (rows, p, 2) the hull that each row must go round, about the centre, x to its left and back, and its
-    normals; round (rows,) its length; clear (rows,) how far off a row is at least [m]
+    centre (3,) middle of the body's section where the skirt is held, tape: its girth [m]; places, out (rows, p, 2)
+    points and normals of the hull that each row must go round, about the centre, along the body's left and back; round
+    (rows,) the hull's length; clear (rows,) a row's least distance from it [m]
     """
 
     centre: Float
@@ -62,12 +62,12 @@ class Wearing(NamedTuple):
 
     @property
     def least(self) -> Float:
-        """(rows,) lengths that rows have at least [m]."""
+        """Least lengths (rows,) of rows [m]."""
         return self.round + 2.0 * np.pi * self.clear
 
 
 def find_height(at: str | float, x: Float, faces: Int) -> float:
-    """Height of a body's waist or hips [m], or the one that is given. Raises BadInput where it has none to be found."""
+    """Return the height of a body's waist or hips [m], or `at` itself. Raises BadInput if no waist is found."""
     if not isinstance(at, str):
         return float(at)
     wearer = find_wearer(x, faces)
@@ -77,7 +77,7 @@ def find_height(at: str | float, x: Float, faces: Int) -> float:
         loop = wearer.trunk(float(level))
         if loop is None:
             break
-        tapes.append(_tape(loop.points[:, [0, 2]]))
+        tapes.append(_girth(loop.points[:, [0, 2]]))
     if not tapes:
         raise BadInput(
             "no waist is found on this body", field="over.at", value=at, remedy="give its height: at: 1.05 m"
@@ -87,17 +87,17 @@ def find_height(at: str | float, x: Float, faces: Int) -> float:
 
 
 def measure(over: AtWaist, x: Float, faces: Int, falls: Float) -> Wearing:
-    """What a skirt goes round whose rows are `falls` (rows,) below its waist along the cloth [m], on a body's mesh
-    x (v, 3) [m], faces (f, 3). Raises BadInput where the body has no trunk at that height.
+    """Return the hulls of a body's mesh x (v, 3) [m], faces (f, 3), for a skirt with rows `falls` (rows,) below its
+    waist along the cloth [m]. Raises BadInput where the body has no trunk at that height.
     """
     height = find_height(over.at, x, faces)
-    held = trunk_at(x, faces, 0.5 * float(x[:, 0].min() + x[:, 0].max()), height)
-    if held is None:
+    section = trunk_at(x, faces, 0.5 * float(x[:, 0].min() + x[:, 0].max()), height)
+    if section is None:
         limit = f"from crotch to armpits; it stands from {x[:, 1].min():.3g} to {x[:, 1].max():.3g} m"
         raise BadInput("the body has no trunk at this height", field="over.at", value=f"{height:.3g} m", limit=limit)
-    centre = held.centroid()
+    centre = section.centroid()
     depths = np.arange(0.0, falls[-1] + 2.0 * STEP, STEP)
-    hulls = [corners := _hull(held.points[:, [0, 2]])]
+    hulls = [corners := _hull(section.points[:, [0, 2]])]
     for depth in depths[1:]:
         loops = [loop.points[:, [0, 2]] for loop in cut_mesh(x, faces, x[:, 1] - (height - depth))
                  if is_inside(loop.centroid()[None, [0, 2]], corners)[0]]  # fmt: skip
@@ -107,7 +107,7 @@ def measure(over: AtWaist, x: Float, faces: Int, falls: Float) -> Wearing:
     ease = over.ease / (2.0 * np.pi)
     return Wearing(
         centre,
-        _tape(held.points[:, [0, 2]]),
+        _girth(section.points[:, [0, 2]]),
         np.stack([places for places, _, _ in spread]),
         np.stack([out for _, out, _ in spread]),
         np.array([length for _, _, length in spread]),
@@ -118,7 +118,7 @@ def measure(over: AtWaist, x: Float, faces: Int, falls: Float) -> Wearing:
 
 
 def rings(wearing: Wearing, base: Float, circle: Float, pleats: int) -> Curve:
-    """Hulls set off to be `base` (rows,) long [m], or with folds outwards of that where the cloth, `circle` (rows,), is
+    """Return hulls offset to be `base` (rows,) long [m], with folds outwards where the cloth, `circle` (rows,), is
     longer. Raises BadInput for folds that would be deeper than the body is wide.
     """
     off = (base - wearing.round) / (2.0 * np.pi)
@@ -147,22 +147,22 @@ def _folded(inner: Float, out: Float, depth: float, phase: Float) -> Float:
 
 
 def _hull(points: Float) -> Float:
-    """(k, 2) corners of the convex hull of points (m, 2), counter-clockwise."""
+    """Return the corners (k, 2) of the convex hull of points (m, 2), counter-clockwise."""
     return np.asarray(points[convex_hull(points)])
 
 
-def _tape(points: Float) -> float:
+def _girth(points: Float) -> float:
     hull = _hull(points)
     return float(np.linalg.norm(hull - np.roll(hull, 1, axis=0), axis=1).sum())
 
 
 def _spread(corners: Float, centre: Float) -> tuple[Float, Float, float]:
-    """Points (SAMPLES + 1, 2) in equal steps round a hull of corners (k, 2) in x and z, its normals there, and its
-    length: about the centre, from +x towards -z, the last the first.
+    """Return points (SAMPLES + 1, 2) in equal steps round a hull of corners (k, 2) in x and z, its normals there, and
+    its length: about the centre, from +x towards -z; the last point is the first.
     """
     around = np.column_stack([corners[:, 0], np.full(len(corners), centre[1]), corners[:, 1]])
     left, back = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
     places, normal, length = spread_hull(around, centre, left, back, SAMPLES)
     flat = [np.stack([one[:, 0], -one[:, 2]], axis=1) for one in (places - centre, normal)]
-    found, out = (np.concatenate([one, one[:1]]) for one in flat)
-    return found, out, length
+    points, out = (np.concatenate([one, one[:1]]) for one in flat)
+    return points, out, length

@@ -1,5 +1,5 @@
-"""A flat piece of triangles: a rectangle or a disc, held at one end or round its middle as laboratories do, or with a
-hole for a head, and put on.
+"""A flat swatch of triangles: a rectangle or a disc. It is clamped at one end or round its middle as laboratories do,
+or worn through a hole for the head.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from nuno_schemas.vectors import turn
 
 
 def put_on(over: Over, hole: float, x: Float, faces: Int, worn: Sequence[Fabric]) -> Float:
-    """(3,) where the middle of a hole of this radius [m] is: round the neck of a body x (v, 3) [m], faces (f, 3), above
-    all of it, and of what it has `worn` before, that is below the neck and beyond the hole.
+    """Return the centre (3,) of a hole of radius `hole` [m] round the neck of a body x (v, 3) [m], faces (f, 3). It is
+    above all points of the body and of the garments already `worn` that are below the neck and outside of the hole.
 
     Raises BadInput for a body without neck and arms, and a hole that is too narrow for the neck.
     """
@@ -57,24 +57,24 @@ def put_on(over: Over, hole: float, x: Float, faces: Int, worn: Sequence[Fabric]
 
 
 INSET = 0.6
-"""Least distance of points from outlines that they are not on, in edges: nearer ones would give flat triangles."""
+"""Least distance of inner points from an outline, in edges: nearer ones would give flat triangles."""
 THROWN = 0.25
-"""Points of an irregular mesh are thrown by up to so many edges."""
+"""Largest random displacement of points of an irregular mesh, in edges."""
 MOST = 250_000
-"""Vertices: what a disc is made of."""
+"""The most vertices that a swatch may have."""
 Layout = Literal["irregular", "aligned", "crossed"]
 
 
 class SwatchConfig(Config):
-    """Flat, with its outside up; strips are as long as x, from the clamp's outer end at `centre`, or about it if they
-    have a hole.
+    """A flat swatch, its outside up. A strip runs along x from the clamp's outer end at `centre`; with a hole its
+    middle is at `centre`.
     """
 
     size: tuple[Length, Length] | None = Field(default=None, description="length and width of a strip [m]")
     radius: Length | None = Field(default=None, description="of a disc [m]")
     hold: Length | None = Field(
         default=None,
-        description="what is held: so much of a strip's length, before its free part; a radius of a disc [m]",
+        description="what is clamped: this length of a strip before its free part, this radius of a disc [m]",
     )
     hole: Length | None = Field(default=None, description="radius of a round hole in the middle [m]; for a head: 11 cm")
     over: Over | None = Field(
@@ -127,7 +127,7 @@ class SwatchConfig(Config):
 
 
 class Swatch(Wearable):
-    """Of a measured fabric; see nuno_cloth.models.membrane for what bears tension and bending."""
+    """A swatch of a measured fabric. nuno_cloth.models.membrane gives it tension and bending."""
 
     name: ClassVar[str] = "swatch"
     Config: ClassVar[type[BaseModel]] = SwatchConfig
@@ -136,44 +136,44 @@ class Swatch(Wearable):
         return len(lay(config, 0)[0])
 
     def memory(self, config: SwatchConfig, files: Files, vertices: int) -> int:
-        """What a run takes at most [bytes]."""
+        """Return the most memory that a run takes [bytes]."""
         return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def measures(self, config: SwatchConfig) -> Mapping[str, float | str]:
-        """What its fabric is described by, in SI, `bend_bias` and `bend_twist` among it, and its source. Raises
-        BadInput for constants per spring.
+        """Return the measures of its fabric in SI, with `bend_bias`, `bend_twist` and the source. Raises BadInput for
+        constants per spring.
         """
         material = resolve(config.fabric)
         if isinstance(material, HandSet):
             remedy = "give a preset or measured values"
             raise BadInput("constants per spring are no measures of a fabric", field="fabric", remedy=remedy)
-        found = {each.name: getattr(material, each.name) for each in fields(material)}
+        values = {each.name: getattr(material, each.name) for each in fields(material)}
         both = material.bend_warp > 0.0 < material.bend_weft
-        bias = 4.0 / (material.straight + 1.0 / material.bend_twist) if both else 0.0
-        return found | {"bend_twist": material.bend_twist, "bend_bias": bias}
+        bias = 4.0 / (material.bias_compliance + 1.0 / material.bend_twist) if both else 0.0
+        return values | {"bend_twist": material.bend_twist, "bend_bias": bias}
 
     def build(self, config: SwatchConfig, files: Files, seed: int) -> Fabric:
-        """Raises BadInput for more than MOST vertices, and a missing texture."""
+        """Build the swatch. Raises BadInput for more than MOST vertices, and a missing texture."""
         return self._at(config, files, np.asarray(config.centre), *lay(config, seed))
 
     def build_over(
         self, config: SwatchConfig, files: Files, seed: int, x: Float, faces: Int, worn: Sequence[Fabric] = ()
     ) -> Fabric:
-        """Level on the shoulders of a body's mesh x (v, 3) [m], faces (f, 3), and on what it has `worn` there before.
+        """Build it level on the shoulders of a body's mesh x (v, 3) [m], faces (f, 3), and on garments already `worn`.
 
         Raises BadInput, as `build`, and for a body without neck and arms, a hole that is too narrow for its neck, and a
-        piece that would start inside of it.
+        piece that would start inside of the body.
         """
         assert config.over is not None and config.hole is not None
-        flat, own = lay(config, seed)
-        fabric = self._at(config, files, put_on(config.over, config.hole, x, faces, worn), flat, own)
+        flat, triangles = lay(config, seed)
+        fabric = self._at(config, files, put_on(config.over, config.hole, x, faces, worn), flat, triangles)
         clear = np.full(fabric.number, 0.5 * config.over.clearance)
         require_outside(fabric.position, clear, build_tree(x, faces), "piece", "a wider hole; arms below the shoulders")
         return fabric
 
     def _at(self, config: SwatchConfig, files: Files, centre: Float, flat: Float, faces: Int) -> Fabric:
         far = np.linalg.norm(flat, axis=1) if config.size is None else flat[:, 0]
-        held = np.zeros(len(flat), np.bool_) if config.hold is None else far <= _held_to(config) + 1e-9
+        held = np.zeros(len(flat), np.bool_) if config.hold is None else far <= _clamp_end(config) + 1e-9
         # The outside is up: x, y of the flat piece become x, -z.
         level = np.column_stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]])
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
@@ -193,13 +193,13 @@ class Swatch(Wearable):
         )
 
 
-def _held_to(config: SwatchConfig) -> float:
-    """Where what is held ends: at 0 of a strip, at a radius of a disc [m]."""
+def _clamp_end(config: SwatchConfig) -> float:
+    """Return where the clamp ends: at 0 on a strip, at a radius on a disc [m]."""
     return 0.0 if config.size is not None else float(config.hold or 0.0)
 
 
 def lay(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
-    """Points (n, 2) [m] and triangles (f, 3), counter-clockwise. Raises BadInput for more than MOST."""
+    """Return points (n, 2) [m] and triangles (f, 3), counter-clockwise. Raises BadInput for more than MOST points."""
     area = config.size[0] * config.size[1] if config.size is not None else np.pi * float(config.radius or 0.0) ** 2
     if (many := area / config.edge**2) > MOST:
         raise BadInput(
@@ -210,7 +210,7 @@ def lay(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
 
 
 def _strip(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
-    """From -hold to its length less that, and across; about its middle with a hole."""
+    """Mesh a strip: x runs from -hold to length - hold; with a hole, about the strip's middle."""
     assert config.size is not None
     (length, width), hold, edge = config.size, float(config.hold or 0.0), config.edge
     held = max(2, round(hold / edge)) if hold else 0
@@ -221,30 +221,30 @@ def _strip(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     random = np.random.default_rng(seed)
     if config.layout == "irregular":
-        # Borders, and the line where it is free, stay straight; along them points slide.
-        thrown = THROWN * edge * random.uniform(-1.0, 1.0, points.shape)
+        # Borders, and the clamp's edge, stay straight: points on them move along them only.
+        noise = THROWN * edge * random.uniform(-1.0, 1.0, points.shape)
         ends, rims = np.isin(points[:, 0], [x[0], 0.0, x[-1]]), np.isin(points[:, 1], [y[0], y[-1]])
-        points[:, 0] += np.where(ends, 0.0, thrown[:, 0])
-        points[:, 1] += np.where(rims, 0.0, thrown[:, 1])
+        points[:, 0] += np.where(ends, 0.0, noise[:, 0])
+        points[:, 1] += np.where(rims, 0.0, noise[:, 1])
     if config.hole is not None:
         points -= [0.5 * length, 0.0]
         rim = _circle(config.hole, edge, random)
         beyond = np.linalg.norm(points, axis=1) > config.hole + INSET * edge
         points = np.concatenate([rim, points[beyond]])
-        return points, _open(_flat_left_out(points, triangulate(points), edge), len(rim))
+        return points, _without_hole(_without_degenerate(points, triangulate(points), edge), len(rim))
     if config.layout == "irregular":
-        return points, _flat_left_out(points, triangulate(points), edge)
+        return points, _without_degenerate(points, triangulate(points), edge)
     row, column = (each.reshape(-1) for each in np.mgrid[: len(x) - 1, :across])
     a = row * (across + 1) + column
     b, c, d = a + across + 1, a + across + 2, a + 1
-    other = (config.layout == "crossed") & ((row + column) % 2 == 1)
-    first = np.where(other[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    second = np.where(other[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
+    flipped = (config.layout == "crossed") & ((row + column) % 2 == 1)
+    first = np.where(flipped[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
+    second = np.where(flipped[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
     return points, np.concatenate([first, second]).astype(np.int32)
 
 
 def _disc(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
-    """With points on its rim and round what is held, or round a hole."""
+    """Mesh a disc, with points on its rim and round its clamp or hole."""
     edge, radius, hole = config.edge, float(config.radius or 0.0), config.hole
     random = np.random.default_rng(seed)
     circles = [radius, *([inner] if (inner := config.hold or hole) else [])]
@@ -265,23 +265,23 @@ def _disc(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
         points = np.concatenate([*rims, inside[clear]])
         return points, triangulate(points)
     points = np.concatenate([*rims[::-1], inside[clear]])
-    return points, _open(triangulate(points), len(rims[1]))
+    return points, _without_hole(triangulate(points), len(rims[1]))
 
 
 def _circle(radius: float, edge: float, random: np.random.Generator) -> Float:
-    """(k, 2) points on a circle, about an edge apart, turned at random [m]."""
+    """Return points (k, 2) on a circle, about an edge apart, turned by a random angle [m]."""
     around = max(12, round(2.0 * np.pi * radius / edge))
     turned = 2.0 * np.pi * (np.arange(around) + random.uniform()) / around
     return np.asarray(radius * np.stack([np.cos(turned), np.sin(turned)], axis=1))
 
 
-def _open(faces: Int, rim: int) -> Int:
-    """Without the triangles (f, 3) in a hole, all of whose corners are on its rim, which comes first."""
+def _without_hole(faces: Int, rim: int) -> Int:
+    """Leave out triangles (f, 3) in the hole, whose corners are all among the first `rim` points, those on its rim."""
     return np.asarray(faces[(faces >= rim).any(axis=1)])
 
 
-def _flat_left_out(points: Float, faces: Int, edge: float) -> Int:
-    """Without the triangles (f, 3) along a straight border that have no area."""
+def _without_degenerate(points: Float, faces: Int, edge: float) -> Int:
+    """Return the triangles (f, 3) that have an area; some along a straight border have none."""
     corners = points[faces]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])

@@ -6,14 +6,12 @@ stiffness
 
     warp  sum s_i dw_i^4,    weft  sum s_i df_i^4,    shear  sum s_i dw_i^2 df_i^2
 
-per area, dw and df being the parts of d along warp and weft. Three springs, three measures: on a
-right triangle with its legs along the yarns this is solved exactly, by the constants of a grid. On
-others it may ask for negative stiffness, and an equilateral triangle has warp = 3 shear whatever its
-springs: then the s_i >= 0 are those of the least squares of relative errors, in which tension counts
-TENSION times as much as shear, because cloth that stretches is wrong at first sight. So tension is
-kept where any springs can keep it, and on equilateral triangles shear becomes a third of the
-softer of warp and weft at the least: 0.6 to 136 times the presets'.
-An edge's k is the sum over its triangles.
+per area, dw and df being the parts of d along warp and weft. Three springs, three measures: on a right triangle with
+its legs along the yarns this is solved exactly, by the constants of a grid. On others the solution may be negative, and
+an equilateral triangle has warp = 3 shear whatever its springs: then the s_i >= 0 minimise the sum of squared relative
+errors, in which tension counts TENSION times as much as shear, because excessive stretch shows first. So tension is
+exact wherever springs allow it, and on equilateral triangles shear is at least a third of the softer of warp and weft:
+0.6 to 136 times the presets'. An edge's k is the sum over its triangles.
 
 Hinges. k = B e^2 / (A1 + A2), B between those of warp and weft by the direction across the edge.
 This is exact on equilateral triangles (Poisson ratio -1/3); elsewhere fold lines that the curvature
@@ -50,7 +48,7 @@ class Edges:
 
 
 def find_edges(faces: Int) -> Edges:
-    """Edges of faces (f, 3), which must be consistently oriented for `quads` to make sense."""
+    """Return the edges of faces (f, 3), which must be consistently oriented for `quads`."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     opposite = np.roll(faces, -2, axis=1).reshape(-1)
     both = np.sort(np.stack([start, end], 1), axis=1)
@@ -72,16 +70,16 @@ def find_edges(faces: Int) -> Edges:
 
 
 def face_areas(corners: Float) -> Float:
-    """(f,) areas of triangles with corners (f, 3, 3) [m^2]."""
+    """Return areas (f,) of triangles with corners (f, 3, 3) [m^2]."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area: Float = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return area
 
 
 def yarn_axes(corners: Float, warp: Float) -> tuple[Float, Float]:
-    """(f, 3) unit warp and weft directions: `warp` (3,) or (f, 3) laid onto each triangle with corners (f, 3, 3).
+    """Return unit warp and weft directions (f, 3): `warp` (3,) or (f, 3) laid onto triangles with corners (f, 3, 3).
 
-    Where it stands upright on a triangle, the triangle's first edge is the warp.
+    Where `warp` is normal to a triangle, the triangle's first edge is the warp.
     """
     first = corners[:, 1] - corners[:, 0]
     normal = np.cross(first, corners[:, 2] - corners[:, 0])
@@ -94,7 +92,7 @@ def yarn_axes(corners: Float, warp: Float) -> tuple[Float, Float]:
 
 
 def spring_stiffness(material: Material, x: Float, faces: Int, edges: Edges, warp: Float, weft: Float) -> Float:
-    """(e,) spring constants [N/m] from the yarn directions (f, 3) of each face."""
+    """Return spring constants (e,) [N/m] from the yarn directions (f, 3) of each face."""
     side = x[np.roll(faces, -1, axis=1)] - x[faces]
     length = np.linalg.norm(side, axis=2)
     unit = side / length[..., None]
@@ -108,16 +106,13 @@ def spring_stiffness(material: Material, x: Float, faces: Int, edges: Edges, war
 
 
 def least_squares_positive(system: Float, target: Float) -> Float:
-    """(f, 3) non-negative s that minimise |system s - target|, for systems (f, 3, 3).
-
-    With three unknowns the best of the seven sets of positive unknowns can be looked up.
-    """
+    """Return non-negative s (f, 3) that minimise |system s - target|, for systems (f, 3, 3)."""
     best = np.zeros_like(target)
     error = np.square(target).sum(1)
-    for chosen in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
-        part = system[:, :, chosen]
+    for positive in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
+        part = system[:, :, positive]
         s = np.zeros_like(best)
-        s[:, chosen] = np.einsum("fij,fj->fi", np.linalg.pinv(part), target)
+        s[:, positive] = np.einsum("fij,fj->fi", np.linalg.pinv(part), target)
         residual = np.square(np.einsum("fij,fj->fi", system, s) - target).sum(1)
         better = (s >= 0).all(1) & (residual < error * (1 - 1e-9))
         best[better], error[better] = s[better], residual[better]
@@ -125,7 +120,7 @@ def least_squares_positive(system: Float, target: Float) -> Float:
 
 
 def hinge_stiffness(material: Material, x: Float, edges: Edges, area: Float, warp: Float, weft: Float) -> Float:
-    """(h,) hinge constants [N m]; the yarn directions at an edge are the sum of its faces'."""
+    """Return hinge constants (h,) [N m]; the yarn directions at an edge are the sum of its faces'."""
     total = np.zeros(len(edges.pairs))
     across = np.zeros((len(edges.pairs), 2))
     e = x[edges.pairs[:, 1]] - x[edges.pairs[:, 0]]

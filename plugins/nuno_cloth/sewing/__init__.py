@@ -1,1 +1,1 @@
-"""Garments sewn from patterns: the file, its panels and seams, what is wrong with them, and their triangles."""
+"""Garments sewn from patterns: the file, its panels and seams, their faults, and their triangles."""

@@ -1,4 +1,4 @@
-"""From a pattern's file to panels and seams, and all that keeps them from being sewn, by line."""
+"""Panels and seams of a pattern's file, and the faults, by line, that prevent sewing."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from nuno_schemas.pattern import Remark
 from nuno_schemas.vectors import compose, norm, sides
 from nuno_schemas.written import Path, Written, dotted
 
-# Where the outline of a panel crosses itself.
+# Crossings of a panel's outline with itself.
 
 FINE = 48
-"""Chords that stand for a curve here."""
+"""Chords that approximate a curve here."""
 ROWS = 256
-"""Chords that are held against all others at a time."""
+"""Chords that are compared with all others at a time."""
 
 
 def find_crossing(curves: Sequence[Curve]) -> tuple[int, int, Float] | None:
-    """The numbers of the first two edges that cross or touch, and where (2,) [m]; curves go round, end to end."""
+    """Return the first two edges that cross or touch, and the point (2,) [m], of curves that go round end to end."""
     chords = [1 if isinstance(curve, Bezier) and len(curve.points) == 2 else FINE for curve in curves]
     corners = np.concatenate([curve.at(np.arange(n) / n) for curve, n in zip(curves, chords, strict=True)])
     owner = np.repeat(np.arange(len(curves)), chords)
@@ -34,15 +34,15 @@ def find_crossing(curves: Sequence[Curve]) -> tuple[int, int, Float] | None:
     ends = np.roll(corners, -1, axis=0)
     low, high = np.minimum(corners, ends), np.maximum(corners, ends)
     for at in range(0, n, ROWS):
-        # Each with all from the one after the next on; the first and the last are neighbours, too.
+        # Compare each with all from the one after the next; the first and the last are neighbours, too.
         i, j = (part.reshape(-1) for part in np.meshgrid(np.arange(at, min(at + ROWS, n)), np.arange(n), indexing="ij"))
-        apart = (j > i + 1) & ~((i == 0) & (j == n - 1))
-        apart &= ((low[i] <= high[j]) & (low[j] <= high[i])).all(axis=1)
-        i, j = i[apart], j[apart]
+        candidates = (j > i + 1) & ~((i == 0) & (j == n - 1))
+        candidates &= ((low[i] <= high[j]) & (low[j] <= high[i])).all(axis=1)
+        i, j = i[candidates], j[candidates]
         # Two chords meet if the ends of each are not on one side of the other, and, on one line, their boxes meet.
-        parted = [sides(corners[a], ends[a], corners[b]) * sides(corners[a], ends[a], ends[b]) <= 0
+        crosses = [sides(corners[a], ends[a], corners[b]) * sides(corners[a], ends[a], ends[b]) <= 0
                   for a, b in ((i, j), (j, i))]  # fmt: skip
-        met = np.flatnonzero(parted[0] & parted[1])
+        met = np.flatnonzero(crosses[0] & crosses[1])
         if len(met):
             one, other = int(i[met[0]]), int(j[met[0]])
             return int(owner[one]), int(owner[other]), _meeting(corners[[one, other]], ends[[one, other]])
@@ -50,7 +50,7 @@ def find_crossing(curves: Sequence[Curve]) -> tuple[int, int, Float] | None:
 
 
 def _meeting(start: Float, end: Float) -> Float:
-    """(2,) where two chords meet that do, each (2,) from start to end: on one line, the middle of what they share."""
+    """Return where (2,) two chords from start (2, 2) to end (2, 2) meet: on one line, the middle of their overlap."""
     (ux, uy), (vx, vy), (px, py) = *(end - start), start[1] - start[0]
     turn = ux * vy - uy * vx
     if turn != 0.0:
@@ -59,19 +59,19 @@ def _meeting(start: Float, end: Float) -> Float:
 
 
 SHORTEST = 1e-5
-"""Shorter edges [m] are none."""
+"""Shorter edges [m] are refused."""
 FLATTEST = 1e-4
-"""A panel whose area is a smaller share of the square of the way round it has none."""
+"""A panel whose area is a smaller share of the square of its perimeter is refused."""
 STITCHES: Path = ("pattern", "stitches")
 Note = Callable[..., None]
 
 
-class Wrong(Exception):
-    """A panel that is no panel; it has been noted."""
+class BadPanel(Exception):
+    """A panel cannot be sewn, for a reason that has been noted."""
 
 
-def sound(written: Written[PatternFile]) -> Pattern:
-    """The pattern of what is written. Raises BadInput for the first thing in it that cannot be sewn."""
+def require_sound(written: Written[PatternFile]) -> Pattern:
+    """Return the pattern of a file. Raises BadInput for its first fault."""
     pattern, remarks = assemble(written)
     for remark in remarks:
         raise BadInput(f"{remark.where}: {remark.text}", written.file, remark.line, remark.field, remedy=remark.remedy)
@@ -79,23 +79,23 @@ def sound(written: Written[PatternFile]) -> Pattern:
 
 
 def assemble(written: Written[PatternFile]) -> tuple[Pattern, list[Remark]]:
-    """The panels and seams that are sound, and all else that the file has."""
+    """Return the panels and seams without faults, and remarks on the faults."""
     remarks: list[Remark] = []
 
     def note(kind: str, where: str, text: str, path: Path, remedy: str | None = None) -> None:
         remarks.append(Remark(kind, True, where, text, written.line(path), dotted(path), remedy))
 
-    properties, given = written.said.properties, written.said.pattern.panels
+    properties, fields_of_panels = written.said.properties, written.said.pattern.panels
     panels = {}
-    for name, fields in given.items():
-        note_here = partial(_note_in, note, name)
+    for name, fields in fields_of_panels.items():
+        note_here = partial(_note_on_panel, note, name)
         try:
             panels[name] = _panel(name, fields, 1.0 / properties.units_in_meter, properties.curvature_coords, note_here)
-        except Wrong:
+        except BadPanel:
             continue
     seams = _seams(written, note)
-    kept = tuple(seam for seam in seams if seam.one[0] in panels and seam.other[0] in panels)
-    pattern = Pattern(panels, kept)
+    sewable = tuple(seam for seam in seams if seam.one[0] in panels and seam.other[0] in panels)
+    pattern = Pattern(panels, sewable)
     _, seam = find_sides(pattern)
     if seam is not None:
         text = "the right side of one comes to the right side of the other, which other seams have turned inside out"
@@ -106,13 +106,13 @@ def assemble(written: Written[PatternFile]) -> tuple[Pattern, list[Remark]]:
     return pattern, remarks
 
 
-def _note_in(note: Note, name: str, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
+def _note_on_panel(note: Note, name: str, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
     where = name_of((name, int(path[1]))) if path[:1] == ("edges",) and len(path) > 1 else name
     note(kind, where, text, ("pattern", "panels", name, *path), remedy)
 
 
 def _panel(name: str, fields: PanelFields, unit: float, coords: str, note: Note) -> Panel:
-    """Raises Wrong for one that is none."""
+    """Return a panel. Raises BadPanel if it cannot be sewn."""
     corners, number = np.array(fields.vertices) * unit, len(fields.vertices)
     for k, edge in enumerate(fields.edges):
         for vertex in edge.endpoints:
@@ -120,10 +120,10 @@ def _panel(name: str, fields: PanelFields, unit: float, coords: str, note: Note)
                 remedy = "vertices are counted from 0"
                 text = f"ends at vertex {vertex}, and the panel has 0 to {number - 1}"
                 note("no such vertex", text, ("edges", k, "endpoints"), remedy)
-                raise Wrong
+                raise BadPanel
     _require_closed(fields, note)
     edges = [
-        _edge(fields.edges[k], corners, unit, coords, partial(_of_edge, note, k)) for k in range(len(fields.edges))
+        _edge(fields.edges[k], corners, unit, coords, partial(_note_on_edge, note, k)) for k in range(len(fields.edges))
     ]
     x, y, z = np.radians(fields.rotation)
     grain = float(np.radians(fields.grain))
@@ -137,63 +137,63 @@ def _panel(name: str, fields: PanelFields, unit: float, coords: str, note: Note)
         text = "crosses itself" if one == other else f"crosses {name_of((name, other))}"
         x, y = where / unit
         note("crossing edges", f"{text} at ({x:.4g}, {y:.4g})", ("edges", one), "draw the outline without crossings")
-        raise Wrong
+        raise BadPanel
     around = sum(edge.length for edge in edges)
     if abs(panel.area) < FLATTEST * around**2:
         note("no area", f"encloses {1e4 * abs(panel.area):.3g} cm², {100 * around:.4g} cm round", ("edges",),
              "give it a third edge, or curve one of the two")  # fmt: skip
-        raise Wrong
+        raise BadPanel
     return panel
 
 
-def _of_edge(note: Note, k: int, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
+def _note_on_edge(note: Note, k: int, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
     note(kind, text, ("edges", k, *path), remedy)
 
 
 def _require_closed(fields: PanelFields, note: Note) -> None:
-    """Raises Wrong where edges do not go round the panel once."""
+    """Raise BadPanel if edges do not go round the panel once."""
     ends = [edge.endpoints for edge in fields.edges]
     for k, (start, end) in enumerate(ends):
         after = (k + 1) % len(ends)
         if start == end:
             note("no length", f"starts and ends at vertex {start}", ("edges", k, "endpoints"))
-            raise Wrong
+            raise BadPanel
         if end != ends[after][0]:
             text = f"ends at vertex {end}, and edge {after} starts at vertex {ends[after][0]}"
             note("open outline", text, ("edges", k, "endpoints"), "list edges in order, each from where the last ended")
-            raise Wrong
+            raise BadPanel
     starts = [start for start, _ in ends]
     for k, start in enumerate(starts):
         if start in starts[:k]:
             text = f"comes to vertex {start} again, where edge {starts.index(start)} starts"
             note("crossing edges", text, ("edges", k, "endpoints"), "a panel has one outline; make two panels of it")
-            raise Wrong
+            raise BadPanel
 
 
 def _edge(fields: EdgeFields, corners: Float, unit: float, coords: str, note: Note) -> Edge:
-    """Raises Wrong for one without length, or an arc that does not reach."""
+    """Return an edge. Raises BadPanel if it has no length, or its arc does not reach from end to end."""
     start, end = corners[fields.endpoints[0]], corners[fields.endpoints[1]]
     if norm(end - start) < SHORTEST:
         note("no length", f"is {100 * float(norm(end - start)):.3g} cm long", ("endpoints",), "leave one corner out")
-        raise Wrong
+        raise BadPanel
     try:
         return Edge(_curve(fields, start, end, unit, coords), fields.label)
     except ValueError as error:
         least = float(str(error).rpartition(" ")[2]) / unit
         text = f"an arc of radius {fields.curvature.params[0]:.6g} does not reach from end to end: at least {least:.6g}"  # type: ignore[union-attr]
         note("no such arc", text, ("curvature", "params"))
-        raise Wrong from None
+        raise BadPanel from None
 
 
 def _curve(fields: EdgeFields, start: Float, end: Float, unit: float, coords: str) -> Curve:
-    """Raises ValueError for an arc that does not reach."""
-    bent = fields.curvature
-    if bent is None:
+    """Return an edge's curve. Raises ValueError for an arc that does not reach from end to end."""
+    curvature = fields.curvature
+    if curvature is None:
         return Bezier(np.stack([start, end]))
-    if isinstance(bent, Circle):
-        radius, large, right = bent.params
+    if isinstance(curvature, Circle):
+        radius, large, right = curvature.params
         return Arc.between(start, end, radius * unit, large, right)
-    control = np.array(bent.params)
+    control = np.array(curvature.params)
     if coords == "relative":
         along = end - start
         control = start + control[:, :1] * along + control[:, 1:] * np.array([-along[1], along[0]])
@@ -203,7 +203,7 @@ def _curve(fields: EdgeFields, start: Float, end: Float, unit: float, coords: st
 
 
 def _rotation(x: float, y: float, z: float) -> Float:
-    """(3, 3), about x, then about the y that has turned, then about the z [rad]: scipy's from_euler("XYZ")."""
+    """Return the rotation (3, 3) about x, then the turned y, then the turned z [rad]: scipy's from_euler("XYZ")."""
     (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
@@ -212,7 +212,7 @@ def _rotation(x: float, y: float, z: float) -> Float:
 
 
 def _seams(written: Written[PatternFile], note: Note) -> list[Seam]:
-    """Those between edges that there are, each sewn once."""
+    """Return the seams between existing edges that are each sewn once."""
     fields, sewn = written.said.pattern, dict[Side, int]()
     seams = []
     for k, stitch in enumerate(fields.stitches):
@@ -223,20 +223,20 @@ def _seams(written: Written[PatternFile], note: Note) -> list[Seam]:
                  "write two of them, and, where right comes to wrong, right_wrong as the third")  # fmt: skip
             continue
         ends = [(side.panel, side.edge) for side in sides]
-        if sum(_there(fields.panels, side, (*path, i), note) for i, side in enumerate(ends)) < 2:
+        if sum(_side_exists(fields.panels, side, (*path, i), note) for i, side in enumerate(ends)) < 2:
             continue
-        again = next((i for i, side in enumerate(ends) if side in sewn or (i == 1 and side == ends[0])), None)
-        if again is None:
+        twice = next((i for i, side in enumerate(ends) if side in sewn or (i == 1 and side == ends[0])), None)
+        if twice is None:
             seams.append(Seam(ends[0], ends[1], len(stitch) == 3, k))
             sewn |= dict.fromkeys(ends, k)
         else:
-            before = sewn.get(ends[again], k)
+            before = sewn.get(ends[twice], k)
             text = "is sewn to itself" if before == k else f"is sewn twice, in stitches {before} and {k}"
-            note("sewn twice", name_of(ends[again]), text, (*path, again), "part the edge in two, and sew each once")
+            note("sewn twice", name_of(ends[twice]), text, (*path, twice), "part the edge in two, and sew each once")
     return seams
 
 
-def _there(panels: dict[str, PanelFields], side: Side, path: Path, note: Note) -> bool:
+def _side_exists(panels: dict[str, PanelFields], side: Side, path: Path, note: Note) -> bool:
     name, edge = side
     if name not in panels:
         note("no such panel", name_of(side), f"no panel {name!r}", (*path, "panel"), nearest(name, panels))

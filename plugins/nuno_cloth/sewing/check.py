@@ -1,4 +1,4 @@
-"""What a pattern's maker should know before it is sewn: sizes, openings, and seams that look wrong."""
+"""Checks of a pattern before it is sewn: sizes, openings, and seams that look wrong."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from nuno_schemas.vectors import dot, norm
 from nuno_schemas.written import Path, dotted
 
 TURNED = -0.5
-"""A seam looks turned whose edges run away from each other by 120 degrees or more, of this cosine."""
+"""A seam looks turned if the cosine of the angle between its edges is below this: beyond 120 degrees."""
 TELLS = 0.03
-"""Edges this long show which way a seam runs [m]."""
+"""Least length of edges that show which way a seam runs [m]."""
 LEVEL = 0.1
-"""Sine of the angle by which a panel must be off the level for it to have a right and an upper side."""
+"""Least sine of a panel's angle to the level at which it has a right and an upper side."""
 SHORT = 2e-3
-"""Edges shorter than this look as if they were not meant [m]."""
+"""Edges shorter than this are probably unintended [m]."""
 SIZES = 0.02, 5.0
-"""Garments as they lie in space are no smaller and no larger than this [m]."""
+"""Smallest and largest size of a garment [m]."""
 Note = Callable[..., None]
 
 
 def check_pattern(files: Files, name: str, gather: float) -> Checked:
-    """All that is to be said of a pattern, also of seams whose longer edge is more than `gather` times the shorter one.
-    Raises BadInput for a file whose fields are not those of a pattern.
+    """Return a pattern's sizes, openings and remarks, also on seams whose longer edge is more than `gather` times the
+    shorter. Raises BadInput for a file whose fields are not those of a pattern.
     """
     written = files.read(name, PatternFile)
     pattern, remarks = assemble(written)
@@ -44,7 +44,7 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     _note_turned(pattern, note)
     _note_edges(pattern, note)
     corners = [panel.place(edge.ends())[:, 1] for panel in pattern.panels.values() for edge in panel.edges]
-    # Of a pattern that lacks a panel or a seam it cannot be said what stays open.
+    # Openings of a pattern that lacks a panel or a seam are unknown.
     openings = [] if broken else find_openings(pattern)
     if not broken:
         _note_pieces(pattern, openings, note)
@@ -73,23 +73,24 @@ def _note_lengths(pattern: Pattern, gather: float, note: Note) -> None:
         one, other = pattern.edge(seam.one).length, pattern.edge(seam.other).length
         ratio = max(one, other) / min(one, other)
         if ratio > gather:
-            (short, onto), (long, which) = sorted([(one, name_of(seam.one)), (other, name_of(seam.other))])
+            (short, short_name), (long, long_name) = sorted([(one, name_of(seam.one)), (other, name_of(seam.other))])
             text = f"{100 * long:.2f} cm are gathered onto {100 * short:.2f} cm, {ratio:.2f} to 1"
-            note("unequal seam", f"{which}, {onto}", text, (*STITCHES, seam.stitch))
+            note("unequal seam", f"{long_name}, {short_name}", text, (*STITCHES, seam.stitch))
 
 
 def _note_turned(pattern: Pattern, note: Note) -> None:
-    """Panels may stand far from each other, before and behind the body, so that not where their edges are is compared,
-    but which way they run: as they stand, as those of a shoulder do, or as seen from outside of each panel, as cloth
-    goes round the body. A seam that runs away in both looks turned; short edges, as at a shoulder's tip, do not tell.
+    """Note seams that look turned. Panels may stand far from each other, before and behind the body, so that the
+    directions of their edges are compared, not the places: in space, as at a shoulder, or as seen from outside of each
+    panel, as cloth goes round the body. A seam whose edges run apart in both looks turned. Short edges, as at a
+    shoulder's tip, are not checked.
     """
     inside, _ = find_sides(pattern)
     for seam in pattern.seams:
         if min(pattern.edge(side).length for side in seam.sides) < TELLS:
             continue
-        along = 1.0 if seam.right_wrong else -1.0
-        ways = [_ways(pattern.panels[name], edge, inside[name]) for name, edge in seam.sides]
-        cosine = max(along * _cosine(one, other) for one, other in zip(*ways, strict=True))
+        sign = 1.0 if seam.right_wrong else -1.0
+        directions = [_directions(pattern.panels[name], edge, inside[name]) for name, edge in seam.sides]
+        cosine = max(sign * _cosine(one, other) for one, other in zip(*directions, strict=True))
         if cosine < TURNED:
             angle = np.degrees(np.arccos(max(cosine, -1.0)))
             text = f"as the panels are placed, the edges run {angle:.0f}° apart"
@@ -97,19 +98,19 @@ def _note_turned(pattern: Pattern, note: Note) -> None:
             note("turned seam", seam.names, text, (*STITCHES, seam.stitch), remedy)
 
 
-def _ways(panel: Panel, edge: int, inside: bool) -> tuple[Float, Float]:
-    """From an edge's start to its end: (3,) as it stands, and (2,) to the right and up as seen from outside, 0 where
-    the panel lies flat.
+def _directions(panel: Panel, edge: int, inside: bool) -> tuple[Float, Float]:
+    """Return the vector from an edge's start to its end: (3,) in space, and (2,) to the right and up as seen from
+    outside, 0 if the panel lies level.
     """
     start, end = panel.place(panel.edges[edge].ends())
     outside = panel.rotation[:, 2] * (1.0 if (panel.area > 0.0) != inside else -1.0)
     right = np.cross([0.0, 1.0, 0.0], outside)
-    way = np.array([dot(end - start, right), dot(end - start, np.cross(outside, right))])
-    return end - start, way * (norm(right) > LEVEL)
+    flat_direction = np.array([dot(end - start, right), dot(end - start, np.cross(outside, right))])
+    return end - start, flat_direction * (norm(right) > LEVEL)
 
 
 def _cosine(one: Float, other: Float) -> float:
-    """1 where one of them is 0."""
+    """Return the cosine of the angle between two vectors, 1 if one is 0."""
     lengths = float(norm(one) * norm(other))
     return float(dot(one, other)) / lengths if lengths > 0.0 else 1.0
 
@@ -134,9 +135,9 @@ def _note_edges(pattern: Pattern, note: Note) -> None:
 
 
 def _note_places(panels: Mapping[str, PanelFields], note: Note) -> None:
-    if bare := [name for name, one in panels.items() if "translation" not in one.model_fields_set]:
+    if names := [name for name, one in panels.items() if "translation" not in one.model_fields_set]:
         remedy = "give it a translation: in front of or behind the part of the body that it is worn on"
-        note("no place", ", ".join(bare), "begins at the drawing's origin", ("pattern", "panels", bare[0]), remedy)
+        note("no place", ", ".join(names), "begins at the drawing's origin", ("pattern", "panels", names[0]), remedy)
 
 
 def _note_pieces(pattern: Pattern, openings: list[list[Side]], note: Note) -> None:
@@ -150,10 +151,10 @@ def _note_pieces(pattern: Pattern, openings: list[list[Side]], note: Note) -> No
         if first not in open_:
             note("closed bag", ", ".join(names), "is sewn shut all round: nothing can be put into it", path)
     if sum(len(names) > 1 for names in pieces.values()) > 1:
-        shown = "; ".join(", ".join(names) for names in pieces.values())
+        listed = "; ".join(", ".join(names) for names in pieces.values())
         note(
             "several pieces",
             "pattern",
-            f"{len(pieces)} pieces hang together by no seam: {shown}",
+            f"{len(pieces)} pieces hang together by no seam: {listed}",
             ("pattern", "panels"),
         )

@@ -1,9 +1,9 @@
 """Edges of a panel: straight lines, Bezier curves and arcs of circles, with their exact lengths and areas.
 
-A polygon of n equal arcs inscribed in a curve is too short, of a circle by (s / R)^2 / 24 for arcs of length s: a tenth
+A polygon of n equal arcs inscribed in a curve is too short, in a circle by (s / R)^2 / 24 for arcs of length s: a tenth
 of an armhole's seam is lost on coarse triangles. So the points between the ends move outwards, by s^2 / (24 R) times
-one number for the whole edge, until the polygon is as long as the curve: the points of a circle then lie on a larger
-one, and the area between polygon and curve is half of what it was, too.
+one factor for the whole edge, until the polygon is as long as the curve. The points of a circle then lie on a larger
+one, and the area between polygon and curve is halved, too.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.vectors import dot, norm
 
 PIECES = 64
-"""A curve's length is the sum of Gauss's rule of three points over so many pieces: exact to 1e-9 of it, or better."""
+"""Pieces over which Gauss's rule of three points sums a curve's length: exact to 1e-9 of it, or better."""
 NODES = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
 WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 STRAIGHT = 1e-7
-"""A polygon that is shorter than its curve by less than this share of it needs no correction."""
+"""A polygon shorter than its curve by less than this share of it needs no correction."""
 SHARPEST = 2.0
-"""Where a curve turns by more than so many radians within an arc it is corrected as if it turned by that."""
+"""Upper bound of the turn within an arc for which points are corrected [rad]."""
 
 
 class Curve(Protocol):
-    """A curve in the plane, from t = 0 to 1: places [m] and derivatives by t (k, 2) at values t (k,)."""
+    """A curve in the plane, from t = 0 to 1: points [m] and derivatives by t (k, 2) at values t (k,)."""
 
     def at(self, t: Float) -> Float: ...
     def slope(self, t: Float) -> Float: ...
@@ -36,7 +36,7 @@ class Curve(Protocol):
 
 @dataclass(frozen=True)
 class Bezier:
-    """A straight line, a quadratic or a cubic curve by its 2, 3 or 4 control points (k, 2)."""
+    """A straight line, or a quadratic or cubic curve, with 2, 3 or 4 control points (k, 2)."""
 
     points: Float
 
@@ -54,7 +54,7 @@ class Bezier:
 
 
 def _casteljau(points: Float, t: Float) -> Float:
-    """(k, 2) places of a curve with control points (m, 2)."""
+    """Return points (k, 2) of a curve with control points (m, 2)."""
     rows, share = np.repeat(points[:, None], len(t), axis=1), t[:, None]
     while len(rows) > 1:
         rows = (1.0 - share) * rows[:-1] + share * rows[1:]
@@ -63,7 +63,7 @@ def _casteljau(points: Float, t: Float) -> Float:
 
 @dataclass(frozen=True)
 class Arc:
-    """Of a circle: centre (2,), radius [m], the angle where it starts and by how much it turns, to the left [rad]."""
+    """An arc of a circle: centre (2,), radius [m], its start angle and its turn to the left [rad]."""
 
     centre: Float
     radius: float
@@ -72,13 +72,13 @@ class Arc:
 
     @staticmethod
     def between(start: Float, end: Float, radius: float, large: bool, right: bool) -> Arc:
-        """The arc that bulges to the right or left of the way from start to end; the longer or shorter one of a circle.
-        Raises ValueError where the circle is too small to reach both.
+        """Return the arc that bulges to the right or left of the line from start to end, the larger or smaller one of
+        its circle. Raises ValueError if the circle is too small to reach both.
         """
         chord = end - start
         length = float(norm(chord))
         high = radius * radius - 0.25 * length * length
-        # The smallest circle that reaches is a half one, and files are rounded.
+        # The smallest arc that reaches is a half circle, and files are rounded.
         if high < -1e-6 * radius * radius:
             raise ValueError(f"at least {0.5 * length:.9g}")
         high = np.sqrt(max(high, 0.0)) / length
@@ -105,51 +105,51 @@ class Arc:
 
 
 def lengths_along(curve: Curve) -> Float:
-    """(PIECES + 1,) lengths from the start to equal steps of t [m]."""
+    """Return the lengths (PIECES + 1,) from the start to equal steps of t [m]."""
     t = (np.arange(PIECES)[:, None] + NODES).reshape(-1) / PIECES
     speed = norm(curve.slope(t)).reshape(-1, 3)
     return np.concatenate([[0.0], np.cumsum((speed * WEIGHTS).sum(axis=1) / PIECES)])
 
 
 def length_of(curve: Curve) -> float:
-    """[m]"""
+    """Return the length of a curve [m]."""
     return float(lengths_along(curve)[-1])
 
 
 def area_under(curve: Curve) -> float:
-    """The curve's part of half the integral of x dy - y dx, which round an outline is its area [m^2]."""
+    """Return half the integral of x dy - y dx along the curve, which round an outline is its area [m^2]."""
     t = (np.arange(PIECES)[:, None] + NODES).reshape(-1) / PIECES
     (x, y), (dx, dy) = curve.at(t).T, curve.slope(t).T
     return float(0.5 * ((x * dy - y * dx).reshape(-1, 3) * WEIGHTS).sum() / PIECES)
 
 
 def turning_of(curve: Curve) -> float:
-    """By how much it turns, to whichever side [rad]."""
-    way = curve.slope(np.linspace(0.0, 1.0, PIECES + 1))
-    way = way[norm(way) > 0.0]
-    cross = way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0]
-    return float(np.abs(np.arctan2(cross, dot(way[:-1], way[1:]))).sum())
+    """Return the total absolute turn of a curve [rad]."""
+    tangents = curve.slope(np.linspace(0.0, 1.0, PIECES + 1))
+    tangents = tangents[norm(tangents) > 0.0]
+    cross = tangents[:-1, 0] * tangents[1:, 1] - tangents[:-1, 1] * tangents[1:, 0]
+    return float(np.abs(np.arctan2(cross, dot(tangents[:-1], tangents[1:]))).sum())
 
 
 def spread(curve: Curve, n: int) -> Float:
-    """(n + 1,) t that part the curve into n arcs of one length."""
+    """Return the n + 1 values of t that divide the curve into n arcs of equal length."""
     along = lengths_along(curve)
-    at = along[-1] * np.arange(n + 1) / n
-    t: Float = np.interp(at, along, np.arange(PIECES + 1) / PIECES)
+    goal = along[-1] * np.arange(n + 1) / n
+    t: Float = np.interp(goal, along, np.arange(PIECES + 1) / PIECES)
     for _ in range(3):
         piece = np.minimum((t * PIECES).astype(np.int64), PIECES - 1)
         low = piece / PIECES
         nodes = low[:, None] + (t - low)[:, None] * NODES
         speed = norm(curve.slope(nodes.reshape(-1))).reshape(-1, 3)
-        here = along[piece] + (t - low) * (speed * WEIGHTS).sum(axis=1)
-        pace = norm(curve.slope(t))
-        t = np.clip(t - np.divide(here - at, pace, out=np.zeros_like(t), where=pace > 0.0), 0.0, 1.0)
+        reached = along[piece] + (t - low) * (speed * WEIGHTS).sum(axis=1)
+        rate = norm(curve.slope(t))
+        t = np.clip(t - np.divide(reached - goal, rate, out=np.zeros_like(t), where=rate > 0.0), 0.0, 1.0)
     t[0], t[-1] = 0.0, 1.0
     return t
 
 
 def draw(curve: Curve, n: int) -> Float:
-    """(n + 1, 2) corners of a polygon of n sides, from end to end, as long as the curve; of one side, its chord."""
+    """Return corners (n + 1, 2) of a polygon of n sides, from end to end, as long as the curve; for n = 1 its chord."""
     t = spread(curve, n)
     points, length = curve.at(t), length_of(curve)
     if n == 1 or length - _length(points) <= STRAIGHT * length:
@@ -169,7 +169,7 @@ def draw(curve: Curve, n: int) -> Float:
 
 
 def _outwards(curve: Curve, t: Float, step: float) -> Float:
-    """(k, 2) away from the centres of curvature, step^2 / (24 R) long [m]."""
+    """Return vectors (k, 2) away from the centres of curvature, step^2 / (24 R) long [m]."""
     slope, bend = curve.slope(t), curve.bend(t)
     speed = np.maximum(dot(slope, slope), np.finfo(float).tiny)
     inwards = (bend - (dot(bend, slope) / speed)[:, None] * slope) / speed[:, None]

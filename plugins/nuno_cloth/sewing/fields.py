@@ -1,7 +1,7 @@
 """A pattern's file, as GarmentCode writes it (Korosteleva & Sorkine-Hornung 2023, ACM Trans. Graph. 42, 199).
 
 Lengths are in the file's own unit, `units_in_meter` of which are a metre. Beyond GarmentCode's fields a panel may have
-a `grain`. The relations between fields, such as which edges meet, are looked at in nuno_cloth.sewing.assemble.
+a `grain`. nuno_cloth.sewing.assemble checks relations between fields, such as which edges meet.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Circle(Config):
     )
 
 
-def _as_curve(given: Any) -> Any:
-    """What files of 2021 have, one control point, as a curve (Korosteleva & Lee 2021, Generating Datasets of 3D
+def _as_curve(value: Any) -> Any:
+    """Return one control point, as files of 2021 have it, as a curve (Korosteleva & Lee 2021, Generating Datasets of 3D
     Garments with Sewing Patterns).
     """
-    return {"type": "quadratic", "params": [given]} if isinstance(given, list | tuple) else given
+    return {"type": "quadratic", "params": [value]} if isinstance(value, list | tuple) else value
 
 
 class EdgeFields(Config):
@@ -90,7 +90,7 @@ class Properties(Config):
 
 
 class PatternFile(Config):
-    """What only the program needs that drew the pattern, `parameters` and the like, is left aside."""
+    """A pattern's file. `parameters` and the like, which only the drawing program needs, are ignored."""
 
     pattern: PatternFields
     properties: Properties = Field(examples=[{"units_in_meter": 100}])

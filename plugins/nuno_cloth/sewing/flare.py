@@ -1,9 +1,9 @@
-"""Panels cut as more than half of a ring, as those of a circle skirt, start as a cone in waves.
+"""Panels that are more than half of a ring, as those of a circle skirt, start as a cone in waves.
 
 Laid flat before the wearer, such a panel is sewn to the next one along edges that run up from its waist, and the seam
-midway between both would run through trunk and arms. So each point goes as far out and down from the waist as it is
-from there in the cloth, and as large a share of half a turn round the trunk as it has of the panel's. What the cone is
-too narrow for goes in waves.
+midway between both would run through trunk and arms. So each point is placed as far out and down from the waist as it
+is from there in the cloth, and at the same share of half a turn round the trunk as of the panel's turn. Cloth wider
+than the cone goes into waves.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.fabric import Float, Int
 
 WIDE, LESS = np.pi, 1.0
-"""A panel is a ring if its free edge goes round farther than this [rad]; less makes rings of panels that are flared."""
+"""A panel is a ring if its free edge turns by more than this [rad]; LESS makes flared panels rings, too."""
 SLOPES = np.radians([30.0, 45.0, 60.0, 75.0])
-"""Of the cone below level: the first at which it is out of the body. Where it is steeper, waves are deeper."""
+"""Slopes of the cone below level, tried until it is out of the body. Waves of a steeper cone are deeper."""
 SMALLER = 0.5
-"""Of the largest part of a section: what has less area is an arm."""
+"""Parts of a section with a smaller share than this of the largest area are arms."""
 WAVES = 8.0
-"""Of each panel."""
+"""Number of waves of each panel."""
 STEEP = np.linspace(0.0, 12.0, 121)
-"""Slopes of a wave where it is steepest, and how much longer than straight it is then."""
+"""Steepest slopes of a wave, and the wave's length over its straight length for each."""
 LONGER = np.array([np.sqrt(1.0 + (a * np.cos(np.linspace(0.0, 2.0 * np.pi, 256, False))) ** 2).mean() for a in STEEP])
 
 
 @dataclass(frozen=True)
 class Ring:
-    """A panel's centre in `flat` (2,) [m], the direction of its middle there (2,), the angle that it fills [rad], and
-    its inner radius [m].
+    """A ring-shaped panel: its centre (2,) [m] and the direction of its middle (2,) in `flat`, its angle [rad], and its
+    inner radius [m].
     """
 
     centre: Float
@@ -45,26 +45,26 @@ class Ring:
 
 
 def flare(sewn: Sewn, placed: Float, body: Float, faces: Int, clearance: float, wide: float = WIDE) -> Float:
-    """(m, 3) where cut vertices start [m] beside a body (v, 3), faces (f, 3): as `placed` (m, 3), but for rings, whose
-    free edges go round farther than `wide` [rad].
+    """Return where cut vertices (m, 3) start [m] beside a body (v, 3), faces (f, 3): as `placed` (m, 3), but for rings,
+    whose free edges turn by more than `wide` [rad].
     """
     rings = {panel: ring for panel in range(len(sewn.names)) if (ring := find_ring(sewn, panel, wide)) is not None}
     if not rings:
         return placed
     placed, tree = placed.copy(), build_tree(body, faces)
-    each = {panel: np.unique(sewn.faces[sewn.panel == panel]) for panel in rings}
-    every = np.concatenate(list(each.values()))
+    vertices = {panel: np.unique(sewn.faces[sewn.panel == panel]) for panel in rings}
+    of_rings = np.concatenate(list(vertices.values()))
     for slope in SLOPES:
-        for panel, own in each.items():
-            placed[own] = _cone(sewn, own, rings[panel], slope, body, faces, clearance)
-        if np.asarray(closest_points(tree, placed[every]).distance).min() > clearance:
+        for panel, indices in vertices.items():
+            placed[indices] = _cone(sewn, indices, rings[panel], slope, body, faces, clearance)
+        if np.asarray(closest_points(tree, placed[of_rings]).distance).min() > clearance:
             break
     return placed
 
 
 def find_ring(sewn: Sewn, panel: int, wide: float = WIDE) -> Ring | None:
-    """A panel as a ring: free edges in a row, between two that are sewn to other panels and point away from one centre,
-    round which the free ones go farther than `wide` [rad].
+    """Return a panel as a ring, or None: free edges in a row, between two that are sewn to other panels and point away
+    from one centre, round which the free ones turn by more than `wide` [rad].
     """
     edges, name = sewn.edges[panel], sewn.names[panel]
     joined = [pair for one in sewn.seams for pair in permutations((one.seam.one, one.seam.other))]
@@ -82,7 +82,7 @@ def find_ring(sewn: Sewn, panel: int, wide: float = WIDE) -> Ring | None:
 
 
 def _ring(left: Float, hem: Float, right: Float, wide: float) -> Ring | None:
-    """Of points (k, 2) along the hem, and the other ends of the sides that begin at its first and last one."""
+    """Return the ring of points (k, 2) along the hem, and the inner ends of its sides at the first and last one."""
     ways = np.stack([hem[0] - left, hem[-1] - right], axis=1)
     if abs(np.linalg.det(ways)) < 1e-9 * np.linalg.norm(ways) ** 2:
         return None
@@ -97,14 +97,13 @@ def _ring(left: Float, hem: Float, right: Float, wide: float) -> Ring | None:
 
 
 def _angle(a: Float, b: Float) -> Float:
-    """(k,) angles from vectors (k, 2) to others, counter-clockwise [rad]."""
+    """Return angles (k,) from vectors (k, 2) to others, counter-clockwise [rad]."""
     return np.asarray(np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(axis=-1)))
 
 
 def _trunk(section: list[Loop], otherwise: Float) -> tuple[Float, float]:
-    """The middle (3,) of the trunk in a section of the body, or of both thighs, and how far they reach from there [m].
-
-    Not of arms, whose area is smaller by far.
+    """Return the middle (3,) of the trunk, or of both thighs, in a section of the body, without arms, whose areas are
+    far smaller, and the largest distance of its points from there [m].
     """
     if not section:
         return otherwise, 0.0
@@ -114,23 +113,23 @@ def _trunk(section: list[Loop], otherwise: Float) -> tuple[Float, float]:
     return axis, max(float(np.linalg.norm(one.points - axis, axis=1).max()) for one in large)
 
 
-def _cone(sewn: Sewn, own: Int, ring: Ring, slope: float, body: Float, faces: Int, clearance: float) -> Float:
-    """(k, 3) where the panel's own vertices (k,) start [m]."""
-    flat, place = sewn.flat[own] - ring.centre, sewn.placed[own]
+def _cone(sewn: Sewn, vertices: Int, ring: Ring, slope: float, body: Float, faces: Int, clearance: float) -> Float:
+    """Return where the vertices (k,) of a panel start (k, 3) [m]."""
+    flat, place = sewn.flat[vertices] - ring.centre, sewn.placed[vertices]
     radius, angle = np.linalg.norm(flat, axis=1), _angle(np.broadcast_to(ring.middle, flat.shape), flat)
     plane, *_ = np.linalg.lstsq(flat - flat.mean(axis=0), place - place.mean(axis=0), rcond=None)
     waist = place[radius < 1.1 * ring.inner].mean(axis=0)
     axis, reach = _trunk(cut_mesh(body, faces, body[:, 1] - waist[1]), waist)
-    out, over = (waist - axis) * [1.0, 0.0, 1.0], np.array([-ring.middle[1], ring.middle[0]]) @ plane
-    out = out / np.linalg.norm(out) if np.linalg.norm(out) > 0.0 else np.cross(over, [0.0, 1.0, 0.0])
-    over = np.cross([0.0, 1.0, 0.0], out) * np.sign(np.cross([0.0, 1.0, 0.0], out) @ over)
-    share, far = 2.0 * angle / ring.turn, radius - ring.inner
-    wide = reach + clearance + far * np.cos(slope)
+    ahead, sideways = (waist - axis) * [1.0, 0.0, 1.0], np.array([-ring.middle[1], ring.middle[0]]) @ plane
+    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 0.0 else np.cross(sideways, [0.0, 1.0, 0.0])
+    sideways = np.cross([0.0, 1.0, 0.0], ahead) * np.sign(np.cross([0.0, 1.0, 0.0], ahead) @ sideways)
+    share, outwards = 2.0 * angle / ring.turn, radius - ring.inner
+    wide = reach + clearance + outwards * np.cos(slope)
     steep = np.interp(ring.turn * radius / (np.pi * wide), LONGER, STEEP)
     wave = steep * wide / (2.0 * WAVES) * np.sin(WAVES * np.pi * (share + 1.0))
-    wide, down = wide + wave * np.sin(slope), far * np.sin(slope) - wave * np.cos(slope)
+    wide, down = wide + wave * np.sin(slope), outwards * np.sin(slope) - wave * np.cos(slope)
     turn = 0.5 * np.pi * share
     return np.asarray(
-        axis + (wide * np.cos(turn))[:, None] * out + (wide * np.sin(turn))[:, None] * over
+        axis + (wide * np.cos(turn))[:, None] * ahead + (wide * np.sin(turn))[:, None] * sideways
         + (waist[1] - axis[1] - down)[:, None] * np.array([0.0, 1.0, 0.0])
     )  # fmt: skip

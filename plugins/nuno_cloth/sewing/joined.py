@@ -1,4 +1,4 @@
-"""How edges hang together once their seams are sewn: corners that become one, pieces, sides, and what stays open."""
+"""Topology of a sewn pattern: merged corners, connected pieces, sides that face outwards, and openings."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ Item = TypeVar("Item", bound=Hashable)
 
 
 def group(items: Iterable[Item], pairs: Iterable[tuple[Item, Item]]) -> dict[Item, Item]:
-    """Of each item the first of those that it is joined with, by pairs."""
-    above = {item: item for item in items}
-    order = {item: k for k, item in enumerate(above)}
+    """Return for each item the first of its group of items that pairs connect."""
+    parent = {item: item for item in items}
+    order = {item: k for k, item in enumerate(parent)}
 
-    def top(item: Item) -> Item:
-        while above[item] != item:
-            above[item] = above[above[item]]
-            item = above[item]
+    def root(item: Item) -> Item:
+        while parent[item] != item:
+            parent[item] = parent[parent[item]]
+            item = parent[item]
         return item
 
     for one, other in pairs:
-        one, other = top(one), top(other)
+        one, other = root(one), root(other)
         if one != other:
             low, high = sorted((one, other), key=order.__getitem__)
-            above[high] = low
-    return {item: top(item) for item in above}
+            parent[high] = low
+    return {item: root(item) for item in parent}
 
 
 def ends_of(pattern: Pattern, side: Side) -> tuple[Side, Side]:
-    """Corners where an edge starts and ends; a corner is called by the edge that starts there."""
+    """Return the corners where an edge starts and ends; a corner is named by the edge that starts there."""
     panel, edge = side
     return side, (panel, (edge + 1) % len(pattern.panels[panel].edges))
 
 
 def join_corners(pattern: Pattern) -> dict[Side, Side]:
-    """Of each corner the first of those that are sewn to one."""
+    """Return for each corner the first of those that seams merge with it."""
     pairs = []
     for seam in pattern.seams:
         (start, end), (other_start, other_end) = ends_of(pattern, seam.one), ends_of(pattern, seam.other)
@@ -48,25 +48,25 @@ def join_corners(pattern: Pattern) -> dict[Side, Side]:
 
 
 def find_pieces(pattern: Pattern) -> dict[str, str]:
-    """Of each panel the first of those that hang together by seams."""
+    """Return for each panel the first of the piece that seams connect with it."""
     return group(pattern.panels, [(seam.one[0], seam.other[0]) for seam in pattern.seams])
 
 
 def find_sides(pattern: Pattern) -> tuple[dict[str, bool], Seam | None]:
-    """Of each panel whether it is worn with its wrong side out, so that sides agree along all seams; and a seam along
-    which they cannot, None where they can. Of a piece, most of the cloth has its right side out.
+    """Return for each panel whether it is worn with its wrong side out, so that sides agree along all seams, and a seam
+    along which they cannot, or None. Most cloth of a piece has its right side out.
     """
     inside: dict[str, bool] = {}
-    beside: dict[str, list[tuple[str, Seam]]] = {name: [] for name in pattern.panels}
+    neighbours: dict[str, list[tuple[str, Seam]]] = {name: [] for name in pattern.panels}
     for seam in pattern.seams:
-        beside[seam.one[0]].append((seam.other[0], seam))
-        beside[seam.other[0]].append((seam.one[0], seam))
+        neighbours[seam.one[0]].append((seam.other[0], seam))
+        neighbours[seam.other[0]].append((seam.one[0], seam))
     for first in pattern.panels:
         if first in inside:
             continue
         piece, inside[first] = [first], False
         for name in piece:
-            for other, seam in beside[name]:
+            for other, seam in neighbours[name]:
                 if other not in inside:
                     inside[other] = inside[name] != seam.right_wrong
                     piece.append(other)
@@ -79,8 +79,8 @@ def find_sides(pattern: Pattern) -> tuple[dict[str, bool], Seam | None]:
 
 
 def find_openings(pattern: Pattern) -> list[list[Side]]:
-    """The edges round each opening, in order: at the end of one that is not sewn the next is found by going round the
-    corner, from panel to panel, across what is sewn.
+    """Return the edges round each opening, in order: the next edge is found by going round the corner at the end of the
+    last, from panel to panel, across seams.
     """
     partner = pattern.partner
     edges = [(name, k) for name, panel in pattern.panels.items() for k in range(len(panel.edges))]
@@ -92,14 +92,14 @@ def find_openings(pattern: Pattern) -> list[list[Side]]:
         while side in free:
             opening.append(side)
             del free[side]
-            side = _beside(pattern, side, way)
+            side = _next_edge(pattern, side, way)
             while side in partner:
                 side, turned = partner[side]
                 way = -way if turned else way
-                side = _beside(pattern, side, way)
+                side = _next_edge(pattern, side, way)
         openings.append(opening)
     return openings
 
 
-def _beside(pattern: Pattern, side: Side, way: int) -> Side:
+def _next_edge(pattern: Pattern, side: Side, way: int) -> Side:
     return side[0], (side[1] + way) % len(pattern.panels[side[0]].edges)

@@ -29,11 +29,11 @@ class Edge:
 
     @cached_property
     def length(self) -> float:
-        """[m]"""
+        """Length [m]."""
         return length_of(self.curve)
 
     def ends(self) -> Float:
-        """(2, 2) where it starts and ends [m]."""
+        """Return the points (2, 2) where it starts and ends [m]."""
         return self.curve.at(np.array([0.0, 1.0]))
 
 
@@ -41,10 +41,10 @@ class Edge:
 class Panel:
     """A piece of cloth, cut along its edges, which go round it in order.
 
-    Seen from its right side, which is to be outside, they go round counter-clockwise: a panel that is drawn clockwise
+    Seen from its right side, which is worn outside, they go round counter-clockwise: a panel that is drawn clockwise
     shows its wrong side in the drawing.
 
-    rotation (3, 3) and translation (3,) [m] put it beside the body; grain is the direction (2,) of its warp as drawn.
+    rotation (3, 3) and translation (3,) [m] place it by the body; grain is the direction (2,) of its warp as drawn.
     """
 
     name: str
@@ -56,19 +56,19 @@ class Panel:
 
     @cached_property
     def area(self) -> float:
-        """As it is drawn, counter-clockwise more than 0 [m^2]."""
+        """Signed area as drawn, positive if counter-clockwise [m^2]."""
         return sum(area_under(edge.curve) for edge in self.edges)
 
     def place(self, drawn: Float) -> Float:
-        """(n, 3) where points (n, 2) of the drawing start [m]."""
+        """Return where points (n, 2) of the drawing start (n, 3) [m]."""
         level = np.concatenate([drawn, np.zeros((len(drawn), 1))], axis=1)
         return turn(self.rotation, level) + self.translation
 
 
 @dataclass(frozen=True)
 class Seam:
-    """Two edges that are sewn together: the start of one meets the end of the other, or, where the right side of one
-    panel goes on into the wrong side of the other, its start.
+    """Two edges that are sewn together: the start of one meets the end of the other, or its start if the right side of
+    one panel continues in the wrong side of the other.
 
     `stitch` is its number in the file.
     """
@@ -89,7 +89,7 @@ class Seam:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Panels by name, in the file's order, and seams; an edge is in one seam at most."""
+    """Panels by name, in the file's order, and seams; an edge is in at most one seam."""
 
     panels: Mapping[str, Panel]
     seams: tuple[Seam, ...]
@@ -99,6 +99,6 @@ class Pattern:
 
     @cached_property
     def partner(self) -> Mapping[Side, tuple[Side, bool]]:
-        """Of each edge that is sewn the one that it is sewn to, and whether right to wrong."""
+        """For each sewn edge its partner, and whether right is sewn to wrong."""
         both = [(seam.one, seam.other, seam.right_wrong) for seam in self.seams]
-        return {a: (b, wrong) for one, other, wrong in both for a, b in ((one, other), (other, one))}
+        return {a: (b, right_wrong) for one, other, right_wrong in both for a, b in ((one, other), (other, one))}

@@ -1,4 +1,4 @@
-"""From a garment on coarser triangles to the same on finer ones: by where vertices lie in their panels."""
+"""Interpolation of a garment from coarser to finer triangles, by the places of vertices in their panels."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ from nuno_cloth.sewing.sew import Sewn
 from nuno_schemas.fabric import Bool, Float, Int
 
 NEXT = 8
-"""Triangles next to a point of a panel that are looked at before all others."""
+"""Triangles nearest to a point of a panel that are tested before all others."""
 
 
 def refine(fine: Sewn, coarse: Sewn, places: Sequence[Float]) -> list[Float]:
-    """Where the vertices (n, 3) of a finer garment are, for each of some `places` (m, 3) of a coarser one of the same
-    panels: linear in its triangles, in the nearest of which go on what lies beside them, as along curves. Along a seam
-    it is the mean of what its panels say.
+    """Return the places (n, 3) of a finer garment's vertices for each of some `places` (m, 3) of a coarser one of the
+    same panels: linear in its triangles, extrapolated from the nearest outside of them, as along curves. Along a seam
+    they are the mean over its panels.
     """
-    found = [np.zeros((len(fine.flat), 3)) for _ in places]
+    refined = [np.zeros((len(fine.flat), 3)) for _ in places]
     cut = np.zeros(len(fine.flat), np.bool_)
     cut[fine.faces] = True
     for panel in range(len(fine.names)):
-        own, faces = np.unique(fine.faces[fine.panel == panel]), coarse.faces[coarse.panel == panel]
-        of, weight = _locate(coarse.flat[faces], fine.flat[own])
-        for place, on in zip(places, found, strict=True):
-            on[own] = (weight[:, :, None] * place[coarse.merged[faces[of]]]).sum(axis=1)
-    return [_mean(on, fine, cut) for on in found]
+        indices, faces = np.unique(fine.faces[fine.panel == panel]), coarse.faces[coarse.panel == panel]
+        triangle, weight = _locate(coarse.flat[faces], fine.flat[indices])
+        for place, moved in zip(places, refined, strict=True):
+            moved[indices] = (weight[:, :, None] * place[coarse.merged[faces[triangle]]]).sum(axis=1)
+    return [_mean(moved, fine, cut) for moved in refined]
 
 
 def _mean(x: Float, sewn: Sewn, cut: Bool) -> Float:
-    """(n, 3) of sewn vertices, by x (m, 3) of those cut ones that triangles have."""
-    own = sewn.merged[cut]
-    share = np.bincount(own, minlength=sewn.number)
-    return np.stack([np.bincount(own, along, sewn.number) / share for along in x[cut].T], axis=1)
+    """Return the means (n, 3) at sewn vertices of x (m, 3) at cut ones that triangles use."""
+    sewn_index = sewn.merged[cut]
+    share = np.bincount(sewn_index, minlength=sewn.number)
+    return np.stack([np.bincount(sewn_index, along, sewn.number) / share for along in x[cut].T], axis=1)
 
 
 def _locate(corners: Float, points: Float) -> tuple[Int, Float]:
-    """Of each of the points (k, 2) the number of the triangle, of corners (f, 3, 2), that it lies in or least beside,
-    and its barycentric coordinates (k, 3) there.
+    """Return for points (k, 2) the triangle, of corners (f, 3, 2), that each lies in or nearest to, and its barycentric
+    coordinates (k, 3) there.
     """
     _, near = cKDTree(corners.mean(axis=1)).query(points, k=min(NEXT, len(corners)))
-    of, weight = _innermost(corners, points, near.reshape(len(points), -1))
-    beside = np.flatnonzero(weight.min(axis=1) < 0.0)
-    every = np.broadcast_to(np.arange(len(corners), dtype=np.int32), (len(beside), len(corners)))
-    of[beside], weight[beside] = _innermost(corners, points[beside], every)
-    return of, weight
+    triangle, weight = _innermost(corners, points, near.reshape(len(points), -1))
+    outside = np.flatnonzero(weight.min(axis=1) < 0.0)
+    every = np.broadcast_to(np.arange(len(corners), dtype=np.int32), (len(outside), len(corners)))
+    triangle[outside], weight[outside] = _innermost(corners, points[outside], every)
+    return triangle, weight
 
 
 def _innermost(corners: Float, points: Float, near: Int) -> tuple[Int, Float]:
-    """That of the triangles near (k, c) of each point whose least coordinate is highest."""
+    """Return the triangle, of those `near` (k, c) each point, whose least barycentric coordinate is highest."""
     a, b, c = (corners[near, i] for i in range(3))
     u, v, w = b - a, c - a, points[:, None] - a
     area = _cross(u, v)

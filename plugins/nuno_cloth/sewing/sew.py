@@ -1,7 +1,7 @@
-"""A pattern in triangles, and sewn: panels keep their own flat rest shapes, and the vertices of a seam become one.
+"""A sewn pattern in triangles: panels keep their flat rest shapes, and the vertices of a seam are merged.
 
-A panel's triangles may join the same two vertices as another's: beside each corner at which two seams meet, a triangle
-cut off by the corner has the same three vertices in all panels there. Such a side gets a point in its middle.
+A panel's triangles may connect the same two vertices as another's: at each corner where two seams meet, a triangle that
+cuts off the corner has the same three vertices in all panels there. Such a side gets a point in its middle.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from nuno_schemas.fabric import Bool, Float, Int
 
 TRIES = 4
 MOST = 2_000_000
-"""Triangles of a garment."""
+"""The most triangles of a garment."""
 
 
 @dataclass(frozen=True)
 class Stitched:
-    """A seam: pairs (k, 2) of cut vertices that become one, from the start of its first edge on; the lengths of its two
+    """A seam: pairs (k, 2) of cut vertices that it merges, from the start of its first edge, and the lengths of its two
     edges [m].
     """
 
@@ -37,18 +37,18 @@ class Stitched:
 
 @dataclass(frozen=True)
 class Sewn:
-    """A garment of m cut vertices, those of each panel in a row, which are n once it is sewn.
+    """A garment of m cut vertices, panel by panel, and n sewn vertices.
 
     names   (p,)    the panels
-    flat    (m, 2)  each panel as it lies with its outside up [m]: rest shapes, and a texture's coordinates
-    placed  (m, 3)  where it starts, beside the body [m]
+    flat    (m, 2)  each panel with its outside up [m]: rest shapes, and a texture's coordinates
+    placed  (m, 3)  where it starts, by the body [m]
     faces   (f, 3)  triangles of cut vertices, counter-clockwise in `flat` and as seen from outside
-    panel   (f,)    of each triangle
+    panel   (f,)    panel of each triangle
     warp    (p, 2)  direction of the warp in `flat`
     inside  (p,)    whether a panel is worn with its wrong side out
-    merged  (m,)    the sewn vertex, 0 to n - 1, that each becomes
-    edges           of each panel, of each edge: its cut vertices, from start to end
-    labels          of each panel, of each edge: what it is called, if anything
+    merged  (m,)    the sewn vertex of each cut one, 0 to n - 1
+    edges           by panel and edge: its cut vertices, from start to end
+    labels          by panel and edge: its label or None
     seams           in the pattern's order
     """
 
@@ -66,21 +66,21 @@ class Sewn:
 
     @property
     def number(self) -> int:
-        """Of sewn vertices."""
+        """Number of sewn vertices."""
         return int(self.merged.max()) + 1
 
     @property
     def sewn_faces(self) -> Int:
-        """(f, 3) triangles of sewn vertices."""
+        """Triangles (f, 3) of sewn vertices."""
         return np.asarray(self.merged[self.faces])
 
     @property
     def sides(self) -> Float:
-        """(f, 3) lengths of triangles' sides as they are cut [m], in the order of find_edges."""
+        """Cut lengths (f, 3) of triangles' sides [m], in the order of find_edges."""
         return np.asarray(np.linalg.norm(self.flat[np.roll(self.faces, -1, axis=1)] - self.flat[self.faces], axis=2))
 
     def side_edges(self) -> Int:
-        """(f, 3) which edge of its panel each triangle's side lies along, in the order of find_edges, -1 for none."""
+        """Return the panel's edge along each side (f, 3) of triangles, in the order of find_edges, or -1."""
         runs = [(k, run) for panel in self.edges for k, run in enumerate(panel)]
         ends = np.concatenate([np.stack([run[:-1], run[1:]], axis=1) for _, run in runs])
         edge = np.repeat([k for k, _ in runs], [len(run) - 1 for _, run in runs])
@@ -93,9 +93,8 @@ class Sewn:
 
 
 def sew(pattern: Pattern, spacing: float) -> Sewn:
-    """A pattern whose sides agree, in triangles with sides of about `spacing` [m].
-
-    Raises BadInput for triangles too large for a panel or the way that it is sewn, and for too many of them.
+    """Sew a pattern whose sides agree, in triangles with sides of about `spacing` [m]. Raises BadInput for triangles
+    too large for a panel or its seams, and for too many triangles.
     """
     most = sum(abs(panel.area) for panel in pattern.panels.values()) / (np.sqrt(3.0) / 4.0 * spacing**2)
     if not most <= MOST:
@@ -114,16 +113,16 @@ def sew(pattern: Pattern, spacing: float) -> Sewn:
         first = np.concatenate([[0], np.cumsum([len(piece.flat) for piece in pieces])])
         pairs = [_pairs(seam, pieces, place, first) for seam in pattern.seams]
         merged = _merge(int(first[-1]), pairs)
-        clashes = [_clashes(piece, merged[at:]) for piece, at in zip(pieces, first[:-1], strict=True)]
-        doubled = _doubled(clashes)
-        if not any(map(len, doubled)):
+        sides_of_pieces = [_list_sides(piece, merged[at:]) for piece, at in zip(pieces, first[:-1], strict=True)]
+        duplicates = _duplicate_sides(sides_of_pieces)
+        if not any(map(len, duplicates)):
             break
-        for piece, sides in zip(pieces, doubled, strict=True):
+        for piece, sides in zip(pieces, duplicates, strict=True):
             split(piece, sides)
     else:
-        names = [piece.panel.name for piece, sides in zip(pieces, doubled, strict=True) if len(sides)]
+        names = [piece.panel.name for piece, sides in zip(pieces, duplicates, strict=True) if len(sides)]
         raise too_coarse(", ".join(names), spacing)
-    return _join(pattern, pieces, first, merged, pairs)
+    return _assemble(pattern, pieces, first, merged, pairs)
 
 
 def _pairs(seam: Seam, pieces: list[Piece], place: dict[str, int], first: Int) -> Int:
@@ -133,35 +132,35 @@ def _pairs(seam: Seam, pieces: list[Piece], place: dict[str, int], first: Int) -
 
 
 def _merge(m: int, pairs: list[Int]) -> Int:
-    """(m,) numbers of sewn vertices, in the order of their first cut ones."""
+    """Return the sewn vertex (m,) of each cut one, numbered in the order of their first cut ones."""
     a, b = np.concatenate([np.empty((0, 2), np.int32), *pairs]).T
     part = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(m, m)), directed=False)[1]
-    _, first, which = np.unique(part, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first)).astype(np.int32)[which.reshape(-1)]
+    _, first, inverse = np.unique(part, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first)).astype(np.int32)[inverse.reshape(-1)]
 
 
-def _clashes(piece: Piece, merged: Int) -> tuple[Int, Int, Bool]:
-    """Sides (k, 2) of a piece's triangles by its own vertices, each once, by sewn ones, the lower first, and whether
-    two triangles of the piece share them.
+def _list_sides(piece: Piece, merged: Int) -> tuple[Int, Int, Bool]:
+    """Return the unique sides (k, 2) of a piece's triangles by its vertices and by sewn ones, the lower first, and
+    whether two triangles of the piece share them.
     """
     ends = np.sort(np.stack([piece.faces, np.roll(piece.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     sides, count = np.unique(ends, axis=0, return_counts=True)
     return sides, np.sort(merged[sides], axis=1), count > 1
 
 
-def _doubled(clashes: list[tuple[Int, Int, Bool]]) -> list[Int]:
-    """Of each piece the sides that join one sewn vertex to itself, or the same two as any other side does; of seams,
-    whose two sides are to be one, none.
+def _duplicate_sides(sides_of_pieces: list[tuple[Int, Int, Bool]]) -> list[Int]:
+    """Return for each piece the sides that connect a sewn vertex to itself, or the same two as another side does,
+    except sides on seams, which coincide by intent.
     """
-    sewn = np.concatenate([sides for _, sides, _ in clashes])
-    _, which = np.unique(sewn, axis=0, return_inverse=True)
-    count = np.bincount(which.reshape(-1))[which.reshape(-1)]
-    bad = np.concatenate([inner for _, _, inner in clashes]) & ((count > 1) | (sewn[:, 0] == sewn[:, 1]))
-    at = np.concatenate([[0], np.cumsum([len(sides) for sides, _, _ in clashes])])
-    return [sides[bad[at[k] : at[k + 1]]] for k, (sides, _, _) in enumerate(clashes)]
+    sewn = np.concatenate([sides for _, sides, _ in sides_of_pieces])
+    _, inverse = np.unique(sewn, axis=0, return_inverse=True)
+    count = np.bincount(inverse.reshape(-1))[inverse.reshape(-1)]
+    bad = np.concatenate([inner for _, _, inner in sides_of_pieces]) & ((count > 1) | (sewn[:, 0] == sewn[:, 1]))
+    offsets = np.concatenate([[0], np.cumsum([len(sides) for sides, _, _ in sides_of_pieces])])
+    return [sides[bad[offsets[k] : offsets[k + 1]]] for k, (sides, _, _) in enumerate(sides_of_pieces)]
 
 
-def _join(pattern: Pattern, pieces: list[Piece], first: Int, merged: Int, pairs: list[Int]) -> Sewn:
+def _assemble(pattern: Pattern, pieces: list[Piece], first: Int, merged: Int, pairs: list[Int]) -> Sewn:
     turned, _ = find_sides(pattern)
     inside = np.array([turned[piece.panel.name] for piece in pieces])
     flip = np.where(inside, -1.0, 1.0)

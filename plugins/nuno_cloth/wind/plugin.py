@@ -17,7 +17,7 @@ from nuno_schemas.system import Term
 
 
 class WindConfig(Config):
-    """Air, and the coefficients of a flat plate in it.
+    """The air, and the drag coefficients of a flat plate in it.
 
     normal 1.17 is a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 1965); tangential
     0.01 is laminar skin friction on two sides at a Reynolds number of about 10^5 (2 x 1.328 /
@@ -40,7 +40,7 @@ class Wind:
     Config: ClassVar[type[BaseModel]] = WindConfig
 
     def prepare(self, config: WindConfig, fabric: Fabric, seed: int) -> Term:
-        """Raises BadInput for a fabric without faces: wind would have nothing to blow on."""
+        """Return the wind's term. Raises BadInput for a fabric without faces."""
         if fabric.faces.shape[0] == 0:
             raise BadInput(
                 f"wind blows on triangles, and {fabric.name!r} has none",
@@ -60,8 +60,8 @@ class ParticleWindConfig(Config):
 
 
 class ParticleWindForce:
-    """The skirt paper's wind: the same force on every particle, whatever it moves like or stands
-    for. Refining the mesh multiplies it, so it belongs to fabrics set by hand.
+    """The skirt paper's wind: the same force on every particle, whatever its velocity or area. Its sum grows with the
+    number of vertices, so it suits fabrics set by hand.
     """
 
     name: ClassVar[str] = "particle_wind"
@@ -73,5 +73,5 @@ class ParticleWindForce:
 
 
 def direction(beta: float, gamma: float) -> Float:
-    """(3,) unit vector of the skirt paper's angles."""
+    """Return the unit vector (3,) of the skirt paper's angles."""
     return np.array([np.cos(beta) * np.sin(gamma), np.sin(beta) * np.sin(gamma), np.cos(gamma)])

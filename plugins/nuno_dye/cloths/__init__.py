@@ -1,1 +1,1 @@
-"""Where cloth to dye comes from: cells in a file, a weave, a photograph."""
+"""Cloth to dye, from cells in a file, a weave or a photograph."""

@@ -1,4 +1,4 @@
-"""A cloth from the arrays of a .npz file, cell by cell, so that anybody can pose an exact problem."""
+"""A cloth from the arrays of a .npz file, cell by cell, which poses an exact problem."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ KEYS: dict[str, Spec] = {
     "fibre": (CELLS, "b"), "up": (CELLS, "b"), "porosity": (CELLS, REAL), "tau1": (CELLS, REAL),
     "resist": (CELLS, REAL), "phi": (CELLS, REAL), "fixed": (CELLS, REAL),
 }  # fmt: skip
-"""Arrays that the file holds, layer 0 the weft and layer 1 the warp; phi and fixed one for each of several dyes."""
+"""Arrays of the file, layer 0 the weft and layer 1 the warp; phi and fixed have one per dye if there are several."""
 ROUNDING = 1e-12
-"""Relative: an amount that is over its room by no more is a full cell, computed in another order."""
+"""Relative excess of an amount over a cell's capacity that rounding may cause: the cell is full."""
 
 
 class CellsConfig(ClothConfig):
-    """Arrays of a file, as they are."""
+    """The arrays of a file, unchanged."""
 
     file: str = Field(
         description="a .npz beside the scene; each of its arrays is (2, ny, nx), layer 0 the weft, whose yarns lie "
@@ -39,12 +39,12 @@ class CellsConfig(ClothConfig):
     )
     cell_size: CellSize = Field(description="side of a cell [m]")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
-    v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")
-    resist: Resists = Field(default=(), description="what keeps dye out on both layers, beside the file's")
+    v_max: float = Field(default=1.0, gt=0, le=1e12, description="capacity of a cell")
+    resist: Resists = Field(default=(), description="resists on both layers, added to the file's")
 
 
 class CellsCloth(Cloth):
-    """Exactly the cells of the file."""
+    """A cloth with exactly the cells of its file."""
 
     name: ClassVar[str] = "cells"
     Config: ClassVar[type[BaseModel]] = CellsConfig
@@ -55,7 +55,7 @@ class CellsCloth(Cloth):
         return 2 * sizes["ny"] * sizes["nx"]
 
     def build(self, config: CellsConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
-        """Raises BadInput that names the array, the index and the value."""
+        """Build the cloth. Raises BadInput that names the array, the index and the value."""
         path = files.resolve(config.file)
         with open_npz(path) as file:
             read_sizes(file, len(dyes))
@@ -67,14 +67,17 @@ class CellsCloth(Cloth):
             config.tau3.with_weave(config.tau2), v_max=config.v_max,
         )  # fmt: skip
         put_on(self.resists(config, cells, files), cells)
-        rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}
-        for name, (room, formula) in rooms.items():
-            data[name] = _amounts(path, name, data[name].reshape(len(dyes), *room.shape), room, formula)
+        capacities = {
+            "phi": (cells.mobile_room, "v_max P (1 - B)"),
+            "fixed": (cells.fixed_room, "(1 - P) v_max in fibre"),
+        }
+        for name, (capacity, formula) in capacities.items():
+            data[name] = _amounts(path, name, data[name].reshape(len(dyes), *capacity.shape), capacity, formula)
         return cells, DyeState(data["phi"], data["fixed"])
 
 
 def read_sizes(file: NpzFile, dyes: int | None = None) -> dict[str, int]:
-    """Cells down "ny" and across "nx", from the headers alone; of any number of dyes where that is not given.
+    """Return the cells down "ny" and across "nx", from the headers alone, for any number of dyes if it is not given.
 
     Raises BadInput for a missing or unknown array, a wrong dtype, shapes that differ, and a header that announces more
     than the file holds.
@@ -91,15 +94,15 @@ def read_sizes(file: NpzFile, dyes: int | None = None) -> dict[str, int]:
     return sizes
 
 
-def _amounts(path: Path, name: str, values: Float, room: Float, formula: str) -> Float:
-    """Amounts that are there and fit. Raises BadInput."""
-    shown = values[0] if len(values) == 1 else values
-    require_values(path, name, shown, np.isfinite(shown), "not a finite number", "finite")
-    require_values(path, name, shown, shown >= 0.0, "there is no less than no dye", ">= 0")
-    good = shown <= room * (1.0 + ROUNDING)
-    if not good.all():
-        index = tuple(np.argwhere(~good)[0])
-        most = f"{room[index[-3:]]:g} = {formula}"
-        require_values(path, name, shown, good, "more dye than the cell can hold", most)
-    full: Float = np.minimum(values, room)
-    return full
+def _amounts(path: Path, name: str, values: Float, capacity: Float, formula: str) -> Float:
+    """Return amounts, at most the capacity of each cell. Raises BadInput for amounts that no cell can hold."""
+    indexed = values[0] if len(values) == 1 else values
+    require_values(path, name, indexed, np.isfinite(indexed), "not a finite number", "finite")
+    require_values(path, name, indexed, indexed >= 0.0, "there is no less than no dye", ">= 0")
+    fits = indexed <= capacity * (1.0 + ROUNDING)
+    if not fits.all():
+        index = tuple(np.argwhere(~fits)[0])
+        most = f"{capacity[index[-3:]]:g} = {formula}"
+        require_values(path, name, indexed, fits, "more dye than the cell can hold", most)
+    clipped: Float = np.minimum(values, capacity)
+    return clipped

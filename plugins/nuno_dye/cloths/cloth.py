@@ -1,4 +1,4 @@
-"""What all cloths to dye have: tortuosities, what keeps dye out of them, and what gives dye to them."""
+"""The common parts of all cloths to dye: tortuosities, resists and supplies of dye."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Tau = Annotated[float, Field(ge=0, le=1)]
 
 
 class Tau3Config(Config):
-    """How straight dye's way is from a cell to its neighbour, 0 to 1; 0 lets nothing pass."""
+    """Tortuosity of the way from a cell to its neighbour, 0 to 1: 1 is straight, 0 lets nothing pass."""
 
     I: Tau = Field(description="to the other layer")  # noqa: E741
     II: Tau = Field(description="in a layer, across the yarn")
@@ -28,17 +28,17 @@ class Tau3Config(Config):
     V: Tau = Field(default=1.0, description="in a layer, along the yarn")
 
     def with_weave(self, tau2: float) -> Tortuosity:
-        """All of a cloth's, tau 2 among them."""
+        """Return all tortuosities of a cloth, with this tau 2."""
         return Tortuosity(layers=self.I, beside=self.II, rim=self.III, gap=self.IV, yarn=self.V, weave=tau2)
 
 
 class ClothConfig(Config):
-    """What every cloth takes."""
+    """The fields of every cloth."""
 
     cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
-    v_max: Positive = Field(default=1.0, description="most that a cell holds")
-    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
+    v_max: Positive = Field(default=1.0, description="capacity of a cell")
+    resist: Resists = Field(default=(), description="resists, which keep dye out of both layers")
     supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
 
@@ -51,20 +51,20 @@ class FibreConfig(Config):
 
 
 class Cloth:
-    """What keeps dye out of a cloth, and what gives dye to it."""
+    """The base of cloths, with their resists and supplies."""
 
     def resists(self, config: Any, cells: Cells, files: Files) -> tuple[Float, ...]:
-        """Raises BadInput for what touches no cell, and an image that does not fit."""
+        """Return B of each resist. Raises BadInput for one that covers no cell, and an image that does not fit."""
         _, ny, nx = cells.fibre.shape
         return find_resists(config.resist, (ny, nx), cells.size, files)
 
     def supplies(self, config: Any, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
-        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
+        """Return the supplies. Raises BadInput for one outside of the cloth, or of a dye that is not in the scene."""
         _, ny, nx = cells.fibre.shape
         return prepare_supplies(config.supply, (ny, nx), cells.size, dyes)
 
     def undyed(self, config: Any, cells: Cells, files: Files, dyes: int) -> tuple[Cells, DyeState]:
-        """Cells with what keeps dye out of them, and no dye in them. Raises BadInput as `resists`."""
+        """Return the cells with their resists, and without dye. Raises BadInput as `resists`."""
         put_on(self.resists(config, cells, files), cells)
         empty = np.zeros((dyes, *cells.fibre.shape))
         return cells, DyeState(empty, empty.copy())

@@ -1,13 +1,13 @@
-"""The same cloth in fewer, larger cells: what lies beside what, and what its faces let pass in all.
+"""The same cloth in fewer, larger cells: their layout, and the tortuosities of their faces.
 
-A cell in the place of n x n others has n^2 times their area, and its middle is n cells from the next one's. What passes
-from cell to cell in a layer goes as T over that distance: faces between cells of one kind keep their T, and a face
-between two kinds lets pass what n faces do one after the other,
+A cell in the place of n x n others has n^2 times their area, and its middle is n cells from the next one's. Flow from
+cell to cell in a layer is proportional to T over that distance: faces between cells of one kind keep their T, and a
+face between two kinds conducts like n faces in series,
 
     n / T' = (n - 1) / 2 (1 / T_a + 1 / T_b) + 1 / T_ab.
 
-What passes to the other layer, and into fibre, goes as T and D_ab over the square of a cell's side, a distance that is
-that of layers, and of fibre from liquor. It is the same in larger cells: n^2 T, and n^2 D_ab.
+Flow to the other layer, and into fibre, is proportional to T and D_ab over the square of a cell's side, which stands
+for the distance of the layers, and of fibre from liquor. It stays the same in larger cells with n^2 T and n^2 D_ab.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Int
 
 
-class Lay(NamedTuple):
-    """How a layer's yarns lie side by side, by cell across them.
+class Layout(NamedTuple):
+    """The layout of a layer's yarns, by cell across them.
 
-    yarn   (n,) int32  the yarn in whose pitch a cell lies
-    fibre  (n,) bool   whether it lies in the yarn itself
+    yarn   (n,) int32  the yarn whose pitch contains the cell
+    fibre  (n,) bool   whether the cell is in the yarn, not in a gap
     """
 
     yarn: Int
     fibre: Bool
 
 
-def thin_out(lay: Lay, times: int) -> Lay:
-    """What lies in the middle of every `times` cells. Raises BadInput where a yarn or a gap could fall between them."""
+def thin_out(layout: Layout, times: int) -> Layout:
+    """Return the layout at the middle of every `times` cells. Raises BadInput if it could miss a yarn or a gap."""
     if times == 1:
-        return lay
-    label = np.where(lay.fibre, lay.yarn + 1, 0)
+        return layout
+    label = np.where(layout.fibre, layout.yarn + 1, 0)
     starts = np.flatnonzero(np.diff(label)) + 1
     finest = int(np.diff(starts).min(initial=len(label)))
     if finest < times:
@@ -47,19 +47,19 @@ def thin_out(lay: Lay, times: int) -> Lay:
             remedy="a smaller number, or larger cells with yarns given in them",
         )  # fmt: skip
     places = slice(times // 2, len(label) // times * times, times)
-    return Lay(lay.yarn[places], lay.fibre[places])
+    return Layout(layout.yarn[places], layout.fibre[places])
 
 
 def coarsen(tortuosity: Tortuosity, times: int) -> Tortuosity:
-    """Faces of cells that are `times` as large."""
+    """Return the tortuosities of cells that are `times` as large."""
     t, n = tortuosity, times
-    # tau 2 multiplies a face of fibre and fibre, as I to V do not: the rest of the way is not multiplied with it.
-    weave = _in_a_row(n, 1.0, t.weave, 1.0)
-    return replace(t, layers=n * n * t.layers, rim=_in_a_row(n, t.beside, t.rim, t.gap), weave=weave)
+    # tau 2 multiplies only the middle face, between fibre above and below, not the rest of the way.
+    weave = _in_series(n, 1.0, t.weave, 1.0)
+    return replace(t, layers=n * n * t.layers, rim=_in_series(n, t.beside, t.rim, t.gap), weave=weave)
 
 
-def _in_a_row(n: int, before: float, between: float, after: float) -> float:
-    """T of n faces one after the other, the middle one between two kinds; 0 where one lets nothing pass."""
+def _in_series(n: int, before: float, between: float, after: float) -> float:
+    """Return T of n faces in series, the middle one between two kinds; 0 if one lets nothing pass."""
     rest = 0.5 * (n - 1)
     if between == 0.0 or (rest and 0.0 in (before, after)):
         return 0.0

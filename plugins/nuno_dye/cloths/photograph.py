@@ -1,7 +1,7 @@
-"""A cloth from a photograph of woven cloth: where its warp shows, and where its weft (dye paper, section 4.3.1, b).
+"""A cloth from a photograph of woven cloth, by where warp and weft show (dye paper, section 4.3.1, b).
 
-Masks say which yarn a pixel shows; or colours do, and a median filter takes away single pixels that it gets wrong. Both
-layers are all fibre, without gaps. A cell is up in the layer that most of its pixels show.
+Masks give the yarn that each pixel shows; or colours do, and a median filter removes single wrong pixels. Both layers
+are all fibre, without gaps. A cell is up in the layer that most of its pixels show.
 """
 
 from __future__ import annotations
@@ -28,23 +28,25 @@ MOST_PIXELS = 2**25
 FORMATS = ["PNG", "JPEG"]
 CLEAN_MOST = 31
 NEAR = 0.02
-"""Colours nearer than this are told apart by noise."""
+"""Only noise distinguishes colours nearer than this."""
 TURN, QUARTER = 0x0112, 5
-"""Exif's tag of orientation; from 5 on it is turned by a quarter."""
+"""Exif's orientation tag, and its least value that turns by a quarter."""
 
 
 class Masks(Config):
     """Two grey PNGs of the photograph's size."""
 
     warp: str = Field(description="a PNG beside the scene, white where the photograph shows warp")
-    weft: str = Field(description="a PNG beside the scene, white where it shows weft; what is in neither is shared out")
+    weft: str = Field(
+        description="a PNG beside the scene, white where it shows weft; pixels in neither join the nearer one"
+    )
 
 
 class Colours(Config):
-    """What warp and weft look like: a pixel shows the one that is nearer to it.
+    """Colours of warp and weft: a pixel shows the yarn with the nearer colour.
 
     Light of s times a colour has s^(1/3) times its L, a and b in OKLab, so a / L and b / L do not change with shade;
-    they are what is compared, and as much of L as `lightness` says.
+    they are compared, and L in the proportion `lightness`.
     """
 
     warp: Colour = Field(description="of the warp in the photograph, #rrggbb or a CSS name")
@@ -65,8 +67,8 @@ class Colours(Config):
 
 
 def read_photograph(path: Path) -> NDArray[np.uint8]:
-    """(h, w, 3) sRGB, upright. Raises BadInput for what is no photograph, and for too many pixels."""
-    with _opened(path) as image:
+    """Read a photograph (h, w, 3) sRGB, upright. Raises BadInput for other files, and for too many pixels."""
+    with _open_photograph(path) as image:
         number = image.width * image.height
         if number <= MOST_PIXELS:
             return as_rgb(image)
@@ -75,34 +77,34 @@ def read_photograph(path: Path) -> NDArray[np.uint8]:
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """(h, w) of a photograph as it is upright, from its header. Raises BadInput."""
-    with _opened(path) as image:
+    """Read the upright size (h, w) of a photograph from its header. Raises BadInput."""
+    with _open_photograph(path) as image:
         turned = image.getexif().get(TURN, 1) >= QUARTER
         return (image.width, image.height) if turned else (image.height, image.width)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An open photograph. Raises BadInput for what is none, and for what its reader makes of a broken one."""
+def _open_photograph(path: Path) -> Iterator[Any]:
+    """Open a photograph. Raises BadInput for other files, and for any error of the decoder."""
     from PIL import Image
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
             yield image
-    except Exception as error:  # whatever a broken file makes of the decoder
+    except Exception as error:  # a decoder may raise anything on a broken file
         raise BadInput(f"cannot be read as {' or '.join(FORMATS)}: {error}", file=str(path)) from None
 
 
 def read_masks(masks: Masks, shape: tuple[int, int], files: Files) -> Bool:
-    """(h, w) where a photograph of `shape` shows warp; elsewhere it shows weft. Raises BadInput."""
+    """Return where (h, w) a photograph of `shape` shows warp; elsewhere it shows weft. Raises BadInput."""
     paths = {name: files.resolve(getattr(masks, name)) for name in ("warp", "weft")}
-    found = {name: read_image(path, shape, of=("photograph's", "pixels")) >= 0.5 for name, path in paths.items()}
-    return share_out(found["warp"], found["weft"], {name: str(path) for name, path in paths.items()})
+    masks_read = {name: read_image(path, shape, of=("photograph's", "pixels")) >= 0.5 for name, path in paths.items()}
+    return assign_rest(masks_read["warp"], masks_read["weft"], {name: str(path) for name, path in paths.items()})
 
 
-def share_out(warp: Bool, weft: Bool, files: dict[str, str]) -> Bool:
-    """(h, w) warp, with what is in neither mask given to the nearer one. Raises BadInput for masks that overlap, or
-    are empty.
+def assign_rest(warp: Bool, weft: Bool, files: dict[str, str]) -> Bool:
+    """Return the warp (h, w); pixels in neither mask join the nearer one. Raises BadInput for masks that overlap or are
+    empty.
     """
     for name, mask in (("warp", warp), ("weft", weft)):
         if not mask.any():
@@ -120,43 +122,43 @@ def share_out(warp: Bool, weft: Bool, files: dict[str, str]) -> Bool:
 
 
 def _grow(warp: Bool, weft: Bool) -> Bool:
-    """Both grow by a pixel at a time, each way, until they meet; where they do so at once it is warp."""
+    """Grow both masks by a pixel at a time until they meet. Pixels that both reach at once are warp."""
     from PIL import Image, ImageFilter
 
     def wider(mask: Bool) -> Bool:
         return np.asarray(Image.fromarray(mask.astype(np.uint8)).filter(ImageFilter.MaxFilter(3))) > 0
 
     while not (warp | weft).all():
-        free = ~(warp | weft)
-        warp, weft = warp | (free & wider(warp)), weft | (free & wider(weft) & ~wider(warp))
+        unassigned = ~(warp | weft)
+        warp, weft = warp | (unassigned & wider(warp)), weft | (unassigned & wider(weft) & ~wider(warp))
     return warp
 
 
 def split_by_colour(colours: Colours, photograph: NDArray[np.uint8]) -> Bool:
-    """(h, w) where warp's colour is nearer than weft's. Raises BadInput where one of them is nowhere."""
+    """Return where (h, w) warp's colour is nearer than weft's. Raises BadInput if one of them is nowhere."""
     from PIL import Image, ImageFilter
 
-    seen = _unshaded(to_linear(photograph / 255.0), colours.lightness)
-    ends = [_unshaded(parse_hex(text), colours.lightness) for text in (colours.warp, colours.weft)]
-    if np.linalg.norm(ends[0] - ends[1]) < NEAR:
+    features = _features(to_linear(photograph / 255.0), colours.lightness)
+    targets = [_features(parse_hex(text), colours.lightness) for text in (colours.warp, colours.weft)]
+    if np.linalg.norm(targets[0] - targets[1]) < NEAR:
         raise BadInput(
             "warp and weft have one colour", field="weft", value=colours.weft, limit=f"{colours.warp} is the warp's",
             remedy="add lightness: 0.3 where one is brighter, or give masks",
         )  # fmt: skip
-    warp, weft = (np.square(seen - end).sum(axis=-1) for end in ends)
-    found = np.asarray(warp < weft)
+    warp, weft = (np.square(features - target).sum(axis=-1) for target in targets)
+    is_warp = np.asarray(warp < weft)
     if colours.clean > 1:
-        image = Image.fromarray(found.astype(np.uint8) * 255)
-        found = np.asarray(image.filter(ImageFilter.MedianFilter(colours.clean))) > 127
-    if found.all() or not found.any():
-        name = "weft" if found.all() else "warp"
+        image = Image.fromarray(is_warp.astype(np.uint8) * 255)
+        is_warp = np.asarray(image.filter(ImageFilter.MedianFilter(colours.clean))) > 127
+    if is_warp.all() or not is_warp.any():
+        name = "weft" if is_warp.all() else "warp"
         remedy = "take the colours of both from the photograph itself"
         raise BadInput(f"the photograph shows no {name}", field=name, value=getattr(colours, name), remedy=remedy)
-    return found
+    return is_warp
 
 
-def _unshaded(linear: Float, lightness: float) -> Float:
-    """(..., 3) what is compared of linear light."""
+def _features(linear: Float, lightness: float) -> Float:
+    """Return the features (..., 3) of linear light that do not change with shade, and scaled lightness."""
     lab = to_oklab(linear)
     level = np.maximum(lab[..., :1], 1e-3)
     return np.concatenate([lightness * level, lab[..., 1:] / level], axis=-1)
@@ -173,14 +175,13 @@ LAB = np.array(
 
 
 def to_oklab(linear: Float) -> Float:
-    """(..., 3) lightness, green to red and blue to yellow of linear light (Ottosson 2020)."""
+    """Return OKLab (..., 3) of linear light: lightness, green to red, blue to yellow (Ottosson 2020)."""
     lab: Float = turn(LAB, np.cbrt(turn(LMS, linear)))
     return lab
 
 
 def find_up(warp: Bool, pixels: int) -> Bool:
-    """(2, ny, nx) which layer is up in cells of `pixels` x `pixels`: warp where at least half of them show it.
-
+    """Return which layer (2, ny, nx) is up in cells of `pixels` x `pixels`: warp if at least half of these show it.
     Pixels at the right and below that fill no cell are left out.
     """
     ny, nx = warp.shape[0] // pixels, warp.shape[1] // pixels

@@ -1,4 +1,4 @@
-"""The cloth of a photograph as a plugin, and the picture that is drawn with its own light."""
+"""The cloth of a photograph as a plugin, and the picture of it with the photograph's light."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nuno_schemas.plugin import Config, Files
 
 
 class WholeTau3Config(Config):
-    """How straight dye's way is from a cell to its neighbour, 0 to 1, in cloth without gaps."""
+    """Tortuosity of the way from a cell to its neighbour, 0 to 1, in cloth without gaps."""
 
     I: Tau = Field(description="to the other layer")  # noqa: E741
     II: Tau = Field(description="in a layer, across the yarn")
@@ -31,25 +31,25 @@ class WholeTau3Config(Config):
 
 
 class PhotographConfig(ClothConfig):
-    """A photograph, and what tells its warp from its weft."""
+    """A photograph, and how to distinguish its warp from its weft."""
 
     file: str = Field(description="the photograph, PNG or JPEG, beside the scene; warp upright")
     masks: Masks | None = Field(default=None, description="where warp shows, and where weft does")
-    colours: Colours | None = Field(default=None, description="in the place of masks: what warp and weft look like")
+    colours: Colours | None = Field(default=None, description="instead of masks: the colours of warp and weft")
     pixels: Annotated[int, Field(ge=1, le=256)] = Field(default=1, description="of the photograph, across a cell")
     weft: FibreConfig = Field(default=FibreConfig(), description="yarns along x")
     warp: FibreConfig = Field(default=FibreConfig(), description="yarns along y")
     tau3: WholeTau3Config = Field(description="by kind of face, I, II and V")
 
     @model_validator(mode="after")
-    def _told_apart(self) -> PhotographConfig:
+    def _require_one_way(self) -> PhotographConfig:
         if (self.masks is None) == (self.colours is None):
-            raise ValueError("warp and weft are told apart in one way; give either masks or colours")
+            raise ValueError("warp and weft are distinguished in one way; give either masks or colours")
         return self
 
 
 class PhotographCloth(Cloth):
-    """Cells from a photograph's pixels."""
+    """A cloth with cells from a photograph's pixels."""
 
     name: ClassVar[str] = "photograph"
     Config: ClassVar[type[BaseModel]] = PhotographConfig
@@ -59,7 +59,7 @@ class PhotographCloth(Cloth):
         return 2 * (height // config.pixels) * (width // config.pixels)
 
     def build(self, config: PhotographConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
-        """Raises BadInput for a photograph, masks or colours that do not fit each other."""
+        """Build the cloth. Raises BadInput for a photograph, masks or colours that do not fit each other."""
         light = read_photograph(files.resolve(config.file))
         if min(light.shape[:2]) < config.pixels:
             limit = f"the photograph has {light.shape[1]} x {light.shape[0]} pixels"
@@ -82,7 +82,7 @@ class PhotographCloth(Cloth):
         return self.undyed(config, cells, files, len(dyes))
 
     def warp(self, config: PhotographConfig, light: NDArray[np.uint8], files: Files) -> NDArray[np.bool_]:
-        """(h, w) where the photograph shows warp."""
+        """Return where (h, w) the photograph shows warp."""
         if config.masks is not None:
             return read_masks(config.masks, light.shape[:2], files)
         assert config.colours is not None
@@ -102,7 +102,7 @@ class PhotographPictureConfig(Config):
 
 
 class PhotographPicture:
-    """Draws dye on the photograph of the cloth: what dye lets through of the light that the cloth gave back.
+    """Draws dye on the photograph of the cloth, by the share of the reflected light that dye transmits.
 
     The dye paper multiplies colours by the photograph's lightness, which `ground` does; without it, undyed cloth
     is the photograph itself.
@@ -120,7 +120,7 @@ class PhotographPicture:
         window: Window,
         scale: int,
     ) -> Drawing:
-        """Raises BadInput for a cloth without a photograph."""
+        """Prepare the drawing. Raises BadInput for a cloth without a photograph."""
         photograph = layers.photograph
         if photograph is None:
             remedy = "picture: {plugin: yarns}; or a cloth of plugin: photograph"
@@ -142,11 +142,11 @@ class PhotographPicture:
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 BRIGHT = 0.98
-"""Share of pixels that are darker than what counts as fully lit."""
+"""Quantile of the pixels' luminance that counts as fully lit."""
 
 
 def cut(photograph: Photograph, ny: int, window: Window, scale: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Light (h, w, 3) and warp (h, w) of a window at `scale` pixels a cell, from a cloth of ny rows of cells."""
+    """Return light (h, w, 3) and warp (h, w) of a window at `scale` pixels a cell, for a cloth of ny rows of cells."""
     from PIL import Image
 
     pixels = photograph.light.shape[0] // ny
@@ -155,5 +155,5 @@ def cut(photograph: Photograph, ny: int, window: Window, scale: int) -> tuple[ND
     smooth = Image.Resampling.BOX if scale <= pixels else Image.Resampling.BICUBIC
     light = np.asarray(Image.fromarray(photograph.light).resize(size, smooth, box))
     mask = Image.fromarray(photograph.warp.astype(np.uint8) * 255)
-    # Half-way between pixels of either layer the border is straight, and not a staircase.
+    # Interpolated between pixels of both layers, the border is smooth and not a staircase.
     return light, np.asarray(mask.resize(size, Image.Resampling.BILINEAR, box)) > 127

@@ -1,4 +1,4 @@
-"""A woven cloth with what keeps dye out of it, and what gives dye to it."""
+"""A woven cloth as a plugin, with its resists and supplies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cloths.cloth import Cloth, Tau3Config
-from nuno_dye.cloths.coarse import Lay
+from nuno_dye.cloths.coarse import Layout
 from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells, lay_evenly, lay_measured
 from nuno_dye.drafts.drawing import draw_draft
 from nuno_dye.drafts.weaves import (
@@ -56,7 +56,7 @@ class WovenClothConfig(WovenConfig):
 
 
 class WovenCloth(Cloth):
-    """Yarns laid out in two layers and woven."""
+    """A cloth of yarns in two layers that are woven."""
 
     name: ClassVar[str] = "woven"
     Config: ClassVar[type[BaseModel]] = WovenClothConfig
@@ -66,11 +66,11 @@ class WovenCloth(Cloth):
         return 2 * nx * ny
 
     def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
-        """Raises BadInput for a weave, resist or ikat that is none, or does not fit the cloth."""
+        """Build the cloth. Raises BadInput for a weave, resist or ikat that is invalid or does not fit the cloth."""
         draft = read_draft(config, files)
         config = fit_draft(config, draft)
-        drawdown, lays = draw_weave(config, draft)
-        cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
+        drawdown, layouts = draw_weave(config, draft)
+        cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, layouts, config.v_max)
         if draft is not None:
             cells = replace(cells, ground=find_ground(draft, cells))
         cells, state = self.undyed(config, cells, files, len(dyes))
@@ -78,31 +78,31 @@ class WovenCloth(Cloth):
         return cells, state
 
     def left_out(self, config: WovenClothConfig, files: Files) -> tuple[str, ...]:
-        """What of the weave the cloth has not, in words: what a file has beyond its yarns, and what cells cut off."""
+        """Describe the parts of the weave that the cloth lacks: a file's surplus lines, and yarns that are cut off."""
         draft = read_draft(config, files)
         config = fit_draft(config, draft)
-        drawdown, lays = draw_weave(config, draft)
+        drawdown, layouts = draw_weave(config, draft)
         (nx, ny), weft, warp = config.extent, config.weft, config.warp
-        laid = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
-        held = [min(int(lay.yarn.max()) + 1, number) for lay, number in zip(laid, drawdown.shape, strict=True)]
-        found = list(draft.left_out) if draft is not None else []
-        if held != list(drawdown.shape):
-            part = f"{held[1]} of {drawdown.shape[1]} ends and {held[0]} of {drawdown.shape[0]} picks"
-            found.append(f"cells: [{nx}, {ny}] hold {part} of the weave; the others are cut off")
-        return tuple(found)
+        used = layouts or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
+        fitting = [min(int(one.yarn.max()) + 1, number) for one, number in zip(used, drawdown.shape, strict=True)]
+        notes = list(draft.left_out) if draft is not None else []
+        if fitting != list(drawdown.shape):
+            part = f"{fitting[1]} of {drawdown.shape[1]} ends and {fitting[0]} of {drawdown.shape[0]} picks"
+            notes.append(f"cells: [{nx}, {ny}] hold {part} of the weave; the others are cut off")
+        return tuple(notes)
 
     def draw_draft(self, path: Path) -> DrawnDraft:
-        """A WIF file as weavers draw it. Raises BadInput for one that does not say how to weave."""
+        """Draw a WIF file as weavers do. Raises BadInput for one that does not define a weave."""
         return draw_draft(read_wif(path))
 
 
 def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:
-    """The draft that the weave is of, None of any other weave. Raises BadInput."""
+    """Return the draft of a WIF weave, None for any other weave. Raises BadInput."""
     return read_wif(files.resolve(config.weave.file)) if isinstance(config.weave, WifConfig) else None
 
 
 def fit_draft(config: WovenClothConfig, draft: Draft | None) -> WovenClothConfig:
-    """With as many cells as a draft's yarns take, where the scene does not say how many. Raises BadInput."""
+    """Return the configuration with enough cells for a draft's yarns, if it has none. Raises BadInput."""
     weave = config.weave
     if config.cells is not None or draft is None or not isinstance(weave, WifConfig):
         return config
@@ -118,19 +118,19 @@ def fit_draft(config: WovenClothConfig, draft: Draft | None) -> WovenClothConfig
 
 
 def find_ground(draft: Draft, cells: Cells) -> tuple[Float, Float] | None:
-    """Colours of the yarns by row of weft and by column of warp; None where the draft has none."""
+    """Return colours of the yarns by row of weft and by column of warp; None if the draft has none."""
     if cells.yarns is None or (draft.weft.colour is None and draft.warp.colour is None):
         return None
 
     def colours(yarns: Yarns, yarn: Int) -> Float:
-        known = np.array([UNDYED]) if yarns.colour is None else yarns.colour
-        return known[yarn % len(known)]
+        palette = np.array([UNDYED]) if yarns.colour is None else yarns.colour
+        return palette[yarn % len(palette)]
 
     return colours(draft.weft, cells.yarns[0]), colours(draft.warp, cells.yarns[1])
 
 
-def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tuple[Lay, Lay] | None]:
-    """Drawdown (picks, ends), and lays of weft and warp where a file has measured them. Raises BadInput."""
+def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tuple[Layout, Layout] | None]:
+    """Return the drawdown (picks, ends), and layouts of weft and warp if a file measures them. Raises BadInput."""
     weave = config.weave
     if isinstance(weave, WifConfig) and draft is not None:
         return draft.drawdown, lay_draft(draft, weave.file, config) if weave.measured else None
@@ -141,7 +141,7 @@ def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tup
 
 
 def _draw_named(weave: Weave) -> Bool:
-    """Drawdown (picks, ends) of a weave that the scene describes. Raises BadInput with the weave's field."""
+    """Return the drawdown (picks, ends) of a weave that the scene defines. Raises BadInput with the weave's field."""
     if isinstance(weave, TwillConfig):
         return draw_twill(weave.over, weave.under, weave.direction)
     if isinstance(weave, SatinConfig):
@@ -151,13 +151,12 @@ def _draw_named(weave: Weave) -> Bool:
     return draw_plain()
 
 
-def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
-    """Lays of weft and warp as measured. Raises BadInput for a file without spacing, and yarns finer than a cell.
-
-    A file without thickness has yarns that touch.
+def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Layout, Layout]:
+    """Return layouts of weft and warp as measured. Raises BadInput for a file without spacing, and yarns finer than a
+    cell. Yarns of a file without thickness touch.
     """
 
-    def lay(what: str, yarns: Yarns, cells: int) -> Lay:
+    def lay(what: str, yarns: Yarns, cells: int) -> Layout:
         unused = sorted(getattr(config, what.lower()).model_fields_set & {"width", "gap"})
         if unused:
             raise BadInput(
@@ -177,7 +176,7 @@ def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
 
 
 def require_spacing(what: str, yarns: Yarns, file: str) -> Float:
-    """(n,) from yarn to yarn [m]. Raises BadInput for a file that does not say."""
+    """Return the spacing (n,) of yarns [m]. Raises BadInput for a file without spacing."""
     if yarns.spacing is None:
         raise BadInput(
             "the file does not say how far its yarns are apart", file=file, field=f"[{what}] Spacing",

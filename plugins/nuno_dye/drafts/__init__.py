@@ -1,1 +1,1 @@
-"""How yarns cross: weaves, and drafts from Weaving Information Files."""
+"""Weaves, and drafts from Weaving Information Files."""

@@ -1,6 +1,6 @@
 """The text of a Weaving Information File: sections of key=value lines, and their values.
 
-Names are case-insensitive, `;` starts a comment, except in text. Of a key written twice the last one counts.
+Names are case-insensitive, `;` starts a comment, except in text. The last of duplicate keys counts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TRUE, _FALSE = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
 
 @dataclass(frozen=True)
 class Entry:
-    """One line key=value, and where it stands."""
+    """One line key=value, and its place."""
 
     file: str
     line: int
@@ -33,7 +33,7 @@ class Entry:
     text: str
 
     def refuse(self, problem: str, limit: str, remedy: str | None = None) -> NoReturn:
-        """Raises BadInput with file, line, section, key and value."""
+        """Raise BadInput with file, line, section, key and value."""
         raise BadInput(
             problem, file=self.file, line=self.line, field=f"[{self.section}] {self.key}", value=self.text,
             limit=limit, remedy=remedy,
@@ -45,11 +45,11 @@ class Entry:
         return self.text.split(";", 1)[0].strip()
 
     def whole(self, low: int, high: int, what: str) -> int:
-        """One whole number. Raises BadInput for anything else and beyond the limits."""
+        """Return a whole number. Raises BadInput for anything else and beyond the limits."""
         return self._whole(self.bare, low, high, what)
 
     def wholes(self, low: int, high: int, what: str) -> list[int]:
-        """Whole numbers between commas, none for an empty value. Raises BadInput likewise."""
+        """Return whole numbers between commas, [] for an empty value. Raises BadInput likewise."""
         return [self._whole(part.strip(), low, high, what) for part in self.bare.split(",") if part.strip()]
 
     def _whole(self, text: str, low: int, high: int, what: str) -> int:
@@ -58,7 +58,7 @@ class Entry:
         return int(text)
 
     def real(self, what: str) -> float:
-        """A number not below 0; some programs write a decimal comma. Raises BadInput for anything else."""
+        """Return a number not below 0; some programs write a decimal comma. Raises BadInput for anything else."""
         text = self.bare
         if not _REAL.fullmatch(text) or not any(map(str.isdigit, text)) or text[0] in "eE":
             self.refuse(f"not {what}", "a number not below 0")
@@ -68,7 +68,7 @@ class Entry:
         return value
 
     def truth(self) -> bool:
-        """Raises BadInput for what is neither true nor false."""
+        """Return true or false. Raises BadInput for any other value."""
         text = self.bare.lower()
         if text not in _TRUE | _FALSE:
             self.refuse("neither true nor false", "true, on, yes, 1, false, off, no or 0")
@@ -85,12 +85,12 @@ class Section:
     entries: dict[str, Entry] = field(default_factory=dict)
 
     def get(self, key: str) -> Entry | None:
-        """The entry of a key, None where it is missing or empty."""
+        """Return the entry of a key, None if it is missing or empty."""
         entry = self.entries.get(key)
         return entry if entry is not None and entry.bare else None
 
     def need(self, key: str) -> Entry:
-        """Raises BadInput where the key is missing or empty."""
+        """Return the entry of a key. Raises BadInput if it is missing or empty."""
         entry = self.get(key)
         if entry is None:
             raise BadInput(
@@ -100,12 +100,12 @@ class Section:
         return entry
 
     def beyond(self, most: int) -> list[int]:
-        """Keys that are numbers above `most`."""
+        """Return keys that are numbers above `most`."""
         return sorted(int(key) for key in self.entries if _WHOLE.fullmatch(key) and int(key) > most)
 
     def numbered(self, most: int, what: str, beyond: bool = False) -> Iterator[tuple[int, Entry]]:
-        """Entries whose keys are numbers from 1 to `most`. Raises BadInput for any other key; those `beyond` are passed
-        over where that is allowed.
+        """Yield entries with keys from 1 to `most`. Raises BadInput for any other key, unless numbers `beyond` may be
+        skipped.
         """
         for entry in self.entries.values():
             if beyond and _WHOLE.fullmatch(entry.key) and int(entry.key) > most:
@@ -119,16 +119,16 @@ class Sections:
     """All sections of a file."""
 
     def __init__(self, path: Path) -> None:
-        """Raises BadInput for a file that is empty, too large, or has no section [WIF]."""
+        """Read a file. Raises BadInput if it is empty, too large, or has no section [WIF]."""
         self.file = str(path)
         size = path.stat().st_size
         if not 0 < size <= LARGEST_FILE:
             raise BadInput(
                 "empty or too large for a WIF", file=self.file, value=size, limit=f"1 to {LARGEST_FILE} bytes"
             )
-        self.found: dict[str, Section] = {}
+        self.sections: dict[str, Section] = {}
         self._parse(decode(path.read_bytes()))
-        if "WIF" not in self.found:
+        if "WIF" not in self.sections:
             raise BadInput("no section [WIF]: not a Weaving Information File", file=self.file)
 
     def _parse(self, text: str) -> None:
@@ -136,19 +136,19 @@ class Sections:
         for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
             header = _HEADER.match(line)
             if header:
-                name = _tidy(header[1])
-                section = self.found.setdefault(name, Section(self.file, name, number))
+                name = _normalise(header[1])
+                section = self.sections.setdefault(name, Section(self.file, name, number))
             elif section is not None and "=" in line and not line.lstrip().startswith(";"):
                 key, value = line.split("=", 1)
-                key = _tidy(key)
+                key = _normalise(key)
                 section.entries[key] = Entry(self.file, number, section.name, key, value.strip())
 
     def get(self, name: str) -> Section:
-        """A section, without entries where the file has none of that name."""
-        return self.found.get(name) or Section(self.file, name)
+        """Return a section, without entries if the file has no section of that name."""
+        return self.sections.get(name) or Section(self.file, name)
 
     def need(self, name: str, why: str) -> Section:
-        """Raises BadInput for a section that is missing or empty."""
+        """Return a section. Raises BadInput if it is missing or empty."""
         section = self.get(name)
         if not section.entries:
             raise BadInput(
@@ -159,16 +159,16 @@ class Sections:
 
 
 def listed(numbers: Sequence[int]) -> str:
-    """The first few of them."""
+    """Return the first few numbers as text."""
     return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
 
 
-def _tidy(name: str) -> str:
+def _normalise(name: str) -> str:
     return " ".join(name.upper().split())
 
 
 def decode(data: bytes) -> str:
-    """Text of UTF-8, of UTF-16 with its mark, else of Latin-1, which takes any byte."""
+    """Decode UTF-8, UTF-16 with its mark, or else Latin-1, which accepts any byte."""
     for mark in (b"\xff\xfe", b"\xfe\xff"):
         if data.startswith(mark):
             return data.decode("utf-16", errors="replace")

@@ -1,4 +1,4 @@
-"""Weaves as drawdowns: which yarn lies above where.
+"""Weaves as drawdowns, which give the upper yarn at each crossing.
 
 A drawdown is (picks, ends) bool: rows are weft picks, columns warp ends, True where the warp is above. It is one
 repeat; row 0 is at the top of a picture, column 0 at its left.
@@ -18,7 +18,7 @@ from nuno_schemas.fabric import Bool
 from nuno_schemas.plugin import Config
 
 MOST_YARNS = 16_384
-"""Most yarns of a repeat, in either direction."""
+"""The most yarns of a repeat, in either direction."""
 MOST_CROSSINGS = 2**24
 
 Floats = Annotated[int, Field(ge=1, le=256)]
@@ -26,12 +26,13 @@ SatinEnds = Annotated[int, Field(ge=5, le=1024)]
 
 
 def draw_plain() -> Bool:
-    """(2, 2): every yarn goes over one and under one."""
+    """Return a plain weave (2, 2): every yarn goes over one and under one."""
     return np.array([[True, False], [False, True]])
 
 
 def draw_twill(over: int, under: int, direction: Literal["right", "left"] = "right") -> Bool:
-    """(n, n), n = over + under: each end is above `over` picks and below `under`, its neighbour one pick on.
+    """Return a twill (n, n), n = over + under: each end is above `over` picks and below `under`, one pick later than
+    its neighbour.
 
     The diagonal climbs to the right (Z) or to the left (S) of a picture.
     """
@@ -41,15 +42,13 @@ def draw_twill(over: int, under: int, direction: Literal["right", "left"] = "rig
 
 
 def find_satin_steps(n: int) -> tuple[int, ...]:
-    """Steps that make a regular satin on n ends: coprime to n, and neither 1 nor n - 1, which make a twill."""
+    """Return steps of regular satins on n ends: coprime to n, and neither 1 nor n - 1, which make a twill."""
     return tuple(step for step in range(2, n - 1) if math.gcd(step, n) == 1)
 
 
 def draw_satin(n: int, step: int, face: Literal["warp", "weft"] = "warp") -> Bool:
-    """(n, n): on each pick one end is bound, `step` ends on from the pick before.
-
-    Between bindings the warp is above (satin), or the weft (sateen). Raises BadInput for a step that binds some
-    ends never, or lines the bindings up.
+    """Return a satin (n, n): each pick binds one end, `step` ends after that of the previous pick. Elsewhere the warp
+    is above (satin), or the weft (sateen). Raises BadInput for a step that leaves ends unbound, or aligns the bindings.
     """
     steps = find_satin_steps(n)
     if step not in steps:
@@ -65,10 +64,10 @@ def draw_satin(n: int, step: int, face: Literal["warp", "weft"] = "warp") -> Boo
 
 
 def read_matrix(rows: Sequence[Sequence[object]]) -> Bool:
-    """(picks, ends) from rows such as "1010" or [1, 0, 1, 0].
+    """Return a drawdown (picks, ends) from rows such as "1010" or [1, 0, 1, 0].
 
-    Raises BadInput for rows of different lengths, entries other than 0 and 1, sizes beyond the limits, and a
-    matrix in which no yarn crosses another: its layers would lie loose.
+    Raises BadInput for rows of different lengths, entries other than 0 and 1, sizes beyond the limits, and a matrix in
+    which no yarn crosses another, so that its layers would be loose.
     """
     _check_size(len(rows), len(rows[0]) if len(rows) else 0)
     for pick, row in enumerate(rows):
@@ -89,7 +88,7 @@ def read_matrix(rows: Sequence[Sequence[object]]) -> Bool:
 
 
 def check_interlacing(drawdown: Bool, file: str | None = None) -> None:
-    """Raises BadInput where one layer is above the other everywhere."""
+    """Raise BadInput if one layer is above the other everywhere."""
     if drawdown.all() or not drawdown.any():
         raise BadInput(
             "the warp is above the weft everywhere" if drawdown.all() else "the weft is above the warp everywhere",

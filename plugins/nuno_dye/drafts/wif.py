@@ -1,8 +1,8 @@
 """Drafts from Weaving Information Files (WIF 1.1, Nielsen et al. 1997), as weaving programs write them.
 
-A threading says on which shafts each warp end hangs. Which shafts move at a pick is said by a treadling and a
-tie-up, or by a lift plan; where a file has all three the first two count. Sections may be sparse: an end or a pick
-that is not listed takes its section's default, no shaft, no treadle.
+A threading gives the shafts of each warp end. The shafts that move at a pick follow from a treadling and a tie-up, or
+from a lift plan; if a file has all three the first two count. Sections may be sparse: an end or a pick that is not
+listed has its section's default, no shaft or no treadle.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool
 
 MOST_LIFTS = 2**28
-"""Most lifts of single ends or shafts, over all picks: threading with several shafts an end multiplies the work."""
+"""The most lifts of single ends or shafts, over all picks: several shafts per end multiply the work."""
 
 
 @dataclass(frozen=True)
 class Loom:
-    """How a loom is set up.
+    """The set-up of a loom.
 
-    threading  (ends, shafts) bool      on which shafts an end hangs
+    threading  (ends, shafts) bool      shafts of each end
     pressed    (picks, treadles) bool   treadles that are pressed; without a tie-up (picks, shafts), those that move
-    tie_up     (treadles, shafts) bool  which shafts a treadle moves; None of a lift plan
+    tie_up     (treadles, shafts) bool  shafts that each treadle moves; None for a lift plan
     """
 
     threading: Bool
@@ -38,16 +38,16 @@ class Loom:
 
     @property
     def moved(self) -> Bool:
-        """(picks, shafts) the shafts that move at each pick."""
+        """Shafts that move at each pick (picks, shafts)."""
         if self.tie_up is None:
             return self.pressed
         pick, treadle = np.nonzero(self.pressed)
-        return _join(self.tie_up[treadle], pick, len(self.pressed))
+        return _combine(self.tie_up[treadle], pick, len(self.pressed))
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above; lines left out, in words."""
+    """A weave with its yarns: drawdown (picks, ends) bool, True where the warp is above; ignored lines, in words."""
 
     drawdown: Bool
     warp: Yarns
@@ -57,7 +57,7 @@ class Draft:
 
 
 def read_wif(path: Path) -> Draft:
-    """Raises BadInput, with line, section and key, for a file that does not say how to weave."""
+    """Read a draft. Raises BadInput, with line, section and key, for a file that does not define a weave."""
     sections = Sections(path)
     ends, picks = count_yarns(sections)
     weaving = sections.need("WEAVING", "says how many shafts there are")
@@ -79,7 +79,7 @@ def read_wif(path: Path) -> Draft:
 
 
 def find_left_out(sections: Sections, ends: int, picks: int, loom: Loom) -> tuple[str, ...]:
-    """Lines on yarns and treadles beyond those that there are, which nothing is woven with."""
+    """Describe lines on yarns and treadles beyond the stated numbers, which the weave does not use."""
     found = [(f"{name} {kind}", number, yarn) for name, number, yarn in (("WARP", ends, "end"), ("WEFT", picks, "pick"))
              for kind in ("COLORS", "SPACING", "THICKNESS")]  # fmt: skip
     found += [("TIEUP", len(loom.tie_up), "treadle")] if loom.tie_up is not None else []
@@ -90,7 +90,7 @@ def find_left_out(sections: Sections, ends: int, picks: int, loom: Loom) -> tupl
 
 
 def count_yarns(sections: Sections) -> tuple[int, int]:
-    """Numbers of ends and picks. Raises BadInput for more than a drawdown can have, before anything is allocated."""
+    """Return the numbers of ends and picks. Raises BadInput for more than a drawdown can have, before allocation."""
     ends, picks = (sections.need(name, "says how many yarns there are").need("THREADS") for name in ("WARP", "WEFT"))
     number = ends.whole(1, MOST_YARNS, "a number of yarns")
     most = min(MOST_YARNS, MOST_CROSSINGS // number)
@@ -98,7 +98,7 @@ def count_yarns(sections: Sections) -> tuple[int, int]:
 
 
 def read_lifts(sections: Sections, picks: int, shafts: int) -> tuple[Bool, Bool | None]:
-    """What is pressed at each pick, and the tie-up; see `Loom`."""
+    """Return `pressed` and `tie_up` of a Loom."""
     if not (sections.get("TREADLING").entries and sections.get("TIEUP").entries):
         why = "a lift plan, or a treadling and a tie-up, say which shafts move"
         if not sections.get("LIFTPLAN").entries:
@@ -113,7 +113,7 @@ def read_lifts(sections: Sections, picks: int, shafts: int) -> tuple[Bool, Bool 
 
 
 def count_treadles(sections: Sections, most: int) -> int:
-    """Treadles as the file states, or as many as are tied up if it does not. Raises BadInput for more than `most`."""
+    """Return the stated number of treadles, or else that of tied ones. Raises BadInput for more than `most`."""
     stated = sections.get("WEAVING").get("TREADLES")
     number = stated.whole(0, MOST_YARNS, "a number of treadles") if stated else 0
     number = number or max((key for key, _ in sections.get("TIEUP").numbered(MOST_YARNS, "treadle")), default=0)
@@ -125,8 +125,8 @@ def count_treadles(sections: Sections, most: int) -> int:
     return number
 
 
-def _join(rows: Bool, place: NDArray[np.intp], number: int) -> Bool:
-    """(number, m) rows (k, m) put together by `or` at places (k,), which do not fall."""
+def _combine(rows: Bool, place: NDArray[np.intp], number: int) -> Bool:
+    """Return rows (k, m) combined by `or` at ascending places (k,), as (number, m)."""
     out = np.zeros((number, rows.shape[1]), np.bool_)
     if len(place):
         starts = np.flatnonzero(np.diff(place, prepend=-1))
@@ -135,16 +135,15 @@ def _join(rows: Bool, place: NDArray[np.intp], number: int) -> Bool:
 
 
 def weave(threading: Bool, lifts: Bool) -> Bool:
-    """(picks, ends) True where an end's shafts, or one of them, are up."""
+    """Return the drawdown (picks, ends), True where any of an end's shafts is up."""
     end, shaft = np.nonzero(threading)
-    return np.ascontiguousarray(_join(np.ascontiguousarray(lifts.T)[shaft], end, len(threading)).T)
+    return np.ascontiguousarray(_combine(np.ascontiguousarray(lifts.T)[shaft], end, len(threading)).T)
 
 
 def _read_table(section: Section, rows: int, columns: int, what: str, entry: str, sparse: bool = False) -> Bool:
-    """(rows, columns) the numbers listed for each key; 0 is none.
-
-    Raises BadInput for numbers beyond, and, where the table is not sparse, for keys beyond and where the last keys are
-    missing: then the counts do not agree.
+    """Return a table (rows, columns) of the numbers listed for each key, where 0 is no number. Raises BadInput for
+    numbers out of range, and, unless the table is sparse, for keys out of range and missing last keys, which contradict
+    the stated count.
     """
     table = np.zeros((rows, columns + 1), np.bool_)
     last = 0

@@ -20,12 +20,12 @@ UNDYED = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Yarns:
-    """The yarns of one direction, each None where the file does not say.
+    """The yarns of one direction; arrays are None if the file lacks them.
 
     colour     (n, 3)  sRGB in [0, 1]
     spacing    (n,)    from the middle of a yarn's gap to the next one [m]
     thickness  (n,)    [m]
-    colourless         whether it numbers colours that it has not
+    colourless         whether it refers to colours that it does not define
     """
 
     colour: Float | None
@@ -35,7 +35,7 @@ class Yarns:
 
 
 def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
-    """Colours, spacing and thickness of WARP or WEFT."""
+    """Read colours, spacing and thickness of WARP or WEFT."""
     section = sections.get(name)
     units = section.get("UNITS")
     unit = UNITS.get(units.bare.lower()) if units else None
@@ -47,12 +47,12 @@ def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
     )
     colour = _read_colours(sections, section, number)
     listed = [line for _, line in sections.get(f"{section.name} COLORS").numbered(number, "yarn", beyond=True)]
-    named = [line for line in (section.get("COLOR"), *listed) if line and any(line.wholes(0, 10**9, "a colour"))]
-    return Yarns(colour, spacing, thickness, bool(named) and colour is None)
+    coloured = [line for line in (section.get("COLOR"), *listed) if line and any(line.wholes(0, 10**9, "a colour"))]
+    return Yarns(colour, spacing, thickness, bool(coloured) and colour is None)
 
 
 def _read_lengths(section: Section, listed: Section, what: str, unit: float, number: int) -> Float | None:
-    """(number,) lengths [m]; 0 says nothing. None where some yarn has none."""
+    """Return lengths (number,) [m], where 0 is unknown, or None if a yarn has none."""
     default = section.get(what)
     values = np.full(number, default.real(f"a {what.lower()}") if default else 0.0)
     for key, line in listed.numbered(number, "yarn", beyond=True):
@@ -61,28 +61,28 @@ def _read_lengths(section: Section, listed: Section, what: str, unit: float, num
 
 
 def _read_colours(sections: Sections, section: Section, number: int) -> Float | None:
-    """(number, 3) sRGB in [0, 1]; None without a colour table and colours of their own."""
+    """Return sRGB (number, 3) in [0, 1], or None without a colour table and written-out colours."""
     palette = Palette(sections)
     default = section.get("COLOR")
     listed = sections.get(f"{section.name} COLORS")
-    found = palette.find(default) if default else None
-    colours = np.tile(np.array(found or UNDYED), (number, 1))
-    known = found is not None
+    default_colour = palette.find(default) if default else None
+    colours = np.tile(np.array(default_colour or UNDYED), (number, 1))
+    any_known = default_colour is not None
     for key, line in listed.numbered(number, "yarn", beyond=True):
-        own = palette.find(line)
-        if own is not None:
-            colours[key - 1], known = own, True
-    return colours if known or palette.table else None
+        colour = palette.find(line)
+        if colour is not None:
+            colours[key - 1], any_known = colour, True
+    return colours if any_known or palette.table else None
 
 
 Colour = tuple[float, ...]
 
 
 class Palette:
-    """A file's colours by number, scaled from its range (0 to 255 where it states none) to [0, 1]."""
+    """A file's colours by number, scaled from its range (0 to 255 by default) to [0, 1]."""
 
     def __init__(self, sections: Sections) -> None:
-        """Raises BadInput for a range without extent and colours outside of it."""
+        """Read the table. Raises BadInput for an empty range and colours outside of it."""
         stated = sections.get("COLOR PALETTE").get("RANGE")
         limits = stated.wholes(0, 10**9, "a range of colours") if stated else [0, 255]
         bounds = [0, *limits] if len(limits) == 1 else limits
@@ -93,7 +93,7 @@ class Palette:
         self.table = {key: self._scale(line, 0) for key, line in table.numbered(10**9, "colour") if line.bare}
 
     def find(self, line: Entry) -> Colour | None:
-        """The colour that a line names by its number, or writes out after it; 0 is none. Raises BadInput."""
+        """Return the colour that a line refers to by number, or writes out after it; None for 0. Raises BadInput."""
         numbers = line.wholes(0, 10**9, "a colour")
         if not numbers or (numbers[0] == 0 and len(numbers) == 1):
             return None

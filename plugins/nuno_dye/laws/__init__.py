@@ -1,3 +1,3 @@
-"""The physics of a cell and of a face between two: isotherms, adsorption, diffusivity, with the powers and logarithms
-that they take.
+"""The physics of cells and of the faces between them: isotherms, adsorption, diffusivity, and the powers and logarithms
+in them.
 """

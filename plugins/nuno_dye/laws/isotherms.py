@@ -1,4 +1,4 @@
-"""Isotherms: how much dye fibre fixes at most at the mobile amount phi (dye paper, equations 5 to 8)."""
+"""Isotherms: the limit of fixed dye at the mobile amount phi (dye paper, equations 5 to 8)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nuno_schemas.dye import Isotherm
 from nuno_schemas.plugin import Config
 
 MOST = 1e12
-"""Largest coefficient that is taken: amounts are fractions, so that a larger one says nothing more."""
+"""Largest coefficient: amounts are fractions, so that a larger one has the same effect."""
 
 
 class PartitionConfig(Config):
@@ -29,7 +29,7 @@ class FreundlichConfig(Config):
 class LangmuirConfig(Config):
     """A_d = V_d K phi / (1 + K phi)."""
 
-    K: float = Field(ge=0, le=MOST, description="K_L: half of the fibre's room is taken where phi is 1 / K")
+    K: float = Field(ge=0, le=MOST, description="K_L: fibre is filled by half where phi is 1 / K")
 
 
 class Partition:

@@ -5,9 +5,9 @@
     x^b = 2^n 2^r,  n + r = b log2 x with n whole and |r| <= 1/2
     ln x = e ln 2 + 2 (s + s^3 / 3 + s^5 / 5 + ...)
 
-b log2 x is carried as a sum of two numbers, since an error d in it is an error d ln 2 of the power, relative. The
-series of logarithms is cut where a term is below 1e-18 of the sum (|s| <= 0.1716), that of 2^r below 5e-18 of 1. LLVM's
-own power calls the scalar one eight times, which takes about ten times as long.
+b log2 x is a sum of two numbers, since an error d in it is a relative error d ln 2 of the power. The series of
+logarithms ends where a term is below 1e-18 of the sum (|s| <= 0.1716), that of 2^r below 5e-18 of 1. Rejected: LLVM's
+power, which calls the scalar one eight times and takes about ten times as long.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from nuno_kernels.lanes.choose import where_greater
 from nuno_kernels.lanes.simd import LANES, WIDTH, fused, instruction, splat, spread, vector
 
 SMALLEST = 2.0**-1022
-"""The least number with all of its digits; powers of lesser ones are taken as 0."""
+"""The least normal number; powers of smaller ones are 0."""
 _LESSER = SMALLEST - 2.0**-1074
 _WHOLE = 1.5 * 2.0**52
-"""A number of this size has whole numbers in the last bits of its own."""
+"""The last bit of a number of this size is 1."""
 _WHOLE_BITS = 0x4338000000000000
 _HALF_ROOT_BITS = 0x3FE6A09E667F3BCD
 """Bits of sqrt(1/2) as a float64."""
 _BITS = ir.VectorType(ir.IntType(64), WIDTH)
 LOG2_E2 = 2.0 / math.log(2.0)
 LOG2_E2_REST = 4.0710547481862066e-17
-"""What LOG2_E2 lacks of 2 / ln 2."""
+"""2 / ln 2 less LOG2_E2."""
 LN2 = math.log(2.0)
 LN2_HIGH = 0.6931471805598903
-"""The first 42 bits of ln 2: a whole number of less than 2^11 times it is exact."""
+"""The first 42 bits of ln 2, whose product with a whole number below 2^11 is exact."""
 LN2_LOW = 5.497923018708371e-14
-"""What LN2_HIGH lacks of ln 2."""
+"""ln 2 less LN2_HIGH."""
 
 
-def _each(number: int) -> Any:
+def _constant(number: int) -> Any:
     return ir.Constant(_BITS, [number] * WIDTH)
 
 
 @instruction
 def exponent(typing: Any, value: Any) -> Any:
-    """The whole number e with value / 2^e in [sqrt(1/2), sqrt(2)), of positive normal numbers."""
+    """Return the whole number e with value / 2^e in [sqrt(1/2), sqrt(2)), for positive normal numbers."""
     if value != vector:
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.sub(builder.bitcast(args[0], _BITS), _each(_HALF_ROOT_BITS))
-        whole = builder.add(builder.ashr(bits, _each(52)), _each(_WHOLE_BITS))
+        bits = builder.sub(builder.bitcast(args[0], _BITS), _constant(_HALF_ROOT_BITS))
+        whole = builder.add(builder.ashr(bits, _constant(52)), _constant(_WHOLE_BITS))
         return builder.fsub(builder.bitcast(whole, LANES), ir.Constant(LANES, [_WHOLE] * WIDTH))
 
     return vector(vector), build
@@ -60,7 +60,7 @@ def exponent(typing: Any, value: Any) -> Any:
 
 @instruction
 def nearest_whole(typing: Any, value: Any) -> Any:
-    """Every lane rounded to a whole number, of less than 2^51."""
+    """Return every lane, below 2^51, rounded to a whole number."""
     if value != vector:
         return None
 
@@ -73,13 +73,13 @@ def nearest_whole(typing: Any, value: Any) -> Any:
 
 @instruction
 def shift_exponent(typing: Any, value: Any, by: Any) -> Any:
-    """Numbers value 2^by for whole numbers `by`, exact as long as the result is normal."""
+    """Return value 2^by for whole numbers `by`, exact if the result is normal."""
     if value != vector or by != vector:
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         whole = builder.fadd(args[1], spread(builder, ir.Constant(ir.DoubleType(), _WHOLE)))
-        shift = builder.shl(builder.bitcast(whole, _BITS), _each(52))
+        shift = builder.shl(builder.bitcast(whole, _BITS), _constant(52))
         return builder.bitcast(builder.add(builder.bitcast(args[0], _BITS), shift), LANES)
 
     return vector(vector, vector), build
@@ -87,34 +87,34 @@ def shift_exponent(typing: Any, value: Any, by: Any) -> Any:
 
 @kernel
 def series_log(z: Any) -> Any:
-    """1/3 + z/5 + z^2/7 + ... + z^9/21."""
-    found = splat(1.0 / 21.0)
+    """Return 1/3 + z/5 + z^2/7 + ... + z^9/21."""
+    total = splat(1.0 / 21.0)
     for odd in (19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0):
-        found = fused(found, z, splat(1.0 / odd))
-    return found
+        total = fused(total, z, splat(1.0 / odd))
+    return total
 
 
 @kernel
 def series_exp(u: Any) -> Any:
-    """1 + u + u^2/2! + ... + u^13/13!."""
-    found = splat(1.0 / 6227020800.0)
+    """Return 1 + u + u^2/2! + ... + u^13/13!."""
+    total = splat(1.0 / 6227020800.0)
     for factorial in (
         479001600.0, 39916800.0, 3628800.0, 362880.0, 40320.0, 5040.0, 720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0,
     ):  # fmt: skip
-        found = fused(found, u, splat(1.0 / factorial))
-    return found
+        total = fused(total, u, splat(1.0 / factorial))
+    return total
 
 
 @kernel
 def power(base: Any, b: float) -> Any:
-    """Power base^b of every lane, 0 < b <= 1, within 2 ulp; base itself for b = 1, 0 where base is below SMALLEST."""
+    """Return base^b of every lane, 0 < b <= 1, within 2 ulp; base itself for b = 1, 0 if base is below SMALLEST."""
     if b == 1.0:
         return base
     e = exponent(base)
     m = shift_exponent(base, splat(0.0) - e)
     f, d = m - 1.0, m + 1.0
     s = f / d
-    # What s lacks of (m - 1) / (m + 1): the rounding of d and of the quotient.
+    # (m - 1) / (m + 1) less s: the rounding of d and of the quotient.
     s_rest = (fused(splat(0.0) - s, d, f) - s * (m - (d - 1.0))) / d
     z = s * s
     high = s * LOG2_E2
@@ -126,14 +126,14 @@ def power(base: Any, b: float) -> Any:
     y = log * b
     y_rest = fused(log, splat(b), splat(0.0) - y) + low * b
     n = nearest_whole(y)
-    found = shift_exponent(series_exp(((y - n) + y_rest) * LN2), n)
-    # Not a number stays so: bits alone would make one of it.
-    return where_greater(base, splat(_LESSER), found + (base - base))
+    result = shift_exponent(series_exp(((y - n) + y_rest) * LN2), n)
+    # Keep NaN, which the bits alone would turn into a number.
+    return where_greater(base, splat(_LESSER), result + (base - base))
 
 
 @kernel
 def log(value: Any) -> Any:
-    """Natural logarithm of every lane within 2 ulp, of positive normal numbers."""
+    """Return the natural logarithm of every lane within 2 ulp, for positive normal numbers."""
     e = exponent(value)
     m = shift_exponent(value, splat(0.0) - e)
     s = (m - 1.0) / (m + 1.0)

@@ -1,8 +1,8 @@
-"""From amounts of dye to a picture of the cloth.
+"""The colour of cloth from its amounts of dye.
 
-One dye's colour goes linearly in HSV, through three colours measured on dyed cloth: undyed, half and full (dye
-paper, section 4.3.1). Several dyes mix subtractively: each lets through a share of the light, per channel of linear
-sRGB, that is its colour at its amount over its colour at none, and shares multiply,
+One dye's colour is interpolated linearly in HSV between three colours measured on dyed cloth: undyed, half and full
+(dye paper, section 4.3.1). Several dyes mix subtractively: each transmits a share of the light, per channel of linear
+sRGB, that is its colour at its amount over its colour without dye, and shares multiply,
 
     light = ground  product over dyes of  colour_k(a_k) / colour_k(0),
 
@@ -24,9 +24,8 @@ from nuno_schemas.look import DyeColour
 
 
 def colour_of(amount: Float, colours: DyeColour, v_max: float = 1.0) -> Float:
-    """(..., 3) linear light of amounts (...), interpolated in HSV, the short way around the circle of hues.
-
-    A grey has no hue: it takes its neighbour's, so that colour fades without passing through others.
+    """Return the linear light (..., 3) of amounts (...), interpolated in HSV, the short way around the circle of hues.
+    A grey has no hue and gets its neighbour's, so that colour fades without passing through others.
     """
     knots = np.array([_to_hsv(text) for text in (colours.light, colours.mid, colours.dark)])
     grey = knots[:, 1] == 0.0
@@ -42,18 +41,18 @@ def colour_of(amount: Float, colours: DyeColour, v_max: float = 1.0) -> Float:
 
 
 def mix(amounts: Float, dyes: Sequence[DyeColour], v_max: float = 1.0, ground: Float | None = None) -> Float:
-    """(2, ny, nx, 3) linear light of cells with amounts (dyes, 2, ny, nx).
+    """Return the linear light (2, ny, nx, 3) of cells with amounts (dyes, 2, ny, nx).
 
     `ground` is the undyed cloth's linear light, (3,) or for every cell; the first dye's `light` unless given.
     """
     if len(amounts) != len(dyes):
         raise BadInput("one colour a dye", field="colours", value=len(dyes), limit=f"{len(amounts)} dyes")
-    first = to_linear(_to_rgb(dyes[0].light)) if ground is None else ground
-    light = np.broadcast_to(first, (*amounts.shape[1:], 3)).copy()
+    base = to_linear(_to_rgb(dyes[0].light)) if ground is None else ground
+    light = np.broadcast_to(base, (*amounts.shape[1:], 3)).copy()
     for amount, dye in zip(amounts, dyes, strict=True):
-        none = to_linear(_to_rgb(dye.light))
-        # Where undyed cloth is black in a channel, dye takes nothing from it.
-        light *= np.divide(colour_of(amount, dye, v_max), none, out=np.ones_like(light), where=none > 0.0)
+        undyed = to_linear(_to_rgb(dye.light))
+        # In a channel where undyed cloth is black, dye changes nothing.
+        light *= np.divide(colour_of(amount, dye, v_max), undyed, out=np.ones_like(light), where=undyed > 0.0)
     return np.minimum(light, 1.0)
 
 
@@ -67,7 +66,7 @@ def _to_hsv(text: str) -> tuple[float, float, float]:
 
 
 def _from_hsv(h: Float, s: Float, v: Float) -> Float:
-    """(..., 3) sRGB: a channel is v, less v s by how far the hue is from its third of the circle."""
+    """Return sRGB (..., 3): a channel is v less v s times the hue's distance from its third of the circle."""
     place = (np.array([5.0, 3.0, 1.0]) + 6.0 * h[..., None]) % 6.0
-    away = np.clip(np.minimum(place, 4.0 - place), 0.0, 1.0)
-    return np.asarray(v[..., None] * (1.0 - s[..., None] * away))
+    distance = np.clip(np.minimum(place, 4.0 - place), 0.0, 1.0)
+    return np.asarray(v[..., None] * (1.0 - s[..., None] * distance))

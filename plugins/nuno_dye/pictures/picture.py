@@ -1,7 +1,7 @@
-"""A picture of dyed yarns: each layer's colour from the dye in it, times the shade of its yarns.
+"""Pictures of dyed yarns: each layer's colour from the dye in it, times the shade of its yarns.
 
-Between the middles of cells colour is interpolated, but only within a yarn of a layer: beside it lies another yarn,
-which may hold quite another amount.
+Colour is interpolated between the middles of cells, but only within a yarn of a layer: the adjacent yarn may hold a
+very different amount.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from nuno_dye.pictures.colour import mix
-from nuno_dye.pictures.texture import Shades, TextureConfig, find_lays
+from nuno_dye.pictures.texture import Shades, TextureConfig, find_layouts
 from nuno_kernels import kernel
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Layers, Picture, Window
@@ -25,9 +25,9 @@ from nuno_schemas.parts import Colour
 from nuno_schemas.plugin import Config, Files
 
 BLOCK = 2**20
-"""Pixels, about, whose shade is computed at once."""
+"""Approximate number of pixels whose shade is computed at once."""
 SAMPLES = 4
-"""Points across a cell, at least, that shade is averaged over: twist is finer than a cell."""
+"""The fewest points across a cell over which shade is averaged: twist is finer than a cell."""
 
 
 PLAIN = TextureConfig(depth=0.0, fibres=0.0, relief=0.0, bend=0.0, shadow=1.0, hole=1.0)
@@ -47,13 +47,13 @@ class YarnsPictureConfig(Config):
 
 
 class Canvas(NamedTuple):
-    """What pixels show, for `paint`.
+    """The content of a picture's pixels, for `paint`.
 
-    layer          (h, w) uint8            the layer that shows at a pixel
-    shade          (h, w, 1 or 3) float32  how bright it is, all in all or by channel
+    layer          (h, w) uint8            the layer that is visible at a pixel
+    shade          (h, w, 1 or 3) float32  its brightness, overall or by channel
     fibre          (2, ny, nx) bool        fibre or gap
-    rows, columns  (ny,), (nx,) int32      the yarns that rows of weft and columns of warp are of
-    top, left                              the first row and column of cells that show
+    rows, columns  (ny,), (nx,) int32      yarns of the rows of weft and of the columns of warp
+    top, left                              the first visible row and column of cells
     scale                                  pixels a cell
     """
 
@@ -68,7 +68,7 @@ class Canvas(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """What pictures of one window have in common; `window` is a cell wider than what is shown."""
+    """The common data of pictures of one window; `window` is a cell wider than the picture."""
 
     layers: Layers
     dyes: tuple[DyeColour, ...]
@@ -78,7 +78,7 @@ class Drawing(NamedTuple):
 
 
 class YarnsPicture:
-    """Draws the yarns that are woven."""
+    """Draws woven yarns."""
 
     name: ClassVar[str] = "yarns"
     Config: ClassVar[type[BaseModel]] = YarnsPictureConfig
@@ -94,7 +94,7 @@ class YarnsPicture:
     ) -> Drawing:
         layer, shade = shade_window(layers, window, scale, config.texture or PLAIN)
         ground = None if config.ground is None else parse_hex(config.ground)
-        yarns = find_lays(layers)
+        yarns = find_layouts(layers)
         return begin_drawing(
             layers, dyes, ground, window, scale, layer, shade[..., None], (yarns[0].yarn, yarns[1].yarn)
         )
@@ -106,7 +106,7 @@ class YarnsPicture:
 def shade_window(
     layers: Layers, window: Window, scale: int, texture: TextureConfig
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Layer and shade (h, w) of a window's pixels, each the mean over points SAMPLES to a cell or more."""
+    """Return layer and shade (h, w) of a window's pixels, averaged over at least SAMPLES points across a cell."""
     finer = -(-SAMPLES // scale)
     textures = Shades(layers, scale * finer, texture)
     height, width = scale * (window.bottom - window.top), scale * (window.right - window.left)
@@ -114,9 +114,9 @@ def shade_window(
     rows = max(1, BLOCK // (scale * finer * finer * width))
     for low in range(window.top, window.bottom, rows):
         high = min(window.bottom, low + rows)
-        shows, bright = textures.find(Window(low, high, window.left, window.right))
+        visible, bright = textures.find(Window(low, high, window.left, window.right))
         part = slice(scale * (low - window.top), scale * (high - window.top))
-        layer[part] = shows[::finer, ::finer]
+        layer[part] = visible[::finer, ::finer]
         shade[part] = bright.reshape(-1, finer, width, finer).mean(axis=(1, 3))
     return layer, shade
 
@@ -125,7 +125,7 @@ def begin_drawing(
     layers: Layers, dyes: Sequence[DyeColour], ground: Float | None, window: Window, scale: int,
     layer: NDArray[np.uint8], shade: NDArray[np.float32], yarns: tuple[Int, Int],
 ) -> Drawing:  # fmt: skip
-    """What is drawn again and again, with a cell more on each side of the window where the cloth has one."""
+    """Return the common data of pictures, with another cell on each side of the window if the cloth has one."""
     _, ny, nx = layers.fibre.shape
     wide = Window(
         max(window.top - 1, 0), min(window.bottom + 1, ny), max(window.left - 1, 0), min(window.right + 1, nx)
@@ -136,17 +136,17 @@ def begin_drawing(
         weft, warp = (to_linear(colours) for colours in layers.ground)
         both = weft[wide.top : wide.bottom, None], warp[None, wide.left : wide.right]
         ground = np.stack([np.broadcast_to(colours, (*fibre.shape[1:], 3)) for colours in both])
-    at = np.ascontiguousarray(rows, np.int32), np.ascontiguousarray(columns, np.int32)
-    canvas = Canvas(layer, shade, fibre, *at, window.top - wide.top, window.left - wide.left, scale)
+    indices = np.ascontiguousarray(rows, np.int32), np.ascontiguousarray(columns, np.int32)
+    canvas = Canvas(layer, shade, fibre, *indices, window.top - wide.top, window.left - wide.left, scale)
     return Drawing(layers, tuple(dyes), ground, wide, canvas)
 
 
 def draw(drawing: Drawing, amounts: Float) -> Picture:
-    """(h, w, 3) sRGB picture of amounts (dyes, 2, ny, nx) of the whole cloth."""
+    """Return the sRGB picture (h, w, 3) of amounts (dyes, 2, ny, nx) of the whole cloth."""
     top, bottom, left, right = drawing.window
-    # What is no number, after a run that diverged, has no colour.
-    shown = np.nan_to_num(np.asarray(amounts[..., top:bottom, left:right], np.float64))
-    light = mix(shown, drawing.dyes, drawing.layers.v_max, drawing.ground)
+    # NaN, after a run that diverged, is drawn undyed.
+    local = np.nan_to_num(np.asarray(amounts[..., top:bottom, left:right], np.float64))
+    light = mix(local, drawing.dyes, drawing.layers.v_max, drawing.ground)
     picture = np.empty((*drawing.canvas.layer.shape, 3), np.uint8)
     paint(np.ascontiguousarray(light, np.float32), drawing.canvas, _srgb_bytes(), picture)
     return picture
@@ -154,15 +154,14 @@ def draw(drawing: Drawing, amounts: Float) -> Picture:
 
 @functools.cache
 def _srgb_bytes() -> NDArray[np.uint8]:
-    """(65536,) sRGB bytes of equal steps of linear light; even near black a step is a twentieth of a byte."""
+    """Return sRGB bytes (65536,) of equal steps of linear light; even near black a step is a twentieth of a byte."""
     return np.rint(255.0 * to_srgb(np.arange(65536) / 65535.0)).astype(np.uint8)
 
 
 @kernel
 def paint(light: NDArray[np.float32], canvas: Canvas, table: NDArray[np.uint8], out: Picture) -> None:
-    """Pixels of `out` (h, w, 3) from light (2, ny, nx, 3) at the middles of cells, times shade.
-
-    A pixel lies between four middles of its layer; those of its own yarn (or gap) count by how near they are.
+    """Write pixels of `out` (h, w, 3) from light (2, ny, nx, 3) at the middles of cells, times shade. A pixel is
+    interpolated from the four nearest middles of its layer that are in its own yarn (or gap).
     """
     layer, shade, fibre, rows, columns, top, left, scale = canvas
     _, ny, nx, _ = light.shape
@@ -171,23 +170,23 @@ def paint(light: NDArray[np.float32], canvas: Canvas, table: NDArray[np.uint8], 
     for j in range(out.shape[0]):
         y = top + j // scale
         down = (j % scale + 0.5) / scale - 0.5
-        below = min(max(y + (1 if down > 0.0 else -1), 0), ny - 1)
+        next_y = min(max(y + (1 if down > 0.0 else -1), 0), ny - 1)
         for i in range(out.shape[1]):
             x = left + i // scale
             across = (i % scale + 0.5) / scale - 0.5
-            beside = min(max(x + (1 if across > 0.0 else -1), 0), nx - 1)
-            which, own = layer[j, i], fibre[layer[j, i], y, x]
+            next_x = min(max(x + (1 if across > 0.0 else -1), 0), nx - 1)
+            shown, is_fibre = layer[j, i], fibre[layer[j, i], y, x]
             weight = red = green = blue = 0.0
-            for v in (y, below):
+            for v in (y, next_y):
                 b = 1.0 - abs(down) if v == y else abs(down)
-                for u in (x, beside):
-                    joined = rows[v] == rows[y] if which == 0 else columns[u] == columns[x]
-                    if joined and fibre[which, v, u] == own:
+                for u in (x, next_x):
+                    joined = rows[v] == rows[y] if shown == 0 else columns[u] == columns[x]
+                    if joined and fibre[shown, v, u] == is_fibre:
                         w = b * (1.0 - abs(across) if u == x else abs(across))
                         weight += w
-                        red += w * light[which, v, u, 0]
-                        green += w * light[which, v, u, 1]
-                        blue += w * light[which, v, u, 2]
+                        red += w * light[shown, v, u, 0]
+                        green += w * light[shown, v, u, 1]
+                        blue += w * light[shown, v, u, 2]
             full = 65535.0 / weight
             out[j, i, 0] = table[int(full * shade[j, i, 0] * red + 0.5)]
             out[j, i, 1] = table[int(full * shade[j, i, middle] * green + 0.5)]

@@ -1,12 +1,12 @@
-"""Shade of woven yarns: which layer shows at a pixel, and how bright it is.
+"""Shade of woven yarns: the visible layer at a pixel, and its brightness.
 
-A yarn is a cylinder of twisted fibre. A fibre on it is a helix: as it climbs by the angle theta around the yarn it
-goes theta / 2 pi of a turn's length along it. Seen from above, at v in [-1, 1] across the yarn,
+A yarn is a cylinder of twisted fibre. A fibre on it is a helix: over an angle theta around the yarn it advances by
+theta / 2 pi of a turn's length along it. Seen from above, at v in [-1, 1] across the yarn,
 
     theta = arcsin v = arctan(v / sqrt(1 - v^2)),
 
-the arctangent twist profile (Adabala et al. 2003, whom the dye paper follows): steep lines in the middle, which lie
-down towards the rims. Single fibres are noise across such lines, another one for each yarn. Where a yarn dives under
+the arctangent twist profile (Adabala et al. 2003, whom the dye paper follows): lines that are steep in the middle and
+flatten towards the rims. Single fibres are noise across such lines, different for each yarn. Where a yarn dives under
 the next one it turns away from the light, at its rims first.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_dye.cloths.coarse import Lay
+from nuno_dye.cloths.coarse import Layout
 from nuno_dye.quantities import Positive, Share
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.fabric import Bool, Float, Int
@@ -27,11 +27,11 @@ from nuno_schemas.plugin import Config
 FIBRES = (5, 13)
 """Fibres of a ply, coarse and fine."""
 ROUND = 0.25
-"""How much nearer to its turn a yarn's rim is than its middle, in widths: ends of floats look round."""
+"""Distance by which a yarn's rim is nearer to its turn than its middle, in widths: ends of floats look round."""
 
 
 class TextureConfig(Config):
-    """How yarns look."""
+    """The appearance of yarns."""
 
     turn: Positive = Field(default=2.0, description="length of a turn of the twist, in widths of the yarn")
     plies: Annotated[int, Field(ge=1, le=64)] = Field(default=3, description="lines around a yarn")
@@ -43,41 +43,41 @@ class TextureConfig(Config):
     hole: Share = Field(default=0.08, description="brightness where no yarn is")
 
 
-def find_lays(layers: Layers) -> tuple[Lay, Lay]:
-    """Lays of weft and warp: by their yarns, else by runs of fibre along the first column and the first row."""
+def find_layouts(layers: Layers) -> tuple[Layout, Layout]:
+    """Return layouts of weft and warp: by their yarns, else by runs of fibre along the first column and row."""
     fibre = layers.fibre[0, :, 0], layers.fibre[1, 0]
     if layers.yarns is not None:
-        weft, warp = (Lay(yarn, there) for yarn, there in zip(layers.yarns, fibre, strict=True))
+        weft, warp = (Layout(yarn, is_fibre) for yarn, is_fibre in zip(layers.yarns, fibre, strict=True))
         return weft, warp
-    lays = []
+    layouts = []
     for across in fibre:
         starts = across & ~np.concatenate([[False], across[:-1]])
-        lays.append(Lay(np.maximum(np.cumsum(starts) - 1, 0).astype(np.int32), across))
-    return lays[0], lays[1]
+        layouts.append(Layout(np.maximum(np.cumsum(starts) - 1, 0).astype(np.int32), across))
+    return layouts[0], layouts[1]
 
 
 class Across(NamedTuple):
-    """Pixels across a layer's yarns: v in [-1, 1], the yarn's width [cells], and which yarn it is."""
+    """Pixels across a layer's yarns: v in [-1, 1], the yarn's width [cells], and its number."""
 
     v: Float
     width: Float
     yarn: Int
 
 
-def look_across(lay: Lay, scale: int) -> Across:
-    """Where `scale` pixels a cell lie in their yarns; beyond a yarn's rim v is held at the rim."""
-    place, number = np.arange(len(lay.yarn)), int(lay.yarn.max()) + 1
+def look_across(layout: Layout, scale: int) -> Across:
+    """Return the places of `scale` pixels a cell in their yarns; v is clamped at a yarn's rim."""
+    place, number = np.arange(len(layout.yarn)), int(layout.yarn.max()) + 1
     first, last = np.full(number, len(place)), np.full(number, -1)
-    np.minimum.at(first, lay.yarn[lay.fibre], place[lay.fibre])
-    np.maximum.at(last, lay.yarn[lay.fibre], place[lay.fibre])
+    np.minimum.at(first, layout.yarn[layout.fibre], place[layout.fibre])
+    np.maximum.at(last, layout.yarn[layout.fibre], place[layout.fibre])
     width = np.maximum(last + 1.0 - first, 1.0)
-    yarn = np.repeat(lay.yarn, scale)
+    yarn = np.repeat(layout.yarn, scale)
     x = (np.arange(len(yarn)) + 0.5) / scale
     return Across(np.clip((2.0 * x - first[yarn] - last[yarn] - 1.0) / width[yarn], -1.0, 1.0), width[yarn], yarn)
 
 
 def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
-    """First cell of each cell's run of equal `up` (ny, nx) along an axis, and the one after its last."""
+    """Return the first cell of each cell's run of equal `up` (ny, nx) along an axis, and the one after its last."""
     n = up.shape[axis]
     turned = up if axis == 0 else up.T
     place = np.arange(n, dtype=np.int32)[:, None]
@@ -89,46 +89,44 @@ def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
 
 
 class Shades:
-    """A cloth's layers and shades, for any part of it, at `scale` pixels a cell."""
+    """Visible layers and shades of any part of a cloth, at `scale` pixels a cell."""
 
     def __init__(self, layers: Layers, scale: int, config: TextureConfig) -> None:
         self.layers, self.scale, self.config = layers, scale, config
-        down, across = find_lays(layers)
+        down, across = find_layouts(layers)
         self.weft, self.warp = look_across(down, scale), look_across(across, scale)
         self.floats = find_floats(layers.up[0], 1), find_floats(layers.up[1], 0)
 
     def find(self, window: Window) -> tuple[NDArray[np.uint8], Float]:
-        """Layer that shows, and its shade in [0, 1], for cells of a window: both (scale height, scale width).
-
-        Of two yarns the upper one shows; where its layer has a gap the lower one does, in shadow; else a hole.
+        """Return the visible layer, and its shade in [0, 1], for cells of a window: both (scale height, scale width).
+        The upper of two yarns is visible; in a gap of its layer the lower one, in shadow; else a hole.
         """
         c, fibre = self.config, self.layers.fibre
         row = np.arange(self.scale * window.top, self.scale * window.bottom)
         column = np.arange(self.scale * window.left, self.scale * window.right)
         at = np.ix_(row // self.scale, column // self.scale)
         upper = self.layers.up[1][at].astype(np.uint8)
-        there = fibre[0][at], fibre[1][at]
-        shows = np.where(upper == 1, there[1], there[0])
-        other = np.where(upper == 1, there[0], there[1])
-        layer = np.where(shows | ~other, upper, 1 - upper)
+        is_fibre = fibre[0][at], fibre[1][at]
+        upper_fibre = np.where(upper == 1, is_fibre[1], is_fibre[0])
+        lower_fibre = np.where(upper == 1, is_fibre[0], is_fibre[1])
+        layer = np.where(upper_fibre | ~lower_fibre, upper, 1 - upper)
         x, y = (column + 0.5)[None] / self.scale, (row + 0.5)[:, None] / self.scale
         v, width = self.weft.v[row, None], self.weft.width[row, None]
         weft = shade_yarn(v, x / width, self._near(0, x, at) / width, c, 2 * self.weft.yarn[row, None])
         v, width = self.warp.v[None, column], self.warp.width[None, column]
         warp = shade_yarn(v, y / width, self._near(1, y, at) / width, c, 2 * self.warp.yarn[None, column] + 1)
         shade = np.where(layer == 1, warp, weft)
-        return layer, shade * np.where(shows, 1.0, np.where(other, c.shadow, c.hole))
+        return layer, shade * np.where(upper_fibre, 1.0, np.where(lower_fibre, c.shadow, c.hole))
 
     def _near(self, layer: int, along: Float, at: tuple[NDArray[np.intp], ...]) -> Float:
-        """How far a pixel is from where its yarn turns [cells]."""
+        """Return the distance of pixels from the turns of their yarns [cells]."""
         first, after = self.floats[layer]
         return np.asarray(np.minimum(along - first[at], after[at] - along))
 
 
 def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig, yarn: Int | int = 0) -> Float:
-    """Brightness at v across a yarn and `along` it, `near` to where it turns, both in widths of the yarn.
-
-    `yarn` is a number that tells yarns apart, each of which has fibres of its own.
+    """Return the brightness at v across a yarn and `along` it, at the distance `near` from its turn, both in widths of
+    the yarn. `yarn` is its number: yarns have different fibres.
     """
     up = np.sqrt(1.0 - v * v)
     turns = along / config.turn - np.arctan2(v, up) / (2.0 * np.pi)
@@ -143,17 +141,16 @@ def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig, yarn:
 
 
 def draw_noise(x: Float, stream: Int | int) -> Float:
-    """Noise in [0, 1] over x: a random number at every whole x (of each stream), joined by cubics without slope there.
-
-    Of 16 bits mixed from the two whole numbers (multiplication by odd constants, folded), not from a generator's
-    state, so that any part of a picture has the numbers that the whole has.
+    """Return noise in [0, 1] over x: a random number at every whole x (of each stream), joined by cubics without slope
+    there. Its 16 bits are mixed from the two whole numbers (multiplication by odd constants, folded), not from a
+    generator's state, so that any part of a picture equals that of the whole.
     """
     low = np.floor(x)
     u = x - low
     first = low.astype(np.int64)
     share = u * u * (3.0 - 2.0 * u)
-    found: Float = (1.0 - share) * _hash(first, stream) + share * _hash(first + 1, stream)
-    return found
+    noise: Float = (1.0 - share) * _hash(first, stream) + share * _hash(first + 1, stream)
+    return noise
 
 
 def _hash(number: NDArray[np.int64], stream: Int | int) -> Float:

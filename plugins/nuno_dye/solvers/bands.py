@@ -1,4 +1,4 @@
-"""From a cloth's arrays to the bands that the kernel steps, and back."""
+"""Conversion of a cloth's arrays to the bands that kernels step, and back."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from nuno_dye.laws.faces import Faces, largest_sum
 from nuno_dye.solvers.diffusion import GHOST, LEFT, Bands, Rows
-from nuno_dye.solvers.dyeing import EMPTYING, KNOWN, LEVELS, DyeBands
+from nuno_dye.solvers.dyeing import EMPTYING, LEVELS, SCRATCH_ROWS, DyeBands
 from nuno_kernels.lanes.simd import WIDTH
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 
 
 def make_bands(phi: Float, faces: Faces, scale: float, number: int) -> Bands:
-    """Bands for diffusion alone, of amounts (2, ny, nx); weights are `scale` times the face values."""
+    """Return bands for diffusion alone, of amounts (2, ny, nx); weights are `scale` times the face values."""
     cut = Cut(phi.shape, number, GHOST)
     edge = zeros(cut.number, 2 * GHOST, cut.width)
     (amounts,), (along, down, across) = cut.fill(phi), cut.fill_faces(faces, scale)
@@ -26,19 +26,19 @@ def make_bands(phi: Float, faces: Faces, scale: float, number: int) -> Bands:
 def make_dye_bands(
     phi: Float, cells: Cells, faces: Faces, scale: float, number: int, steepest: float = 1.0
 ) -> DyeBands:
-    """Bands for the whole step, of mobile amounts (2, ny, nx); `steepest` is the most that D comes to over D0 P T."""
+    """Return bands for the whole step, of mobile amounts (2, ny, nx); `steepest` is the largest D over D0 P T."""
     cut = Cut(phi.shape, number, 2 * LEVELS)
-    rolling = zeros(cut.number, KNOWN * LEVELS, cut.width)
+    rolling = zeros(cut.number, SCRATCH_ROWS * LEVELS, cut.width)
     mobile, most = cut.fill(phi, cells.mobile_room)
     along, down, across = cut.fill_faces(faces, scale)
-    # What flows out of a cell is no more than D over each of its faces times what it holds.
+    # A cell's outflow is at most its amount times the sum of D over its faces.
     empties = scale * steepest * largest_sum(faces) > EMPTYING
     return DyeBands(mobile, along, down, across, most, rolling, *cut.places(), empties)
 
 
 def zeros(*shape: int) -> Float:
-    """Zeros that begin at a multiple of a vector's size, as all rows then do: no vector of a row lies in two lines of
-    the cache.
+    """Return zeros that begin at a multiple of a vector's size, as all rows then do: no vector crosses a line of the
+    cache.
     """
     room = np.zeros(math.prod(shape) + WIDTH)
     begin = -room.ctypes.data // room.itemsize % WIDTH
@@ -46,9 +46,8 @@ def zeros(*shape: int) -> Float:
 
 
 class Cut:
-    """How rows are cut into bands of about equal height, with `ghost` rows of their neighbours on either side.
-
-    There are at most `number` of them, and fewer where a band would be lower than the rows its neighbours copy.
+    """A division of rows into bands of about equal height, with `ghost` rows of their neighbours on either side. There
+    are at most `number` bands, and fewer if a band would be lower than the rows that its neighbours copy.
     """
 
     def __init__(self, shape: tuple[int, ...], number: int, ghost: int) -> None:
@@ -60,11 +59,11 @@ class Cut:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Shape of the amounts of both layers, cut into bands."""
+        """Shape of the amounts of both layers in bands."""
         return self.number, 2 * self.height, self.width
 
     def fill(self, *arrays: Float) -> list[Float]:
-        """Each of the arrays (layers, ny, nx) as (bands, layers * height, width)."""
+        """Return each of the arrays (layers, ny, nx) as (bands, layers * height, width)."""
         return [self._fill(array) for array in arrays]
 
     def fill_faces(self, faces: Faces, scale: float) -> list[Float]:
@@ -82,14 +81,14 @@ class Cut:
         return out
 
     def places(self) -> tuple[Rows, Rows, Rows]:
-        """Where the bands' own rows lie: the fields first, last and shrinks of nuno_dye.solvers.diffusion.Bands."""
+        """Return the bands' own rows: the fields first, last and shrinks of nuno_dye.solvers.diffusion.Bands."""
         shrinks = np.ones((self.number, 2), np.int64)
         shrinks[0, 0] = shrinks[-1, 1] = 0
         return np.full(self.number, self.top), self.top + np.diff(self.cuts) - 1, shrinks
 
 
 def read_bands(bands: Bands | DyeBands, values: Float, out: Float) -> Float:
-    """Put one of the bands' amounts into (2, ny, nx)."""
+    """Write amounts of the bands into `out` (2, ny, nx)."""
     r, nx, at = bands.across.shape[1], out.shape[2], 0
     for b in range(values.shape[0]):
         rows = int(bands.last[b] - bands.first[b]) + 1

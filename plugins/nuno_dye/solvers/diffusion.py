@@ -2,14 +2,14 @@
 
     phi_i += sum over faces w_face (phi_j - phi_i),  w = D dt / d^2,
 
-with four faces in the layer and one to the other layer. A step reads as many weights as amounts, so that one
-step at a time is as slow as memory is. Here a band of rows takes `levels` steps while its rows are in the core's
-cache: level s + 1 of a row follows level s of the row below it, so the sweep runs one row behind for each level,
-in place. Every face's flux is computed once and added to both sides, so dye is kept to rounding; the result is
-the same to the last bit however the rows are cut into bands and the steps into passes.
+with four faces in the layer and one to the other layer. A step reads as many weights as amounts, so that memory limits
+the speed of single steps. Here a band of rows takes `levels` steps while its rows are in the core's cache: level s + 1
+of a row follows level s of the row below it, so the sweep runs one row behind for each level, in place. Every face's
+flux is computed once and added to both sides, so dye is conserved to rounding. The result is the same to the last bit
+for any division of rows into bands and of steps into passes.
 
-A band (see Band) has `ghost` rows of its neighbours on either side, which it steps again by itself: one row fewer
-is right after each level, and they are copied anew after `ghost` of them.
+A band has `ghost` rows of its neighbours on either side, which it also steps: one row fewer is right after each level,
+and they are copied again after `ghost` levels.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from nuno_schemas.fabric import Float
 
 Rows = NDArray[np.int64]
 GHOST = 8
-"""Steps of a pass. Their rows (a row of 800 x 2 cells has 58 kB of amounts and weights) must fit into a core's
-cache; so must what is stepped twice stay little."""
+"""Steps of a pass. Their rows (a row of 800 x 2 cells has 58 kB of amounts and weights) must fit into a core's cache,
+and few rows may be stepped twice."""
 LEFT = WIDTH
-"""Columns before the first cell: they have no weight, and let vectors reach one to the left."""
+"""Columns before the first cell, without weight, which vectors may read to the left."""
 
 
 @instruction
 def slide(typing: Any, before: Any, here: Any) -> Any:
-    """The eight lanes that begin one before `here`: the last of `before`, then all of `here` but its last."""
+    """Return the eight lanes that begin one before `here`: the last of `before`, then all of `here` but its last."""
     if before != vector or here != vector:
         return None
 
@@ -57,7 +57,7 @@ class Weights(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """Amounts and weights of all bands, each in planes of its own, rows padded to whole vectors.
+    """Amounts and weights of all bands, each in its own planes, rows padded to whole vectors.
 
     phi          (b, 2 r, w)  amounts, weft rows before warp rows
     along, down  (b, 2 r, w)  weights of the faces to the next column and to the next row
@@ -79,7 +79,7 @@ class Bands(NamedTuple):
 
 @kernel
 def step_row(phi: Float, along: Float, down: Float, across: Float, edge: Float, level: int, row: int) -> None:
-    """A step of row `row` of both layers, (2 r, w), in place; `edge` takes the fluxes on to the next row."""
+    """Step row `row` of both layers, (2 r, w), in place; `edge` passes the fluxes on to the next row."""
     r = across.shape[0]
     other = row + r
     left_0, left_1 = splat(0.0), splat(0.0)
@@ -100,7 +100,7 @@ def step_row(phi: Float, along: Float, down: Float, across: Float, edge: Float, 
 
 @kernel
 def start_row(phi: Float, down: Float, edge: Float, level: int, row: int, r: int) -> None:
-    """Fluxes into row `row` from the one above it, which is at the same level."""
+    """Compute the fluxes into row `row` from the one above it, which is at the same level."""
     for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
         store(edge, 2 * level, c, load(down, row - 1, c) * (load(phi, row, c) - load(phi, row - 1, c)))
         below = row + r
@@ -109,9 +109,8 @@ def start_row(phi: Float, down: Float, edge: Float, level: int, row: int, r: int
 
 @block_kernel
 def pass_over(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None, b: int) -> None:
-    """`levels` steps of band `b`. Level s is right where it has levels - 1 - s rows of its neighbours.
-
-    Fibre takes its dye one row ahead: the level before is done with that row and keeps what flows from it.
+    """Take `levels` steps of band `b`. Level s is right with levels - 1 - s rows of its neighbours. Fibre takes dye one
+    row ahead: the previous level has finished that row and stored its fluxes.
     """
     phi, along, down, across = bands.phi[b], bands.along[b], bands.down[b], bands.across[b]
     edge, r, first, last = bands.edge[b], bands.across.shape[1], bands.first[b], bands.last[b]
@@ -134,7 +133,7 @@ def pass_over(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep |
 
 @parallel_kernel
 def pass_bands(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None) -> None:
-    """`levels` steps of all bands."""
+    """Take `levels` steps of all bands."""
     for b in prange(bands.phi.shape[0]):
         pass_over(levels, bands, uptake, upkeep, b)
 
@@ -150,7 +149,7 @@ def copy_rows(to: Float, row: int, source: Float, start: int, r: int, count: int
 
 @parallel_kernel
 def renew_ghosts(bands: Any, values: Float, ghost: int) -> None:
-    """Copy `ghost` rows of `values` (b, 2 r, w) from the neighbours. A loop of its own: numba would fuse it."""
+    """Copy `ghost` rows of `values` (b, 2 r, w) from the neighbours. A separate loop, since numba would fuse it."""
     for b in prange(values.shape[0]):
         r = bands.across.shape[1]
         if bands.shrinks[b, 0] == 1:
@@ -161,7 +160,7 @@ def renew_ghosts(bands: Any, values: Float, ghost: int) -> None:
 
 @kernel
 def diffuse(steps: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None, leave: Rows) -> None:
-    """`steps` steps, GHOST of them in a pass, until `leave` (1,) is not 0; `uptake` and `upkeep` may be None."""
+    """Take `steps` steps, GHOST in a pass, until `leave` (1,) is not 0; `uptake` and `upkeep` may be None."""
     for done in range(0, steps, GHOST):
         if leave[0] != 0:
             break

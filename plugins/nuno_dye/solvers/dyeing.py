@@ -1,14 +1,14 @@
-"""The whole explicit step: adsorption first, then diffusion that fills no cell beyond its capacity.
+"""The whole explicit step: adsorption, then diffusion that fills no cell beyond its capacity.
 
-Fibre takes what nuno_dye.laws.adsorption says. All faces then take their flux from the same phi; a cell that would be
-filled beyond V_u scales its inflow by (V_u - phi) / inflow, one that would be emptied its outflow by phi / outflow,
-and a face uses the smaller of its two factors, so dye is kept. Where no factor is below 1 the result has the bits
-of `nuno_dye.solvers.diffusion`.
+Fibre takes dye by nuno_dye.laws.adsorption. All faces then compute their flux from the same phi. A cell that would be
+filled beyond V_u scales its inflow by (V_u - phi) / inflow, one that would be emptied its outflow by phi / outflow, and
+a face uses the smaller of its two factors, so dye is conserved. If no factor is below 1 the result has the bits of
+`nuno_dye.solvers.diffusion`.
 
 A level of a row needs two rows more on either side than it writes: the fluxes of its neighbours' neighbours decide
-their factors. So each level of a pass runs two rows behind the one before. One loop over a row's vectors does all that
-a level does there: fibre takes its dye in the row below, the row's own fluxes and factors become known, and with them
-the row above moves. A loop for each of these read and wrote more, all of it beyond the first cache.
+their factors. So each level of a pass runs two rows behind the previous one. One loop over a row's vectors does all of
+a level's work there: fibre takes dye in the row below, the row's fluxes and factors are computed, and with them the row
+above moves. Rejected: a loop for each of these, which reads and writes more, beyond the first cache.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
 
 LEVELS = 4
-"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and what is known of one takes 72 kB a step. Three to six are
-alike within the spread of `nuno bench speed dye`."""
-RIGHT, DOWN, CAME, WENT, UP, THROUGH, KNOWN = 0, 2, 4, 6, 8, 10, 11
-"""Rows of scratch for a row of cells, of either layer: its fluxes to the right and down, its factors of what flows in
-and out, and the scaled flux from above; the flux between the layers; and how many rows that are."""
+"""Steps of a pass; a row of 800 x 2 cells has 85 kB, and its scratch 72 kB a step. Three to six are equal within the
+spread of `nuno bench speed dye`."""
+RIGHT, DOWN, CAME, WENT, UP, THROUGH, SCRATCH_ROWS = 0, 2, 4, 6, 8, 10, 11
+"""Rows of scratch for a row of cells, of either layer: its fluxes to the right and down, its factors of inflow and
+outflow, and the scaled flux from above; the flux between the layers; and the number of these rows."""
 EMPTYING = 0.99
-"""Share of what a cell holds that may flow out of it in a step before factors of what flows out are asked for: they are
-1 then, with a margin for rounding, and need a division and memory."""
+"""Share of a cell's amount that may flow out of it in a step without factors of outflow, which are then 1, with a
+margin for rounding, and cost a division and memory."""
 BELOW_ONE = 1.0 - 2.0**-50
-"""Scaled flows are smaller by this much than what there is, or is room for: rounding then neither empties a cell
-below nothing nor fills it beyond."""
+"""Ratio of scaled flows to the amount, or the free capacity: rounding then neither empties a cell below 0 nor overfills
+it."""
 
 
 class DyeBands(NamedTuple):
-    """What a step needs, in bands as in nuno_dye.solvers.diffusion.Bands.
+    """The data of a step, in bands as in nuno_dye.solvers.diffusion.Bands.
 
     mobile     (b, 2 r, w)  capacity V_u for mobile dye
     rolling    (b, 11 levels, w)  scratch: fluxes and factors of a row of both layers, by level
@@ -61,22 +61,22 @@ class DyeBands(NamedTuple):
 
 
 @kernel
-def scale_of(flow: Any, there: Any) -> Any:
-    """What a flow is multiplied with so that it is no more than there is."""
-    return higher(lower(splat(BELOW_ONE) * there / flow, splat(1.0)), splat(0.0))
+def scale_of(flow: Any, available: Any) -> Any:
+    """Return the factor that limits a flow to the available amount."""
+    return higher(lower(splat(BELOW_ONE) * available / flow, splat(1.0)), splat(0.0))
 
 
 @kernel
-def came_in(left: Any, right: Any, up: Any, down: Any, other: Any) -> Any:
-    """What flows into a cell over its five faces."""
+def inflow(left: Any, right: Any, up: Any, down: Any, other: Any) -> Any:
+    """Return the inflow of a cell over its five faces."""
     nothing = splat(0.0)
     came = higher(right, nothing) - lower(left, nothing) + higher(down, nothing) - lower(up, nothing)
     return came + higher(other, nothing)
 
 
 @kernel
-def went_out(left: Any, right: Any, up: Any, down: Any, other: Any) -> Any:
-    """What flows out of a cell over its five faces."""
+def outflow(left: Any, right: Any, up: Any, down: Any, other: Any) -> Any:
+    """Return the outflow of a cell over its five faces."""
     nothing = splat(0.0)
     went = higher(left, nothing) - lower(right, nothing) + higher(up, nothing) - lower(down, nothing)
     return went - lower(other, nothing)
@@ -84,7 +84,7 @@ def went_out(left: Any, right: Any, up: Any, down: Any, other: Any) -> Any:
 
 @kernel
 def scaled(flow: Any, came: Any, went: Any, other_came: Any, other_went: Any, empties: bool) -> Any:
-    """A flow from the other cell into this one, or the other way: the smaller of receiver's and donor's factors."""
+    """Return a flow between this cell and another, times the smaller of the receiver's and the donor's factors."""
     if empties:
         came, other_came = lower(came, other_went), lower(other_came, went)
     return flow * where_not_negative(flow, came, other_came)
@@ -92,7 +92,7 @@ def scaled(flow: Any, came: Any, went: Any, other_came: Any, other_went: Any, em
 
 @kernel
 def start_row(phi: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, base: int, row: int) -> None:
-    """Fluxes from row `row` down into the next one."""
+    """Compute the fluxes from row `row` down into the next one."""
     for layer in range(2):
         at = row + layer * across.shape[0]
         for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
@@ -105,9 +105,8 @@ def step_row(
     phi: Float, fixed: Float, fibre: Float, law: Law, along: Float, down: Float, across: Float, mobile: Float,
     curve: Curve | None, scratch: Float, base: int, row: int, empties: bool, moves: bool,
 ) -> None:  # fmt: skip
-    """Fluxes and factors of a row's cells; with them the row above has all that it needs, and `moves`.
-
-    `scratch` holds what is known of the row above, and takes, vector by vector, what is known of this one.
+    """Compute fluxes and factors of a row's cells, with which the row above steps if `moves`. `scratch` holds fluxes
+    and factors of the row above, and gets, vector by vector, those of this one.
     """
     other, one, nothing = row + across.shape[0], splat(1.0), splat(0.0)
     left_0, left_1, moved_0, moved_1 = nothing, nothing, nothing, nothing
@@ -128,12 +127,12 @@ def step_row(
         up_0, up_1 = load(scratch, base + DOWN, c), load(scratch, base + DOWN + 1, c)
         near_0, near_1 = slide(left_0, right_0), slide(left_1, right_1)
         left_0, left_1 = right_0, right_1
-        came_0 = scale_of(came_in(near_0, right_0, up_0, down_0, through), load(mobile, row, c) - here_0)
-        came_1 = scale_of(came_in(near_1, right_1, up_1, down_1, nothing - through), load(mobile, other, c) - here_1)
+        came_0 = scale_of(inflow(near_0, right_0, up_0, down_0, through), load(mobile, row, c) - here_0)
+        came_1 = scale_of(inflow(near_1, right_1, up_1, down_1, nothing - through), load(mobile, other, c) - here_1)
         above_0, above_1 = load(scratch, base + CAME, c), load(scratch, base + CAME + 1, c)
         if empties:
-            went_0 = scale_of(went_out(near_0, right_0, up_0, down_0, through), here_0)
-            went_1 = scale_of(went_out(near_1, right_1, up_1, down_1, nothing - through), here_1)
+            went_0 = scale_of(outflow(near_0, right_0, up_0, down_0, through), here_0)
+            went_1 = scale_of(outflow(near_1, right_1, up_1, down_1, nothing - through), here_1)
             above_went_0, above_went_1 = load(scratch, base + WENT, c), load(scratch, base + WENT + 1, c)
             next_went_0, next_went_1 = load(scratch, base + WENT, c + 1), load(scratch, base + WENT + 1, c + 1)
         passed_0 = scaled(up_0, above_0, above_went_0, came_0, went_0, empties)
@@ -166,7 +165,7 @@ def step_row(
 def pass_over_dye(
     levels: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None, n: int
 ) -> None:
-    """`levels` steps of band `n`: a row is adsorbed two ahead of the one that moves, its factors known one ahead."""
+    """Take `levels` steps of band `n`: a row is adsorbed two ahead of the one that moves, with factors one ahead."""
     phi, along, down, across = bands.phi[n], bands.along[n], bands.down[n], bands.across[n]
     mobile, rolling, r, empties = bands.mobile[n], bands.rolling[n], bands.across.shape[1], bands.empties
     first, last, up, low = bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1]
@@ -176,7 +175,7 @@ def pass_over_dye(
         law = Law(uptake.kind, uptake.first, uptake.second, uptake.rate)
     for at in range(first - 2 * up * (levels - 1) - 4, last + 2 * low * (levels - 1) + 2 * levels + 2):
         for level in range(levels):
-            base, beyond = KNOWN * level, 2 * (levels - 1 - level)
+            base, beyond = SCRATCH_ROWS * level, 2 * (levels - 1 - level)
             start, stop, row = first - up * beyond, last + low * beyond, at - 2 * level
             if start - 1 <= row + 2 <= stop + 2:
                 if row + 1 == start - 2:
@@ -197,7 +196,7 @@ def pass_over_dye(
 def pass_dye_bands(
     levels: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None
 ) -> None:
-    """`levels` steps of all bands."""
+    """Take `levels` steps of all bands."""
     for n in prange(bands.phi.shape[0]):
         pass_over_dye(levels, bands, uptake, upkeep, curve, n)
 
@@ -206,7 +205,7 @@ def pass_dye_bands(
 def dye(
     steps: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None, leave: Rows
 ) -> None:
-    """`steps` steps, LEVELS of them in a pass, until `leave` (1,) is not 0; `uptake`, `upkeep`, `curve` may be None."""
+    """Take `steps` steps, LEVELS in a pass, until `leave` (1,) is not 0; `uptake`, `upkeep`, `curve` may be None."""
     for done in range(0, steps, LEVELS):
         if leave[0] != 0:
             break

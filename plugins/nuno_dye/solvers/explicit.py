@@ -1,11 +1,11 @@
 """The explicit solver: the dye paper's scheme, whole frames of steps in one compiled call for each dye.
 
-Where no limit can bind, the faster kernel of diffusion alone takes the steps, with adsorption as the case is. A step
-of it replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are none of them
-negative as long as D0 dt / size^2 sum P T <= 1; limits only make the neighbours' weights smaller, and adsorption the
-amounts. So no amount ever exceeds the largest of those at the start and of what supplies have kept up since, and a
-cell's inflow is at most (that - phi). Nothing can be limited, then, if every cell that a face reaches has room for
-it. Memory keeps this largest amount, so that a resumed run chooses its kernel as the whole run did.
+If no limit can bind, the faster kernel of diffusion alone takes the steps, with adsorption if there is any. Its step
+replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are not negative as long as
+D0 dt / size^2 sum P T <= 1; limits only reduce the neighbours' weights, and adsorption the amounts. So no amount ever
+exceeds the largest of those at the start and of maintained ones since, and a cell's inflow is at most (that - phi).
+Nothing can be limited, then, if every cell with faces has room for it. Memory keeps this largest amount, so that a
+resumed run chooses the same kernel as the whole run.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
 from nuno_dye.solvers.dyeing import LEVELS, DyeBands, dye
 from nuno_dye.solvers.solving import (
     Banded,
-    Known,
+    Derived,
     adsorbs,
     count_bands,
-    know,
+    derive,
     largest_amounts,
     law_of,
     make_report,
@@ -48,20 +48,20 @@ class ExplicitConfig(Config):
 
 @dataclass
 class ExplicitWork:
-    """What was made from a system.
+    """A system in the kernels' layouts.
 
     bands   by dye, and whether limits may bind: the step [s] and the kernel's layout for it
-    fed     by dye and ghost rows: the layout of its floors
+    floor_cache  by dye and ghost rows: the layout of its floors
     fibre   by ghost rows: the layout of V_d
     """
 
-    known: Known
+    derived: Derived
     bands: dict[tuple[int, bool], tuple[float, Bands | DyeBands]] = field(default_factory=dict)
-    fed: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
+    floor_cache: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
     fibre: dict[int, Float] = field(default_factory=dict)
 
-    def made_for(self, system: DyeSystem) -> ExplicitWork:
-        return ExplicitWork(know(system))
+    def rebuild(self, system: DyeSystem) -> ExplicitWork:
+        return ExplicitWork(derive(system))
 
 
 class Explicit(Banded):
@@ -72,56 +72,55 @@ class Explicit(Banded):
     Config: ClassVar[type[BaseModel]] = ExplicitConfig
 
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
-        """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
+        """Return memory: `highest` (dyes,), the largest amount that any cell can have had."""
         require_laws(system)
-        return Memory({"highest": largest_amounts(state.phi)}, ExplicitWork(know(system)))
+        return Memory({"highest": largest_amounts(state.phi)}, ExplicitWork(derive(system)))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
-        """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
+        """Return the dt at which the largest D0 g, times dt / size^2 and the largest sum of P T over a cell's faces, is
+        1.
+        """
         most = largest_sum(face_values(system.cells)) * max(one.D0 * one.steepest for one in system.dyes)
         return system.cells.size**2 / most if most > 0.0 else float(np.inf)
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """See nuno_schemas.dye.DyeSolverPlugin."""
+        """Advance a state by a frame of `steps` of dt [s]."""
         work: ExplicitWork = renew_work(memory, system)
         highest = memory.arrays["highest"]
-        use_threads(highest, work.known)
-        given = [_advance_one(work, k, state, steps, dt, float(highest[k])) for k in range(len(system.dyes))]
+        use_threads(highest, work.derived)
+        supplied = [_advance_one(work, k, state, steps, dt, float(highest[k])) for k in range(len(system.dyes))]
         state.t += steps * dt
-        return make_report(system, state, {"steps": steps}, given)
+        return make_report(system, state, {"steps": steps}, supplied)
 
 
 def _upkeep(work: ExplicitWork, k: int, cut: Cut) -> Upkeep | None:
-    """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
-    if work.known.floors is None or not work.known.floors[k].any():
+    """Return the floors of one dye in a kernel's layout, with sums of 0; None if it has none."""
+    if work.derived.floors is None or not work.derived.floors[k].any():
         return None
-    if (k, cut.ghost) not in work.fed:
-        floor = cut.fill(work.known.floors[k])[0]
+    if (k, cut.ghost) not in work.floor_cache:
+        floor = cut.fill(work.derived.floors[k])[0]
         rows = floor.reshape(floor.shape[0], 2, -1, floor.shape[2]).max(axis=(1, 3)) > 0.0
-        work.fed[k, cut.ghost] = Upkeep(floor, np.zeros_like(floor), np.zeros_like(floor), rows)
-    upkeep = work.fed[k, cut.ghost]
+        work.floor_cache[k, cut.ghost] = Upkeep(floor, np.zeros_like(floor), np.zeros_like(floor), rows)
+    upkeep = work.floor_cache[k, cut.ghost]
     upkeep.given.fill(0.0)
     upkeep.lost.fill(0.0)
     return upkeep
 
 
 def _uptake(work: ExplicitWork, k: int, cut: Cut, scale: float) -> Uptake | None:
-    """Fibre of one dye in a kernel's layout; None where the kernel fixes nothing."""
+    """Return the fibre of one dye in a kernel's layout; None if the kernel does not fix it."""
     if cut.ghost not in work.fibre:
-        work.fibre[cut.ghost] = cut.fill(work.known.system.cells.fixed_room)[0]
-    law = law_of(work.known.system.dyes[k], scale)
+        work.fibre[cut.ghost] = cut.fill(work.derived.system.cells.fixed_room)[0]
+    law = law_of(work.derived.system.dyes[k], scale)
     return None if law.kind == NOTHING else Uptake(np.empty(cut.shape), work.fibre[cut.ghost], *law)
 
 
 def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
-    """Bring one dye from the start of a frame to its end; with no steps, compile what they need.
-
-    Returns what its supplies gave.
-    """
-    system, phi, fixed = work.known.system, state.phi[k], state.fixed[k]
+    """Advance one dye by a frame; without steps, compile its kernels. Return the amount that its supplies added."""
+    system, phi, fixed = work.derived.system, state.phi[k], state.fixed[k]
     one, cells = system.dyes[k], system.cells
     scale, curve = one.D0 * dt / cells.size**2, curve_of(one)
-    limited = not highest <= work.known.room or scale * work.known.most > 1.0 or curve is not None
+    limited = not highest <= work.derived.room or scale * work.derived.most > 1.0 or curve is not None
     cut = Cut(phi.shape, count_bands(system), 2 * LEVELS if limited else GHOST)
     bands = _layout(work, k, limited, dt, scale, cut.number)
     uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
@@ -147,24 +146,24 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
 
 
 def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
-    """One dye's weights in a kernel's layout."""
-    known, bands = work.bands.get((k, limited), (0.0, None))
-    steepest = work.known.system.dyes[k].steepest
-    if bands is None or known != dt:
-        empty, cells = np.zeros(work.known.system.cells.fibre.shape), work.known.system.cells
+    """Return one dye's weights in a kernel's layout."""
+    cached_dt, bands = work.bands.get((k, limited), (0.0, None))
+    steepest = work.derived.system.dyes[k].steepest
+    if bands is None or cached_dt != dt:
+        empty, cells = np.zeros(work.derived.system.cells.fibre.shape), work.derived.system.cells
         bands = (
-            make_dye_bands(empty, cells, work.known.faces, scale, number, steepest)
+            make_dye_bands(empty, cells, work.derived.faces, scale, number, steepest)
             if limited
-            else make_bands(empty, work.known.faces, scale, number)
+            else make_bands(empty, work.derived.faces, scale, number)
         )
         work.bands[k, limited] = dt, bands
     return bands
 
 
 def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:
-    """What nuno_dye.laws.adsorption.adsorb does, with an isotherm that no kernel knows."""
-    room = cells.fixed_room
-    most = np.minimum(room, function(phi, room)) - fixed
+    """Fix dye like nuno_dye.laws.adsorption.adsorb, by an isotherm in Python."""
+    capacity = cells.fixed_room
+    most = np.minimum(capacity, function(phi, capacity)) - fixed
     taken = np.maximum(np.minimum(np.minimum(rate * (phi - fixed), most), phi), 0.0)
     phi -= taken
     fixed += taken

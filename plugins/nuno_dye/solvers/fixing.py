@@ -1,9 +1,9 @@
-"""Adsorption within a long step: as a rate in each of its stages, and settled at its end.
+"""Adsorption within a long step: a rate in each of its stages, and settled at its end.
 
-A stage takes D_ab / d^2 (phi - A), but no more than `pace` times what the limit min(V_d, A_d(phi)) leaves, so that
-fixed dye comes to its limit within a few explicit steps. Those modes the stages damp by half a step at least; what
-they leave to the limit is taken at the end: what a cell that holds S = phi + A takes is the A with A = A_d(S - A),
-or, where phi is kept up, A_d(phi). It is never more than D_ab allows in the step, at the mean phi.
+A stage takes D_ab / d^2 (phi - A), but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
+dye reaches its limit within a few explicit steps. The stages damp those modes by at least half a step. The remaining
+distance to the limit is taken at the end: the A of a cell that holds S = phi + A satisfies A = A_d(S - A), or, if phi
+is maintained, A_d(phi). It is at most what D_ab allows in the step, at the mean phi.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from nuno_kernels.lanes.simd import splat
 from nuno_schemas.fabric import Float
 
 ROUNDS = 60
-"""Newton steps at most; five or six do."""
+"""The most Newton steps; five or six suffice."""
 
 
 @forced_inline
 def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
-    """What eight cells take. With a tuple of arrays as its argument the call cost more than all that it does."""
+    """Return the uptake of eight cells. A tuple of arrays as argument would make the call cost more than its work."""
     taken = lower(law.rate * (phi - fixed), pace * (room - fixed))
     if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
         taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
@@ -35,7 +35,7 @@ def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
 
 @kernel
 def limit_beside(law: Law, phi: float, room: float) -> float:
-    """A_d at mobile dye phi."""
+    """Return A_d at mobile dye phi."""
     if law.kind == PARTITION:
         return law.first * phi
     if law.kind == FREUNDLICH:
@@ -46,7 +46,7 @@ def limit_beside(law: Law, phi: float, room: float) -> float:
 
 @kernel
 def limit_within(law: Law, total: float, room: float) -> float:
-    """The A with A = A_d(S - A)."""
+    """Return the A with A = A_d(S - A)."""
     first, second = law.first, law.second
     if law.kind == PARTITION:
         return first * total / (1.0 + first)
@@ -69,22 +69,22 @@ def limit_within(law: Law, total: float, room: float) -> float:
 def settle_row(
     phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, row: int, nx: int, pace: float
 ) -> None:
-    """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start, `begun` fixed dye there."""
+    """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start, `begun` fixed dye then."""
     held, fibre = begun.fixed, begun.fibre
     law = Law(begun.kind, begun.first, begun.second, begun.rate)
     for c in range(LEFT, LEFT + nx):
-        there, found, room = phi[row, c], fixed[row, c], fibre[row, c]
-        if not (there > found and room > found):
+        mobile, bound, room = phi[row, c], fixed[row, c], fibre[row, c]
+        if not (mobile > bound and room > bound):
             continue
-        limit = min(limit_beside(law, there, room), room)
-        if not (limit > found and pace * (limit - found) < law.rate * (there - found)):
+        limit = min(limit_beside(law, mobile, room), room)
+        if not (limit > bound and pace * (limit - bound) < law.rate * (mobile - bound)):
             continue
-        mean = 0.5 * (there + before[row, c])
-        if there > floor[row, c]:
-            limit = limit_within(law, there + found, room)
+        mean = 0.5 * (mobile + before[row, c])
+        if mobile > floor[row, c]:
+            limit = limit_within(law, mobile + bound, room)
         most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-law.rate))
-        taken = min(max(most - found, 0.0), there)
-        phi[row, c], fixed[row, c] = there - taken, found + taken
+        taken = min(max(most - bound, 0.0), mobile)
+        phi[row, c], fixed[row, c] = mobile - taken, bound + taken
 
 
 @parallel_kernel
@@ -101,23 +101,22 @@ def settle_bands(
 
 @kernel
 def bound_row(phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, row: int, nx: int) -> None:
-    """Bring a row's fixed dye between that at the start and what was allowed; the rest is mobile again.
-
-    What is allowed is A_d of the more mobile dye of the step's start and its end. Stages swing about a limit that
-    they come to by 2 rho dt / s^2 (Legendre's polynomials), 5 % of it where the first half hour fills fibre.
+    """Bring a row's fixed dye between that at the start and its limit; the rest becomes mobile again. The limit is A_d
+    of the larger mobile amount of the step's start and end. Stages oscillate about a limit that they approach by 2 rho
+    dt / s^2 (Legendre's polynomials), 5 % of it if fibre fills in the first half hour.
     """
     held, fibre = begun.fixed, begun.fibre
     law = Law(begun.kind, begun.first, begun.second, begun.rate)
     for c in range(LEFT, LEFT + nx):
-        least, there = held[row, c], phi[row, c] + fixed[row, c]
-        found = min(max(fixed[row, c], least), max(fibre[row, c], least))
-        if found > least:
+        least, total = held[row, c], phi[row, c] + fixed[row, c]
+        bound = min(max(fixed[row, c], least), max(fibre[row, c], least))
+        if bound > least:
             room, most = fibre[row, c], max(before[row, c], floor[row, c])
-            if found > limit_beside(law, max(most, there - found), room):
+            if bound > limit_beside(law, max(most, total - bound), room):
                 limit = limit_beside(law, most, room)
-                limit = max(limit, limit_within(law, max(there, 0.0), room))
-                found = min(found, max(limit, least))
-        phi[row, c], fixed[row, c] = there - found, found
+                limit = max(limit, limit_within(law, max(total, 0.0), room))
+                bound = min(bound, max(limit, least))
+        phi[row, c], fixed[row, c] = total - bound, bound
 
 
 @parallel_kernel

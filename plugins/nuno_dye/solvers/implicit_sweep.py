@@ -1,21 +1,21 @@
 """An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
 
 A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
-depends on the other colour alone: the bits are those of any number of threads. In a cell its own equation is solved
-(nuno_dye.solvers.implicit_cell); it is then
+depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved
+(nuno_dye.solvers.implicit_cell); the cell is then
 
     at its floor   where a supply keeps it up
     full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,
                    (V_u - b + outflow + taken) / inflow; the supply replaces what flows out of a full kept-up cell
     free           relaxed by omega; f = 1
 
-As for an obstacle problem (Cryer 1971), what is over-relaxed beyond a bound stays at it. More dye anywhere means
-less room and no less dye elsewhere, so that the sweeps come to the one solution. omega goes by Chebyshev's rule to
-Young's best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
-weights of a cell. A multigrid method would need a coarse form of all three conditions.
+As in an obstacle problem (Cryer 1971), over-relaxation beyond a bound stops at it. More dye anywhere means less room
+and no less dye elsewhere, so that the sweeps converge to the one solution. omega goes by Chebyshev's rule to Young's
+best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of weights
+of a cell. A multigrid method would need a coarse form of all three conditions.
 
-Where D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only what a cell
-holds is not, as with its fibre. W then counts the largest D.
+If D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only a cell's own
+amounts are not. W is then that of the largest D.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 
 CROSSINGS = 8
-"""Newton steps in a cell; each but the last passes one of five neighbours, and the first may come from above."""
+"""The most Newton steps in a cell; each but the last passes one of five neighbours, and the first may be from above."""
 
 
 class Stage(NamedTuple):
     """One dye in a stage, (2 r, w) each, weft rows before warp rows.
 
     level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
-    passed   f, 1 where nothing can be limited
+    passed   f, 1 if nothing can be limited
     begun    b
     least    fixed dye at the step's start
-    floor    G of what is kept up, 0 where nothing is
+    floor    G of maintained amounts, 0 without any
     along, down, across  weights of the faces
     """
 
@@ -61,12 +61,12 @@ class Stage(NamedTuple):
 def root_among(
     stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, row: int, layer: int, c: int
 ) -> tuple[float, float]:
-    """Root of a cell's equation with f = 1 for itself, and the sum of its ways there; `most` is None where nothing can
-    be limited.
+    """Return the root of a cell's equation with f = 1 for itself, and 1 plus its sum of weights there; `most` is None
+    if nothing can be limited.
 
-    What flows out goes by the others' factors, so that the sum of ways falls where the cell rises above one: the
-    equation is concave, Newton's steps from below its root stay below, and each passes another cell. One step alone
-    goes to and fro between both sides of a full neighbour, if it is over-relaxed.
+    The others' factors scale outflow, so that the sum of weights falls where the cell rises above a neighbour: the
+    equation is concave, Newton steps from below its root stay below, and each passes another cell. A single step,
+    over-relaxed, would alternate between both sides of a full neighbour.
     """
     level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
     r = across.shape[0]
@@ -75,7 +75,7 @@ def root_among(
     through, x = across[row, c], level[at, c]
     p_0, p_1, p_2, p_3 = level[at, c + 1], level[at, c - 1], level[at + 1, c], level[at - 1, c]
     f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
-    p_4, f_4, begun, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
+    p_4, f_4, initial, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
     limited = False if most is None else f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
     for _ in range(CROSSINGS):
         g_0 = east if p_0 > x or not limited else east * f_0
@@ -84,9 +84,9 @@ def root_among(
         g_3 = north if p_3 > x or not limited else north * f_3
         g_4 = through if p_4 > x or not limited else through * f_4
         ways = 1.0 + (((g_0 + g_1) + (g_2 + g_3)) + g_4)
-        total = begun + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
-        before, x = x, solve_level(total, ways, x, curve, stage.least[at, c], uptake, at, c)
-        low, high = min(before, x), max(before, x)
+        total = initial + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
+        previous, x = x, solve_level(total, ways, x, curve, stage.least[at, c], uptake, at, c)
+        low, high = min(previous, x), max(previous, x)
         if not limited or not (
             low < p_0 <= high or low < p_1 <= high or low < p_2 <= high or low < p_3 <= high or low < p_4 <= high
         ):
@@ -95,42 +95,42 @@ def root_among(
 
 
 @kernel
-def flows_at(level: float, way: float, other: float, factor: float) -> tuple[float, float, float]:
-    """What comes in and goes out through one face of a cell that holds `level`, and the way out."""
-    apart = way * (other - level)
-    return (apart, 0.0, 0.0) if apart > 0.0 else (0.0, -apart * factor, way * factor)
+def flows_at(level: float, weight: float, other: float, factor: float) -> tuple[float, float, float]:
+    """Return the inflow, the outflow and the weight of outflow of one face of a cell that holds `level`."""
+    flux = weight * (other - level)
+    return (flux, 0.0, 0.0) if flux > 0.0 else (0.0, -flux * factor, weight * factor)
 
 
 @kernel
 def fill_cell(
     limit: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, kept: bool, row: int, layer: int, c: int
 ) -> tuple[float, float, float]:
-    """Level, factor and inflow of a cell whose root without a factor lies beyond its limit."""
+    """Return level, factor and inflow of a cell whose root without a factor is beyond its limit."""
     level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
     r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     begun = stage.begun[at, c]
-    came, went, ways = 0.0, 0.0, 0.0
-    for way, i, k in (
+    inflow, outflow, ways = 0.0, 0.0, 0.0
+    for weight, i, k in (
         (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
         (down[at - 1, c], at - 1, c), (across[row, c], other, c),
     ):  # fmt: skip
-        into, out, open_way = flows_at(limit, way, level[i, k], passed[i, k])
-        came, went, ways = came + into, went + out, ways + open_way
+        into, out, open_weight = flows_at(limit, weight, level[i, k], passed[i, k])
+        inflow, outflow, ways = inflow + into, outflow + out, ways + open_weight
     full = amount(limit, curve)
     taken = held_at(full, stage.least[at, c], uptake, at, c) - uptake.fixed[at, c] if uptake is not None else 0.0
-    room = full - begun + taken + (0.0 if kept else went)
+    room = full - begun + taken + (0.0 if kept else outflow)
     if room < 0.0 and not kept:
-        # More begins here than can stay: nothing comes in, and it holds what does not flow out.
-        total = begun + ways * limit - went
-        return max(limit, solve_level(total, 1.0 + ways, limit, curve, stage.least[at, c], uptake, at, c)), 0.0, came
-    factor = min(max(room / came, 0.0), 1.0) if came > 0.0 else 1.0
-    return limit, factor, came
+        # The cell starts with more than can stay: without inflow, it keeps what does not flow out.
+        total = begun + ways * limit - outflow
+        return max(limit, solve_level(total, 1.0 + ways, limit, curve, stage.least[at, c], uptake, at, c)), 0.0, inflow
+    factor = min(max(room / inflow, 0.0), 1.0) if inflow > 0.0 else 1.0
+    return limit, factor, inflow
 
 
 @kernel
-def distance(root: float, here: float, ways: float, curve: Curve | None) -> float:
-    """What a level leaves of its cell's equation, in amounts."""
+def cell_residual(root: float, here: float, ways: float, curve: Curve | None) -> float:
+    """Return the residual of a level in its cell's equation, in amounts."""
     if curve is None:
         return abs(root - here) * ways
     return abs(root - here) * (ways - 1.0) + abs(amount(root, curve) - amount(here, curve))
@@ -141,7 +141,7 @@ def relax_cell(
     stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, omega: float, row: int, layer: int,
     c: int,
 ) -> Any:  # fmt: skip
-    """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
+    """Bring one cell nearer to its root. Return the previous residual of its equation, in amounts."""
     level, passed, at = stage.level, stage.passed, row + layer * stage.across.shape[0]
     here = level[at, c]
     root, ways = root_among(stage, curve, uptake, most, row, layer, c)
@@ -149,10 +149,10 @@ def relax_cell(
     kept = least > 0.0 and root <= least
     if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
         limit = most[at, c]
-        found, factor, came = fill_cell(limit, stage, curve, uptake, least >= limit > 0.0, row, layer, c)
-        off = distance(found, here, ways, curve) + abs(factor - passed[at, c]) * came
-        level[at, c], passed[at, c] = found, factor
-        return off
+        filled, factor, inflow = fill_cell(limit, stage, curve, uptake, least >= limit > 0.0, row, layer, c)
+        residual = cell_residual(filled, here, ways, curve) + abs(factor - passed[at, c]) * inflow
+        level[at, c], passed[at, c] = filled, factor
+        return residual
     if kept:
         root = relaxed = least
     else:
@@ -161,12 +161,12 @@ def relax_cell(
             relaxed = max(relaxed, least)
         if most is not None:
             relaxed = min(relaxed, most[at, c])
-    off = distance(root, here, ways, curve)
+    residual = cell_residual(root, here, ways, curve)
     level[at, c] = relaxed
     if most is not None:
-        off += abs(1.0 - passed[at, c]) * ways * max(here, 0.0)
+        residual += abs(1.0 - passed[at, c]) * ways * max(here, 0.0)
         passed[at, c] = 1.0
-    return off
+    return residual
 
 
 @kernel
@@ -174,13 +174,13 @@ def relax_row(
     colour: int, omega: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
     row: int, largest: float,
 ) -> float:  # fmt: skip
-    """Relax the cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
+    """Relax the cells of one colour in a row of both layers. Return the maximum of `largest` and their residuals."""
     for layer in range(2):
         for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
-            off = relax_cell(stage, curve, uptake, most, omega, row, layer, c)
-            # What is not a number must stay so.
-            if not off <= largest and largest == largest:
-                largest = off
+            residual = relax_cell(stage, curve, uptake, most, omega, row, layer, c)
+            # Keep NaN.
+            if not residual <= largest and largest == largest:
+                largest = residual
     return largest
 
 
@@ -189,8 +189,8 @@ def relax_bands(
     omega: float, second: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
     most: Float | None, nx: int, worst: Float,
 ) -> None:  # fmt: skip
-    """Relax one colour everywhere, and the other a row behind it while that is in the cache, but for the bands' outer
-    rows, which the first colour of the next band still sees as they were.
+    """Relax one colour everywhere, and the other a row behind it while that is in the cache, except in the bands' outer
+    rows, whose old values the first colour of the next band still needs.
     """
     for b in prange(cuts.shape[0] - 1):
         largest = 0.0
@@ -220,8 +220,8 @@ def relax(
     sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
     most: Float | None, nx: int, leave: Rows,
 ) -> tuple[int, float]:  # fmt: skip
-    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0;
-    sweeps and last residual.
+    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0.
+    Return the number of sweeps and the last residual.
     """
     worst = np.zeros((cuts.shape[0] - 1, 2))
     square, omega, residual = radius * radius, 1.0, np.inf
@@ -237,9 +237,9 @@ def relax(
 
 
 @kernel
-def flow(way: float, here: float, other: float, factor: float, other_factor: float) -> float:
-    """Flux from the other cell, by the factor of the one that receives; the same bits from both sides."""
-    return way * (factor if other > here else other_factor) * (other - here)
+def flow(weight: float, here: float, other: float, factor: float, other_factor: float) -> float:
+    """Return the flux from the other cell, times the receiver's factor; the same bits from both sides."""
+    return weight * (factor if other > here else other_factor) * (other - here)
 
 
 @kernel
@@ -247,31 +247,31 @@ def settle_row(
     out: Float, held: Float, stage: Stage, curve: Curve | None, uptake: Uptake | None, row: int,
     layer: int, nx: int,
 ) -> None:  # fmt: skip
-    """What the fluxes of the solution make of one row of one layer, and what its fibre then holds."""
+    """Compute mobile and fixed dye of one row of one layer from the fluxes of the solution."""
     level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
     r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     for c in range(LEFT, LEFT + nx):
         here, f = level[at, c], passed[at, c]
-        came = 0.0
-        for way, i, k in (
+        inflow = 0.0
+        for weight, i, k in (
             (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
             (down[at - 1, c], at - 1, c), (across[row, c], other, c),
         ):  # fmt: skip
-            came += flow(way, here, level[i, k], f, passed[i, k])
+            inflow += flow(weight, here, level[i, k], f, passed[i, k])
         taken = 0.0
         if uptake is not None:
-            found = held_at(amount(here, curve), stage.least[at, c], uptake, at, c)
-            taken = found - uptake.fixed[at, c]
-            held[at, c] = found
-        out[at, c] = stage.begun[at, c] + came - taken
+            fixed = held_at(amount(here, curve), stage.least[at, c], uptake, at, c)
+            taken = fixed - uptake.fixed[at, c]
+            held[at, c] = fixed
+        out[at, c] = stage.begun[at, c] + inflow - taken
 
 
 @parallel_kernel
 def settle(
     out: Float, held: Float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, nx: int
 ) -> None:
-    """Mobile and fixed dye after the stage, from the fluxes: a residual moves dye then, and makes none."""
+    """Compute mobile and fixed dye after the stage from the fluxes, so that a residual moves dye and creates none."""
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):

@@ -1,7 +1,7 @@
-"""Steps of any length: the layout that their kernels take, and how a frame is cut into steps after amounts jump.
+"""Steps of any length: the layout of their kernels, and the division of a frame into steps after amounts jump.
 
-A first step over a jump would ring or overshoot, and fibre would keep what it takes of that: the first one, and one
-after cloth or supplies have changed, is taken in parts that grow with the time since (`split_steps`).
+A first step over a jump would ring or overshoot, and fibre would keep the dye that it takes of that: the first step,
+and one after cloth or supplies have changed, is taken in parts that grow with the time since (`split_steps`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.layout import Bounds
 
 BEYOND = 1e3
-"""What a kept-up cell may hold beyond its capacity while others' excess is moved."""
+"""Amount that a maintained cell may hold beyond its capacity while others' excess moves."""
 MARGIN = 2
 """Rows of padding beyond the two that every layout has: factors look two rows ahead."""
 MOST_WEIGHTS = 4
-"""Lengths of steps whose weights are kept."""
+"""The most lengths of steps with cached weights."""
 
 Pair = tuple[Float, Float]
 """Mobile and fixed dye, (2 r, w) each."""
@@ -37,14 +37,14 @@ Pair = tuple[Float, Float]
 
 @dataclass
 class Dyed:
-    """One dye while it is advanced.
+    """The state of one dye while it advances.
 
     number   its place among the system's dyes
-    floor    (2 r, w) what is kept up of it, None where nothing is
+    floor    (2 r, w) maintained amounts, None if there are none
     limited  whether limits may bind
-    totals   what steps count, of all dyes
-    given    what each step or stage took from supplies, less what it gave back
-    why      why the last step that failed did
+    totals   counts of all dyes' steps
+    supplied net amount that each step or stage took from supplies
+    reason   of the last step that failed
     """
 
     number: int
@@ -52,27 +52,27 @@ class Dyed:
     floor: Float | None
     limited: bool
     totals: dict[str, int]
-    given: list[float] = field(default_factory=list)
-    why: str = ""
+    supplied: list[float] = field(default_factory=list)
+    reason: str = ""
 
     @property
     def curve(self) -> Curve | None:
-        """How D falls with the dye."""
+        """G of the dye, None if its D is constant."""
         return curve_of(self.one)
 
     @property
     def fixes(self) -> bool:
-        """Whether fibre takes any in a kernel."""
+        """Whether a kernel fixes this dye."""
         return solving.law_of(self.one, 1.0).kind != NOTHING
 
 
 class LongSteps(solving.Banded):
     """A solver that takes steps of any length.
 
-    counts   what its totals count beside steps
-    longest  the most explicit limits that a step may reach; a longer one is taken in equal parts
+    counts   its totals besides steps
+    longest  the most explicit limits in a step; a longer one is taken in equal parts
 
-    Its configuration says with `start` in how many steps each doubling of the time since a jump is taken at least.
+    `start` of its configuration is the least number of steps in each doubling of the time since a jump.
     """
 
     name: ClassVar[str]
@@ -81,126 +81,125 @@ class LongSteps(solving.Banded):
 
     @abstractmethod
     def reach(self, layout: Layout, dyed: Dyed, scale: float) -> float:
-        """Explicit limits in a step, `scale` being D0 dt / d^2."""
+        """Return the explicit limits in a step, `scale` being D0 dt / d^2."""
 
     @abstractmethod
     def step(self, layout: Layout, dyed: Dyed, start: Pair, scale: float) -> Pair | None:
-        """Amounts after one step; None where it fails, and then nothing is added to `given` and `why` is told."""
+        """Return amounts after one step, or None if it fails: then `supplied` is unchanged and `reason` is set."""
 
     def prepare(self, config: Any, system: DyeSystem, state: DyeState) -> Memory:
-        """Memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of the room and of
-        the floors that the last step met; `since` (1,), steps since they were others. Raises BadInput.
+        """Return memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of capacity
+        and floors in the last step; `since` (1,), steps since these changed. Raises BadInput.
         """
         solving.require_compiled_laws(system, self.name)
         arrays = {"highest": solving.largest_amounts(state.phi), "met": np.full(2, np.nan), "since": np.zeros(1)}
         return Memory(arrays, Layout(config, system), {"since": Bounds(0.0)})
 
     def limit(self, config: Any, system: DyeSystem) -> float:
-        """No limit: every step is stable."""
+        """Return infinity: every step is stable."""
         return math.inf
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """See nuno_schemas.dye.DyeSolverPlugin."""
+        """Advance a state by a frame of `steps` of dt [s]."""
         layout: Layout = solving.renew_work(memory, system)
         highest, since = memory.arrays["highest"], memory.arrays["since"]
-        if solving.begin_frame(memory.arrays, layout.known, steps):
+        if solving.begin_frame(memory.arrays, layout.derived, steps):
             since[:] = 0.0
-        totals, given, message = {"steps": steps, **dict.fromkeys(self.counts, 0)}, [], ""
-        for k, one in enumerate(system.dyes):
-            limited = not float(highest[k]) <= layout.known.room
-            dyed = Dyed(k, one, layout.floor(k), limited, totals)
+        totals, supplied, message = {"steps": steps, **dict.fromkeys(self.counts, 0)}, [], ""
+        for k, dye in enumerate(system.dyes):
+            limited = not float(highest[k]) <= layout.derived.room
+            dyed = Dyed(k, dye, layout.floor(k), limited, totals)
             failed = self._advance_one(layout, dyed, state, steps, dt, int(since[0]))
-            given.append(math.fsum(dyed.given))
+            supplied.append(math.fsum(dyed.supplied))
             message = message or failed
         state.t += steps * dt
         since[0] = int(since[0]) + steps
-        return solving.make_report(system, state, totals, given, message)
+        return solving.make_report(system, state, totals, supplied, message)
 
     def _advance_one(self, layout: Layout, dyed: Dyed, state: DyeState, steps: int, dt: float, since: int) -> str:
-        """Bring one dye from the start of a frame to its end or to where a step fails; why it fails."""
+        """Advance one dye to the end of a frame, or until a step fails. Return the reason of the failure or ""."""
         phi, fixed = state.phi[dyed.number], state.fixed[dyed.number]
         amounts, failed, parts = (layout.planes(phi), layout.planes(fixed)), "", 1
-        scale = dyed.one.D0 * dt / layout.known.system.cells.size**2
+        scale = dyed.one.D0 * dt / layout.derived.system.cells.size**2
         while self.reach(layout, dyed, scale / parts) > self.longest:
             parts += parts
         reach = self.reach(layout, dyed, scale / parts)
         for share in split_steps(since * parts, steps * parts, reach, layout.config.start):
-            leaves = layout.known.system.leave[0] != 0
-            after = None if leaves else self.step(layout, dyed, amounts, float(share) * scale / parts)
-            if after is None:
-                failed = f"a step of {float(share) * dt / parts:g} s {dyed.why}"
+            stopped = layout.derived.system.leave[0] != 0
+            result = None if stopped else self.step(layout, dyed, amounts, float(share) * scale / parts)
+            if result is None:
+                failed = f"a step of {float(share) * dt / parts:g} s {dyed.reason}"
                 break
-            amounts = after
+            amounts = result
         if steps == 0:
-            # Compiles the kernels; nothing of it is kept.
-            self.step(layout, replace(dyed, totals=dict(dyed.totals), given=[]), amounts, 0.0)
+            # Compile the kernels, without effect on the state.
+            self.step(layout, replace(dyed, totals=dict(dyed.totals), supplied=[]), amounts, 0.0)
         layout.write_back(amounts, phi, fixed)
         return failed
 
 
 class Layout:
-    """What was made from a system; arrays (2 r, w) hold the weft's rows before the warp's.
+    """A system in the kernels' layout; arrays (2 r, w) hold the weft's rows before the warp's.
 
     cuts     (b + 1,) first rows of the bands, and the one after the last
     mobile   V_u
     fibre    V_d
-    fed      what depends on what supplies keep up
+    floor_cache  data that depend on maintained supplies
     weights  of the faces, by D0 dt / d^2
     """
 
     def __init__(self, config: Any, system: DyeSystem) -> None:
-        self.config, self.known, cells = config, solving.know(system), system.cells
+        self.config, self.derived, cells = config, solving.derive(system), system.cells
         self.cut = cut = Cut(cells.fibre.shape, 1, MARGIN)
         self.cuts: Rows = cut.top + np.linspace(0, cut.ny, solving.count_bands(system) + 1).astype(np.int64)
         self.mobile, self.fibre = self.planes(cells.mobile_room), self.planes(cells.fixed_room)
-        self.fed: dict[Any, Any] = {}
+        self.floor_cache: dict[Any, Any] = {}
         self.weights: dict[float, Weights] = {}
 
-    def made_for(self, system: DyeSystem) -> Layout:
-        """A layout for another system, of the same configuration."""
+    def rebuild(self, system: DyeSystem) -> Layout:
+        """Return a layout for another system, of the same configuration."""
         return Layout(self.config, system)
 
     def planes(self, amounts: Float) -> Float:
-        """(2 r, w) amounts (2, ny, nx) in this layout."""
+        """Return amounts (2, ny, nx) in this layout (2 r, w)."""
         return np.asarray(self.cut.fill(amounts)[0][0])
 
     def floor(self, k: int) -> Float | None:
-        """(2 r, w) what is kept up of dye `k`, None where nothing is."""
-        floors = self.known.floors
+        """Return the maintained amounts (2 r, w) of dye `k`, None if there are none."""
+        floors = self.derived.floors
         if floors is None or not floors[k].any():
             return None
-        if k not in self.fed:
-            self.fed[k] = self.planes(floors[k])
-        return np.asarray(self.fed[k])
+        if k not in self.floor_cache:
+            self.floor_cache[k] = self.planes(floors[k])
+        return np.asarray(self.floor_cache[k])
 
     def weights_of(self, scale: float) -> Weights:
-        """Weights of the faces at D0 dt / d^2; those of the last few lengths of steps are kept."""
+        """Return the weights of the faces at D0 dt / d^2, cached for a few lengths of steps."""
         if scale not in self.weights:
             if len(self.weights) >= MOST_WEIGHTS:
                 self.weights.clear()
-            self.weights[scale] = Weights(*(plane[0] for plane in self.cut.fill_faces(self.known.faces, scale)))
+            self.weights[scale] = Weights(*(plane[0] for plane in self.cut.fill_faces(self.derived.faces, scale)))
         return self.weights[scale]
 
     def write_back(self, amounts: tuple[Float, Float], phi: Float, fixed: Float) -> None:
-        """Put mobile and fixed amounts (2 r, w) into (2, ny, nx)."""
+        """Write mobile and fixed amounts (2 r, w) into `phi` and `fixed` (2, ny, nx)."""
         cut = self.cut
         for values, out in zip(amounts, (phi, fixed), strict=True):
             for layer in range(2):
                 at = cut.top + layer * cut.height
                 out[layer] = values[at : at + cut.ny, LEFT : LEFT + cut.nx]
 
-    def mend(self, phi: Float, most: Float, floor: Float | None, scale: float) -> int:
-        """Bring amounts (2 r, w) into 0 .. `most`, in place; how many cells still lie outside.
-
-        Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.
+    def repair_bounds(self, phi: Float, most: Float, floor: Float | None, scale: float) -> int:
+        """Bring amounts (2 r, w) into 0 .. `most`, in place. Return the number of cells still outside. Maintained cells
+        take any excess of their neighbours and return it to their supply.
         """
         bounds = most if floor is None else np.where(floor > 0.0, most + BEYOND, most)
         least, cut = np.zeros_like(phi) if floor is None else floor, self.cut
         return repair(phi, bounds, least, self.weights_of(scale), cut.top, cut.top + cut.ny - 1, cut.nx)
 
 
-def keep_up(phi: Float, floor: Float | None, most: Float) -> float:
-    """Bring kept-up cells between their floor and `most`, in place; what that took, less what it gave back."""
+def apply_floor(phi: Float, floor: Float | None, most: Float) -> float:
+    """Bring maintained cells between their floor and `most`, in place. Return the net amount that this added."""
     if floor is None:
         return 0.0
     at = np.flatnonzero(floor > 0.0)
@@ -211,11 +210,11 @@ def keep_up(phi: Float, floor: Float | None, most: Float) -> float:
 
 
 def split_steps(since: int, steps: int, reach: float, start: int) -> Float:
-    """Shares of a step, in order, that `steps` steps are taken in, `since` steps after amounts have jumped.
+    """Return the shares of a step, in order, in which `steps` steps are taken, `since` steps after amounts jumped.
 
-    What a jump spreads depends on r^2 / t, so that steps of equal error grow with the time since: every doubling of
-    it takes `start` of them at least. The first step begins with a `start`-th of an explicit step, `reach` of which
-    it is long. Fibre keeps what it takes meanwhile, so that no later step would mend it.
+    The spread of a jump depends on r^2 / t, so that steps of equal error grow with the time since: every doubling of it
+    takes at least `start` of them. The first step, `reach` explicit steps long, begins with a `start`-th of one. Fibre
+    keeps the dye that it takes meanwhile, so that later steps would not correct an error.
     """
     shares: list[float] = []
     for n in range(since, since + steps):

@@ -1,10 +1,9 @@
-"""What a step leaves below nothing or above capacity goes to or comes from the nearest cells that can; no dye is lost.
+"""Repair of amounts below 0 or above capacity after a step, from or to the nearest cells that can; no dye is lost.
 
-Excess flows over faces, through full cells, towards those with room: from every cell to the neighbours that are a
-face nearer to room, by the faces' weights, and at the end by the room that there is. A lack is made good likewise by
-the nearest cells that have dye. A cell that held more than its capacity before the step may go on to. To share
-excess with the neighbours, again and again until all are within bounds, took hundreds of sweeps where many full
-cells lie together, and then came to an end no better than rounding.
+Excess flows over faces, through full cells, towards those with room: from every cell to the neighbours that are a face
+nearer to room, by the faces' weights, and at the end by the available room. The nearest cells that have dye fill a
+deficit likewise. Rejected: sharing excess with the neighbours until all are within bounds, which took hundreds of
+sweeps where many full cells are together, and then ended no better than rounding.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from nuno_kernels import block_kernel, kernel
 from nuno_schemas.fabric import Float, Int
 
 ROUNDS = 100
-"""Times that excess is sent on, each time from twice as far: nearly all of it has room beside it, and cells that get
-more than they can take send that on in the next."""
+"""The most rounds in which excess moves, each with twice the reach of the last: nearly all of it finds room at once,
+and overfilled cells pass their excess on in the next round."""
 
 ROUNDING = 1.0 + 2.0**-49
-"""A cell above its capacity by no more than rounding is set to it: among full cells nobody could take so little."""
+"""A cell above its capacity by no more than rounding is set to it: among full cells no other could take so little."""
 ROOM = 2.0**-20
-"""Share of its capacity for which a cell is worth the way, unless there is none anywhere."""
+"""Least free share of its capacity for which a cell is a target, unless there is none."""
 
 
 @kernel
 def face(weights: Weights, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
-    """Weight of a cell's face, and the row, (2 r, w), and column of the cell behind it."""
+    """Return the weight of a cell's face, and the row, (2 r, w), and column of the cell behind it."""
     if side == 0:
         return weights.along[row, c], row, c + 1
     if side == 1:
@@ -42,7 +41,7 @@ def face(weights: Weights, r: int, row: int, c: int, side: int) -> tuple[float, 
 
 @kernel
 def room_of(phi: Float, most: Float, row: int, c: int, lacking: bool) -> float:
-    """What a cell can take; what it can give where others lack."""
+    """Return the amount that a cell can take, or, if others are `lacking`, give."""
     there: float = phi[row, c]
     return there if lacking else most[row, c] - there
 
@@ -51,34 +50,33 @@ def room_of(phi: Float, most: Float, row: int, c: int, lacking: bool) -> float:
 def find_outside(
     phi: Float, most: Float, floor: Float, first: int, last: int, nx: int, lacking: bool, queue: Rows
 ) -> int:
-    """Cells above capacity, or below nothing, into `queue` as row w + c; how many."""
-    r, w, found = phi.shape[0] // 2, phi.shape[1], 0
+    """Write cells above capacity, or below 0, into `queue` as row w + c. Return their number."""
+    r, w, count = phi.shape[0] // 2, phi.shape[1], 0
     for layer in range(2):
         for row in range(first + layer * r, last + 1 + layer * r):
             for c in range(LEFT, LEFT + nx):
-                there, limit = phi[row, c], most[row, c]
+                present, limit = phi[row, c], most[row, c]
                 if lacking:
-                    outside = there < 0.0 and floor[row, c] == 0.0
+                    outside = present < 0.0 and floor[row, c] == 0.0
                 else:
-                    outside = there > limit
-                    if outside and there <= limit * ROUNDING:
+                    outside = present > limit
+                    if outside and present <= limit * ROUNDING:
                         phi[row, c] = limit
                         outside = False
                 if outside:
-                    queue[found] = row * w + c
-                    found += 1
-    return found
+                    queue[count] = row * w + c
+                    count += 1
+    return count
 
 
 @kernel
 def find_ends(
     phi: Float, most: Float, weights: Weights, lacking: bool, queue: Rows, count: int, far: Int, ends: Rows, reach: int
 ) -> int:
-    """Cells with room no more than `reach` faces from the `count` first of `queue`, into `ends`; how many.
-
-    `far` is then 0 where there is room, -1 on the way, and -2 where nobody has been.
+    """Write cells with room within `reach` faces of the `count` first of `queue` into `ends`. Return their number.
+    `far` is then 0 in cells with room, -1 in visited ones, and -2 in others.
     """
-    r, w, found, at = weights.across.shape[0], phi.shape[1], 0, 0
+    r, w, end_count, at = weights.across.shape[0], phi.shape[1], 0, 0
     worth = 0.0 if reach >= phi.size else ROOM
     for n in range(count):
         far[queue[n] // w, queue[n] % w] = -1
@@ -91,8 +89,8 @@ def find_ends(
                 if weight > 0.0 and far[i, k] == -2:
                     if room_of(phi, most, i, k, lacking) > worth * most[i, k]:
                         far[i, k] = 0
-                        ends[found] = i * w + k
-                        found += 1
+                        ends[end_count] = i * w + k
+                        end_count += 1
                     else:
                         far[i, k] = -1
                         queue[count] = i * w + k
@@ -100,12 +98,14 @@ def find_ends(
         if count == layer:
             break
         at = layer
-    return found
+    return end_count
 
 
 @kernel
-def measure_ways(weights: Weights, w: int, far: Int, ends: Rows, count: int) -> int:
-    """Faces between each cell that was passed and room into `far`, and the cells into `ends`, nearest first."""
+def measure_distances(weights: Weights, w: int, far: Int, ends: Rows, count: int) -> int:
+    """Write visited cells into `ends`, nearest to room first, and their distance in faces into `far`. Return their
+    number.
+    """
     r, at = weights.across.shape[0], 0
     while at < count:
         row, c = ends[at] // w, ends[at] % w
@@ -120,8 +120,10 @@ def measure_ways(weights: Weights, w: int, far: Int, ends: Rows, count: int) -> 
 
 
 @kernel
-def send_on(phi: Float, most: Float, weights: Weights, floor: Float, lacking: bool, far: Int, row: int, c: int) -> None:
-    """Bring one cell within its bounds; what it has beyond goes a face nearer to room."""
+def move_excess(
+    phi: Float, most: Float, weights: Weights, floor: Float, lacking: bool, far: Int, row: int, c: int
+) -> None:
+    """Bring one cell within its bounds; its excess moves a face nearer to room."""
     r, near = weights.across.shape[0], far[row, c] - 1
     if lacking and floor[row, c] > 0.0:
         return
@@ -133,7 +135,7 @@ def send_on(phi: Float, most: Float, weights: Weights, floor: Float, lacking: bo
         weight, i, k = face(weights, r, row, c, side)
         if weight > 0.0 and far[i, k] == near:
             total += max(room_of(phi, most, i, k, lacking), 0.0) if near == 0 else weight
-    if total == 0.0:  # others have filled up all that there was: this cell waits for the next round
+    if total == 0.0:  # others have used all room: this cell waits for the next round
         return
     for side in range(5):
         weight, i, k = face(weights, r, row, c, side)
@@ -147,7 +149,7 @@ def send_on(phi: Float, most: Float, weights: Weights, floor: Float, lacking: bo
 def repair_side(
     phi: Float, most: Float, floor: Float, weights: Weights, first: int, last: int, nx: int, lacking: bool
 ) -> int:
-    """Bring amounts below capacity, or above nothing; how many cells still lie outside."""
+    """Bring amounts below capacity, or above 0. Return the number of cells still outside."""
     w = phi.shape[1]
     queue = np.empty(phi.size, np.int64)
     outside = find_outside(phi, most, floor, first, last, nx, lacking, queue)
@@ -160,8 +162,8 @@ def repair_side(
         count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, reach)
         if count == 0 and reach >= phi.size:
             break
-        for n in range(measure_ways(weights, w, far, ends, count) - 1, count - 1, -1):
-            send_on(phi, most, weights, floor, lacking, far, ends[n] // w, ends[n] % w)
+        for n in range(measure_distances(weights, w, far, ends, count) - 1, count - 1, -1):
+            move_excess(phi, most, weights, floor, lacking, far, ends[n] // w, ends[n] % w)
         outside = find_outside(phi, most, floor, first, last, nx, lacking, queue)
         if outside == 0:
             break
@@ -171,9 +173,8 @@ def repair_side(
 
 @kernel
 def repair(phi: Float, most: Float, floor: Float, weights: Weights, first: int, last: int, nx: int) -> int:
-    """Bring amounts (2 r, w) into 0 .. `most`; how many cells still lie outside. Not a number stays.
-
-    A cell with a `floor` above 0 may lack what it will be given.
+    """Bring amounts (2 r, w) into 0 .. `most`. Return the number of cells still outside. NaN stays. A cell with a
+    `floor` above 0 may be below 0, since its supply fills it.
     """
     outside = repair_side(phi, most, floor, weights, first, last, nx, False)
     return outside + repair_side(phi, most, floor, weights, first, last, nx, True)

@@ -1,15 +1,14 @@
 """Runge-Kutta-Legendre super-time-stepping: long explicit steps, of second order (Meyer, Balsara and Aslam 2014).
 
-A step of s stages reaches (s^2 + s - 2) / 4 explicit limits, so that it costs about 4 / s of what they would. Stages
-are as many as the step needs. Adsorption, limits and supplies act in every stage (nuno_dye.solvers.rkl2), so that
-nothing is split: adsorption apart from diffusion (Strang) was a hundred times less accurate beside a kept-up drop.
-Smooth amounts converge with the second order in the step; where a limit begins to bind, or supply to act, with the
-first.
+A step of s stages reaches (s^2 + s - 2) / 4 explicit limits, at about 4 / s of the cost of explicit steps. A step has
+as many stages as it needs. Adsorption, limits and supplies act in every stage, so that nothing is split. Rejected:
+adsorption separate from diffusion (Strang), a hundred times less accurate near a maintained drop. Smooth amounts
+converge with second order in the step; where a limit begins to bind, or a supply to act, with first order.
 
 A first step over a jump would ring: it begins with a quarter of an explicit step (nuno_dye.solvers.long_steps).
 
-An explicit stage can overshoot where amounts jump. What a step leaves below nothing or above capacity goes to or
-comes from the nearest cells that can take or give it (nuno_dye.solvers.repair).
+An explicit stage can overshoot where amounts jump. Amounts below 0 or above capacity after a step are balanced with the
+nearest cells that can (nuno_dye.solvers.repair).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from nuno_dye.laws.potential import Curve
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import Rows, Weights
 from nuno_dye.solvers.fixing import bound_bands, settle_bands
-from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, keep_up
+from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
 from nuno_dye.solvers.rkl2_rows import (
     ROWS,
     SLOT,
@@ -43,41 +42,37 @@ from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
 
-# A super-step of the Runge-Kutta-Legendre method: all of its stages in one compiled call.
-#
-#     Y_j = Y_0 + mu_j (Y_j-1 - Y_0) + nu_j (Y_j-2 - Y_0) + mu'_j dt M(Y_j-1) + gamma'_j dt M(Y_0)
-#
-# (Meyer, Balsara and Aslam 2014, equation 15). Written in differences from Y_0, rounding of the coefficients makes
-# no dye: M moves it over faces, and what one cell loses the other gains.
-#
-# M is that of the explicit step as its step goes to 0. A cell that is full lets in as much as goes out of it and as its
-# fibre takes: its inflow is scaled by (outflow + taken + pace (V_u - phi)) / inflow, if that is below 1, `pace` being
-# how fast it comes to its capacity. Outflow into cells that are full themselves is what their factors of the stage
-# before let through. A kept-up cell acts on its neighbours as though it held its floor, while its own sum runs on, so
-# that at the end it tells what must be given. Adsorption is part of M (nuno_dye.solvers.fixing).
-#
-# One stage at a time is as slow as memory is, so a pass takes several while their rows are in the core's cache. A
-# stage of a row needs the one before of the rows up to `depth` away, and its planes hold no more than the last two
-# stages; so stage n of row i follows stage n - 1 of row i + depth. Bands of rows take a pass at once, each stage
-# `depth` rows fewer at an end that meets another band; what is left between two bands, `depth` rows more each stage,
-# is taken after both. Nothing is computed twice, and the bits do not depend on bands or passes.
+# A super-step of the Runge-Kutta-Legendre method: all of its stages in one compiled call.  Y_j = Y_0 + mu_j (Y_j-1 -
+# Y_0) + nu_j (Y_j-2 - Y_0) + mu'_j dt M(Y_j-1) + gamma'_j dt M(Y_0) (Meyer, Balsara and Aslam 2014, equation 15). In
+# differences from Y_0, rounding of the coefficients creates no dye: M moves it over faces, from one cell to another. M
+# is that of the explicit step as its length goes to 0. A full cell admits its outflow and its fibre's uptake: its
+# inflow is scaled by (outflow + taken + pace (V_u - phi)) / inflow, if that is below 1, `pace` being the rate at which
+# it approaches its capacity. Outflow into cells that are also full is scaled by their factors of the previous stage. A
+# maintained cell acts on its neighbours as though it held its floor, while its own sum continues, so that at the end it
+# gives the supplied amount. Adsorption is part of M (nuno_dye.solvers.fixing). Memory limits the speed of single
+# stages, so a pass takes several while their rows are in the core's cache. A stage of a row needs the previous stage of
+# rows up to `depth` away, and its planes hold only the last two stages; so stage n of row i follows stage n - 1 of row
+# i + depth. Bands of rows take a pass at once, each stage `depth` rows fewer at an end that meets another band; the
+# rest between two bands, `depth` rows more each stage, follows after both. Nothing is computed twice, and the bits do
+# not depend on bands or passes.
 
 LEVELS = 8
 """Stages of a pass; a row of 200 x 2 cells has about 40 kB."""
 SETTLING = 4
-"""Passes that find the first stage's factors, from 0 on: as many full cells in a row let dye through at once."""
+"""Passes that compute the first stage's factors, from 0: as many full cells in a row pass dye on at once."""
 
 
 class Amounts(NamedTuple):
-    """One dye while it takes a step. Three planes (6 r, w) hold amounts at the start, in even and in odd stages.
+    """The amounts of one dye in a step. Three planes (6 r, w) hold those at the start, in even and in odd stages.
 
     mobile   phi, raw; `slope` (2 r, w) is dt M(Y_0)
-    seen     what neighbours see of it: `mobile` itself, but where it is kept up no less than its `floor` (2 r, w)
-    held     what fibre has taken; `bite` (2 r, w) is what it takes at first, `fibre` (2 r, w) is V_d
+    seen     mobile dye as neighbours see it: at least its `floor` (2 r, w) if it is maintained
+    held     fixed dye; `bite` (2 r, w) is its uptake in the first stage, `fibre` (2 r, w) is V_d
     factors  of even and odd stages, the first plane unused
     scratch  (bands, levels ROWS, w), ROWS as in nuno_dye.solvers.rkl2_rows
 
-    Those of fibre are any where it takes nothing, `floor` where nothing is kept up, `factors` where nothing is limited.
+    Arrays without use (of fibre that takes no dye, `floor` without maintained cells, `factors` without limits) are
+    arbitrary.
     """
 
     mobile: Float
@@ -92,7 +87,7 @@ class Amounts(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """Stages of a pass, numbered as the coefficients are; -1 finds factors alone, from plane `turn` into the other."""
+    """Stages of a pass, numbered like coefficients; -1 computes factors only, from plane `turn` into the other."""
 
     first: int
     number: int
@@ -100,7 +95,7 @@ class Stages(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Rows `top` to `bottom` of the first stage, and how many more each later one takes above and below."""
+    """Rows `top` to `bottom` of the first stage, and the number by which each later stage extends above and below."""
 
     top: int
     bottom: int
@@ -113,7 +108,7 @@ def pass_rows(
     span: Span, stages: Stages, rules: Rules, coefs: Float, weights: Weights, curve: Curve | None, amounts: Amounts,
     most: Float | None, scratch: Float,
 ) -> None:  # fmt: skip
-    """All stages of a pass over some rows; arrays are taken out of the tuples here, once for them all."""
+    """Take all stages of a pass over some rows; arrays are taken out of the tuples here, once for all."""
     along, down, across, factors = weights.along, weights.down, weights.across, amounts.factors
     mobile, slope, seen, floor = amounts.mobile, amounts.slope, amounts.seen, amounts.floor
     held, bite, fibre = amounts.held, amounts.bite, amounts.fibre
@@ -146,7 +141,7 @@ def pass_bands(
     stages: Stages, rules: Rules, coefs: Float, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts,
     most: Float | None,
 ) -> None:  # fmt: skip
-    """What of a pass the bands can take without each other."""
+    """Take the part of a pass in which bands are independent."""
     bands, depth = cuts.shape[0] - 1, 1 if most is None else 2
     for b in prange(bands):
         span = Span(cuts[b], cuts[b + 1] - 1, depth if b > 0 else 0, -depth if b < bands - 1 else 0)
@@ -158,7 +153,7 @@ def pass_between(
     stages: Stages, rules: Rules, coefs: Float, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts,
     most: Float | None,
 ) -> None:  # fmt: skip
-    """The rest of a pass, between the bands. A loop of its own: numba would fuse it."""
+    """Take the rest of a pass, between the bands. A separate loop, since numba would fuse it."""
     depth = 1 if most is None else 2
     for b in prange(1, cuts.shape[0] - 1):
         span = Span(cuts[b], cuts[b] - 1, -depth, depth)
@@ -170,11 +165,11 @@ def super_step(
     coefs: Float, rules: Rules, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts, most: Float | None,
     leave: Rows,
 ) -> None:  # fmt: skip
-    """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane. Until `leave`
-    (1,) is not 0.
+    """Take all stages, with coefficients (s, 4) mu, nu, mu', gamma', until `leave` (1,) is not 0; the last, as s is
+    odd, is in the even plane.
 
-    cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `most`
-    (V_u) where nothing can be limited.
+    cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None if D is constant, `most`
+    (V_u) if nothing can be limited.
     """
     levels = amounts.scratch.shape[1] // ROWS
     if most is not None:
@@ -193,13 +188,13 @@ def super_step(
 MOST_STAGES = 201
 """Rounding grows with the square of the stages; a longer step is taken in parts."""
 PACE = 0.25
-"""Cells come to their limits in four explicit steps, or in the whole step where that is shorter."""
+"""Cells reach their limits in four explicit steps, or in the whole step if that is shorter."""
 STIFFER = 1.25
-"""By how much limits may raise the largest eigenvalue: PACE of them."""
+"""Factor by which limits may raise the largest eigenvalue: 1 + PACE."""
 
 
 class Rkl2Config(Config):
-    """How a step begins where amounts jump."""
+    """The start of a step after amounts jump."""
 
     start: int = Field(4, ge=1, le=1024, description="steps in each doubling of the time since amounts jumped")
 
@@ -214,77 +209,79 @@ class Rkl2(LongSteps):
     longest = (MOST_STAGES**2 + MOST_STAGES - 2) / 4
 
     def reach(self, layout: Layout, dyed: Dyed, scale: float) -> float:
-        """See LongSteps; what limits and adsorption add to the largest eigenvalue counts."""
+        """Return the explicit limits in a step, with the larger eigenvalue by limits and adsorption."""
         one, stiffer = dyed.one, STIFFER if dyed.limited or dyed.fixes else 1.0
-        return scale * (layout.known.most * one.steepest * stiffer + (one.adsorption if dyed.fixes else 0.0))
+        return scale * (layout.derived.most * one.steepest * stiffer + (one.adsorption if dyed.fixes else 0.0))
 
     def step(self, layout: Layout, dyed: Dyed, start: Pair, scale: float) -> Pair | None:
-        """See LongSteps: all stages, and what they leave out of bounds moved to where it fits."""
+        """Take all stages, then move amounts out of bounds to cells with room. None if there are none."""
         phi, nx, amounts = start[0], layout.cut.nx, _amounts(layout, dyed)
         reach = self.reach(layout, dyed, scale)
         pace, law = max(PACE * reach, 1.0), solving.law_of(dyed.one, scale)
         coefficients = find_coefficients(find_stages(reach))
-        found, fixed = _run(layout, dyed, start, scale, coefficients, Rules(*law, pace, dyed.floor is not None))
+        mobile, fixed = _run(layout, dyed, start, scale, coefficients, Rules(*law, pace, dyed.floor is not None))
         dyed.totals["stages"] += len(coefficients)
-        begun = Uptake(amounts.held[: len(phi)], layout.fibre, *law)
+        initial = Uptake(amounts.held[: len(phi)], layout.fibre, *law)
         if dyed.fixes:
-            bound_bands(layout.cuts, found, phi, fixed, begun, amounts.floor, nx)
+            bound_bands(layout.cuts, mobile, phi, fixed, initial, amounts.floor, nx)
         most = np.maximum(layout.mobile, phi)
-        if layout.mend(found, most, dyed.floor, scale) > 0:
-            dyed.why = "leaves amounts beyond capacity"
+        if layout.repair_bounds(mobile, most, dyed.floor, scale) > 0:
+            dyed.reason = "leaves amounts beyond capacity"
             return None
-        given = keep_up(found, dyed.floor, most)
+        added = apply_floor(mobile, dyed.floor, most)
         if dyed.fixes:
-            settle_bands(layout.cuts, found, phi, fixed, begun, amounts.floor, nx, pace)
-            given += keep_up(found, dyed.floor, most)
-        dyed.given.append(given)
-        return found, fixed
+            settle_bands(layout.cuts, mobile, phi, fixed, initial, amounts.floor, nx, pace)
+            added += apply_floor(mobile, dyed.floor, most)
+        dyed.supplied.append(added)
+        return mobile, fixed
 
 
 def find_stages(reach: float) -> int:
-    """Least odd number of stages that covers `reach` explicit limits."""
+    """Return the least odd number of stages that covers `reach` explicit limits."""
     s = max(3, math.ceil(0.5 * (math.sqrt(9.0 + 16.0 * reach) - 1.0)))
     return s + (s + 1) % 2
 
 
 def find_coefficients(s: int) -> Float:
-    """(s, 4) mu, nu, mu', gamma' of the stages (Meyer, Balsara and Aslam 2014, equations 16 and 17)."""
+    """Return mu, nu, mu', gamma' (s, 4) of the stages (Meyer, Balsara and Aslam 2014, equations 16 and 17)."""
     j = np.arange(s + 1.0)
     b = np.full(s + 1, 1.0 / 3.0)
     b[2:] = (j[2:] ** 2 + j[2:] - 2.0) / (2.0 * j[2:] * (j[2:] + 1.0))
     w = 4.0 / (s * s + s - 2.0)
-    found = np.zeros((s, 4))
-    found[0, 2] = b[1] * w
-    found[1:, 0] = (2.0 * j[2:] - 1.0) / j[2:] * b[2:] / b[1:-1]
-    found[1:, 1] = -(j[2:] - 1.0) / j[2:] * b[2:] / b[:-2]
-    found[1:, 2] = found[1:, 0] * w
-    found[1:, 3] = -(1.0 - b[1:-1]) * found[1:, 2]
-    return found
+    coefficients = np.zeros((s, 4))
+    coefficients[0, 2] = b[1] * w
+    coefficients[1:, 0] = (2.0 * j[2:] - 1.0) / j[2:] * b[2:] / b[1:-1]
+    coefficients[1:, 1] = -(j[2:] - 1.0) / j[2:] * b[2:] / b[:-2]
+    coefficients[1:, 2] = coefficients[1:, 0] * w
+    coefficients[1:, 3] = -(1.0 - b[1:-1]) * coefficients[1:, 2]
+    return coefficients
 
 
 def _amounts(layout: Layout, dyed: Dyed) -> Amounts:
-    """Arrays for one dye in the kernel's layout, kept until supplies keep up something else."""
+    """Return the arrays of one dye in the kernel's layout, cached until maintained supplies change."""
     key = dyed.number, dyed.limited
-    if key in layout.fed:
-        return layout.fed[key]  # type: ignore[no-any-return]
+    if key in layout.floor_cache:
+        return layout.floor_cache[key]  # type: ignore[no-any-return]
     shape, fixes = layout.mobile.shape, dyed.fixes
 
     def planes() -> Float:
         return np.zeros((3 * shape[0], shape[1]))
 
-    own = planes()
-    held, seen = planes() if fixes else own, own if dyed.floor is None else planes()
-    bite, floor = np.zeros(shape) if fixes else own, np.zeros(shape) if dyed.floor is None else dyed.floor
-    # Bands shrink by a row or two a stage at either end, and must keep one: what lies between them stays apart then.
+    mobile = planes()
+    held, seen = planes() if fixes else mobile, mobile if dyed.floor is None else planes()
+    bite, floor = np.zeros(shape) if fixes else mobile, np.zeros(shape) if dyed.floor is None else dyed.floor
+    # Bands shrink by a row or two a stage at either end, and must keep one, which separates the rests between them.
     levels = int(min(LEVELS, max(1, np.diff(layout.cuts).min() // 4)))
     scratch = np.zeros((len(layout.cuts) - 1, levels * ROWS, shape[1]))
-    factors = planes() if dyed.limited else own
-    layout.fed[key] = found = Amounts(own, np.zeros(shape), seen, floor, held, bite, layout.fibre, factors, scratch)
-    return found
+    factors = planes() if dyed.limited else mobile
+    layout.floor_cache[key] = amounts = Amounts(
+        mobile, np.zeros(shape), seen, floor, held, bite, layout.fibre, factors, scratch
+    )
+    return amounts
 
 
 def _run(layout: Layout, dyed: Dyed, start: Pair, scale: float, coefficients: Float, rules: Rules) -> Pair:
-    """All stages; raw mobile and fixed amounts at their end."""
+    """Take all stages. Return raw mobile and fixed amounts."""
     amounts, height = _amounts(layout, dyed), len(start[0])
     amounts.mobile.reshape(3, height, -1)[:] = start[0]
     if dyed.fixes:
@@ -293,7 +290,14 @@ def _run(layout: Layout, dyed: Dyed, start: Pair, scale: float, coefficients: Fl
         np.maximum(start[0], dyed.floor, out=amounts.seen[:height])
     most = layout.mobile if dyed.limited else None
     super_step(
-        coefficients, rules, layout.cuts, layout.weights_of(scale), dyed.curve, amounts, most, layout.known.system.leave
+        coefficients,
+        rules,
+        layout.cuts,
+        layout.weights_of(scale),
+        dyed.curve,
+        amounts,
+        most,
+        layout.derived.system.leave,
     )
     even = slice(height, 2 * height)
     return amounts.mobile[even].copy(), amounts.held[even].copy() if dyed.fixes else start[1]

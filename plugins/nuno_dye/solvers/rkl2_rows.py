@@ -1,9 +1,9 @@
 """M of a row's cells and a stage from it, vector by vector: the inner loops of nuno_dye.solvers.rkl2.
 
-A kernel takes a row of both layers, (2 r, w), weft rows before warp rows, and puts what the next one needs into
-`scratch` from row `slots` on: four rows of SLOT each in turn. Amounts lie in three planes, one after the other,
-(6 r, w), known by their first rows (see Row). Every array is an argument of its own: numba counts who holds one that is
-chosen among several, or taken out of a tuple, which for every row cost more than the row.
+A kernel processes a row of both layers, (2 r, w), weft rows before warp rows, and stores data for the next one in
+`scratch` from row `slots`: four rows of SLOT each in turn. Amounts are in three consecutive planes (6 r, w), given by
+their first rows (see Row). Every array is a separate argument: numba counts references of one that is chosen among
+several, or taken out of a tuple, which costs more than the row itself.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
 
 SLOT = 7
-"""Rows of scratch for a row of cells: fluxes to the right, down, and between the layers, and the layers' factors."""
+"""Scratch rows of a row of cells: fluxes to the right, down, and between the layers, and the layers' factors."""
 ROWS = 4 * SLOT
 """Rows of scratch of a stage."""
 
 
 class Rules(NamedTuple):
-    """What binds the cells of a step.
+    """The limits of the cells in a step.
 
-    kind, first, second, rate  how fibre takes dye, as in nuno_dye.laws.adsorption.Law
-    pace                       how fast a cell comes to its capacity, and fibre to its limit
-    kept                       whether any cell is kept up
+    kind, first, second, rate  as in nuno_dye.laws.adsorption.Law
+    pace                       rate at which a cell approaches its capacity, and fibre its limit
+    kept                       whether any cell is maintained
 
-    Whether fibre takes any and `kept` are asked in the loop; as arguments that may be None they made four kernels of
-    each, of seven seconds' compilation.
+    The loop tests `kind` and `kept`; arguments that may be None would make four kernels of each, of seven seconds'
+    compilation.
     """
 
     kind: int
@@ -45,9 +45,7 @@ class Rules(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A stage: its coefficients, the first rows of the planes that it starts from and ends in, and whether it is the
-    first.
-    """
+    """A stage: its coefficients, the first rows of its start and end planes, and whether it is the first."""
 
     mu: float
     nu: float
@@ -59,13 +57,13 @@ class Stage(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row of both layers, and where a kernel finds what belongs to it.
+    """A row of both layers, and the places of its data.
 
     slots    first row of its scratch
     row      its number
-    here     first row of the plane that the stage starts from
-    passed   first row of the plane of factors that are known
-    passing  first row of the plane of factors that the next stage takes
+    here     first row of the stage's start plane
+    passed   first row of the plane of known factors
+    passing  first row of the plane of factors for the next stage
     """
 
     slots: int
@@ -77,13 +75,13 @@ class Row(NamedTuple):
 
 @forced_inline
 def advanced(planes: Float, slope: Float, rate: Any, row: int, c: int, stage: Stage) -> Any:
-    """Eight amounts after a stage, whose M is `rate`."""
-    begun = load(planes, row, c)
+    """Return eight amounts after a stage, whose M is `rate`."""
+    initial = load(planes, row, c)
     if stage.first:
-        return begun + stage.new * rate
+        return initial + stage.new * rate
     before, last = load(planes, row + stage.into, c), load(planes, row + stage.here, c)
-    steps = stage.mu * (last - begun) + stage.nu * (before - begun)
-    return begun + (steps + (stage.new * rate + stage.old * load(slope, row, c)))
+    steps = stage.mu * (last - initial) + stage.nu * (before - initial)
+    return initial + (steps + (stage.new * rate + stage.old * load(slope, row, c)))
 
 
 @forced_inline
@@ -91,10 +89,9 @@ def finish(
     mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
     stage: Stage, rate: Any, phi: Any, row: int, c: int,
 ) -> None:  # fmt: skip
-    """A stage of eight cells that get `rate` over their faces and hold `phi`: what fibre takes, and what they have.
-
-    All is read before anything is written: with each write where its value is known a stage was slower than with a loop
-    for each of these parts, probably since arrays of one shape have addresses that agree in their last 12 bits.
+    """Finish a stage of eight cells that get `rate` over their faces and hold `phi`: their fixed and mobile dye. All is
+    read before anything is written. Rejected: each write where its value is known, slower than a loop for each of these
+    parts, probably since arrays of one shape have addresses that agree in their last 12 bits.
     """
     taken = fixed = splat(0.0)
     if rules.kind != NOTHING:
@@ -102,11 +99,11 @@ def finish(
         taken = taken_at(phi, load(held, row + stage.here, c), load(fibre, row, c), law, rules.pace)
         rate = rate - taken
         fixed = advanced(held, bite, taken, row, c, stage)
-    found = advanced(mobile, slope, rate, row, c, stage)
-    shown = higher(load(floor, row, c), found) if rules.kept else found
-    store(mobile, row + stage.into, c, found)
+    result = advanced(mobile, slope, rate, row, c, stage)
+    visible = higher(load(floor, row, c), result) if rules.kept else result
+    store(mobile, row + stage.into, c, result)
     if rules.kept:
-        store(seen, row + stage.into, c, shown)
+        store(seen, row + stage.into, c, visible)
     if rules.kind != NOTHING:
         store(held, row + stage.into, c, fixed)
     if stage.first:
@@ -120,7 +117,7 @@ def spread_row(
     mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
     stage: Stage, along: Float, down: Float, across: Float, curve: Curve | None, row: int,
 ) -> None:  # fmt: skip
-    """A stage of a row's cells where no limit can bind."""
+    """Take a stage of a row's cells if no limit can bind."""
     other = row + across.shape[0]
     here_0, here_1, left_0, left_1 = stage.here + row, stage.here + other, splat(0.0), splat(0.0)
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
@@ -145,7 +142,7 @@ def flux_row(
     phi: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, slot: int, row: int,
     here: int,
 ) -> None:  # fmt: skip
-    """Fluxes of a row's faces into rows `slot` and on of `scratch`: to the right and down in either layer, and between
+    """Write fluxes of a row's faces into `scratch` from row `slot`: to the right and down in either layer, and between
     them. Amounts phi are those of the plane that begins at row `here`.
     """
     other = row + across.shape[0]
@@ -166,41 +163,40 @@ def open_row(
     seen: Float, held: Float, fibre: Float, most: Float, floor: Float, factors: Float, scratch: Float, rules: Rules,
     place: Row,
 ) -> None:  # fmt: skip
-    """Factors of the inflow of a row's cells, from those in plane `passed`.
-
-    What flows out of a kept-up cell the supply replaces; what fibre takes leaves room there, too.
+    """Compute factors of the inflow of a row's cells, from those in plane `passed`. The supply replaces the outflow of
+    a maintained cell; dye that fibre takes also frees capacity.
     """
     row, r, nothing = place.row, most.shape[0] // 2, splat(0.0)
     law = Law(rules.kind, rules.first, rules.second, rules.rate)
     slot, above = place.slots + SLOT * (row % 4), place.slots + SLOT * ((row - 1) % 4)
     for layer in range(2):
-        before, at, sign = splat(0.0), row + layer * r, 1.0 - 2.0 * layer
-        here, known, known_other = at + place.here, at + place.passed, row + r - layer * r + place.passed
+        previous, at, sign = splat(0.0), row + layer * r, 1.0 - 2.0 * layer
+        here, here_factors, other_factors = at + place.here, at + place.passed, row + r - layer * r + place.passed
         for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
             right, down = load(scratch, slot + layer, c), load(scratch, slot + 2 + layer, c)
-            left, up = slide(before, right), load(scratch, above + 2 + layer, c)
+            left, up = slide(previous, right), load(scratch, above + 2 + layer, c)
             other, phi = sign * load(scratch, slot + 4, c), load(seen, here, c)
-            came = higher(right, nothing) - lower(left, nothing) + higher(down, nothing) - lower(up, nothing)
-            came = came + higher(other, nothing)
-            went = higher(left, nothing) * load(factors, known, c - 1) - lower(right, nothing) * load(
-                factors, known, c + 1
+            inflow = higher(right, nothing) - lower(left, nothing) + higher(down, nothing) - lower(up, nothing)
+            inflow = inflow + higher(other, nothing)
+            outflow = higher(left, nothing) * load(factors, here_factors, c - 1) - lower(right, nothing) * load(
+                factors, here_factors, c + 1
             )
-            went = went + higher(up, nothing) * load(factors, known - 1, c)
-            went = went - lower(down, nothing) * load(factors, known + 1, c)
-            went = went - lower(other, nothing) * load(factors, known_other, c)
+            outflow = outflow + higher(up, nothing) * load(factors, here_factors - 1, c)
+            outflow = outflow - lower(down, nothing) * load(factors, here_factors + 1, c)
+            outflow = outflow - lower(other, nothing) * load(factors, other_factors, c)
             if rules.kept:
-                went = went - where_greater(load(floor, at, c), nothing, went)
+                outflow = outflow - where_greater(load(floor, at, c), nothing, outflow)
             if law.kind != NOTHING:
                 fixed, room = load(held, here, c), load(fibre, at, c)
-                went = went + taken_at(phi, fixed, room, law, rules.pace)
-            share = (went + rules.pace * (load(most, at, c) - phi)) / came
+                outflow = outflow + taken_at(phi, fixed, room, law, rules.pace)
+            share = (outflow + rules.pace * (load(most, at, c) - phi)) / inflow
             store(scratch, slot + 5 + layer, c, higher(lower(share, splat(1.0)), nothing))
-            before = right
+            previous = right
 
 
 @kernel
 def scaled(flow: Any, here: Any, other: Any) -> Any:
-    """A flow into this cell by its factor, one out of it by the other's."""
+    """Return a flow into this cell times its factor, one out of it times the other's."""
     return higher(flow, splat(0.0)) * here + lower(flow, splat(0.0)) * other
 
 
@@ -209,24 +205,24 @@ def limited_row(
     mobile: Float, slope: Float, seen: Float, floor: Float, held: Float, bite: Float, fibre: Float, rules: Rules,
     stage: Stage, scratch: Float, slots: int, row: int,
 ) -> None:  # fmt: skip
-    """A stage of a row's cells, from fluxes and factors of its own and of the rows above and below."""
+    """Take a stage of a row's cells, from fluxes and factors of this row and of the rows above and below."""
     slot, above, below = slots + SLOT * (row % 4), slots + SLOT * ((row - 1) % 4), slots + SLOT * ((row + 1) % 4)
     for layer in range(2):
-        sign, before, mine, at = 1.0 - 2.0 * layer, splat(0.0), 5 + layer, row + layer * (fibre.shape[0] // 2)
+        sign, previous, mine, at = 1.0 - 2.0 * layer, splat(0.0), 5 + layer, row + layer * (fibre.shape[0] // 2)
         for c in range(LEFT, scratch.shape[1] - WIDTH, WIDTH):
             factor = load(scratch, slot + mine, c)
             right = scaled(load(scratch, slot + layer, c), factor, load(scratch, slot + mine, c + 1))
             down = scaled(load(scratch, slot + 2 + layer, c), factor, load(scratch, below + mine, c))
             up = scaled(load(scratch, above + 2 + layer, c), load(scratch, above + mine, c), factor)
             through = scaled(load(scratch, slot + 4, c), load(scratch, slot + 5, c), load(scratch, slot + 6, c))
-            rate, phi = (right - slide(before, right)) + (down - up) + sign * through, load(seen, at + stage.here, c)
+            rate, phi = (right - slide(previous, right)) + (down - up) + sign * through, load(seen, at + stage.here, c)
             finish(mobile, slope, seen, floor, held, bite, fibre, rules, stage, rate, phi, at, c)
-            before = right
+            previous = right
 
 
 @kernel
 def keep_factors(factors: Float, scratch: Float, place: Row) -> None:
-    """Factors of a row into plane `passing`, for the next stage."""
+    """Copy factors of a row into plane `passing`, for the next stage."""
     r, slot = factors.shape[0] // 6, place.slots + SLOT * (place.row % 4)
     for layer in range(2):
         for c in range(LEFT, factors.shape[1] - WIDTH, WIDTH):

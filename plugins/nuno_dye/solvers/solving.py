@@ -1,4 +1,4 @@
-"""What every dye solver needs to know of a system, and what it reports."""
+"""Data and reports that all dye solvers share."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
 
 KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR, "python": NOTHING}
-"""Isotherms; one in Python is worked out between steps."""
+"""Isotherms by kind; one in Python is evaluated between steps."""
 Status = Literal["ok", "diverged", "unconverged"]
 CELLS_PER_THREAD = 10_000
-"""A pass over fewer takes some tens of microseconds, not much longer than to wake a thread."""
+"""A pass over fewer takes some tens of microseconds, not much longer than waking a thread."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """A system, and what follows from its arrays.
+class Derived:
+    """A system, and data derived from its arrays.
 
     faces   face values, and `most`, the largest sum of a cell's
-    room    least capacity V_u of a cell that a face reaches
-    floors  (dyes, 2, ny, nx) what is kept up as far as there is room, None where nothing is
+    room    least capacity V_u of a cell with faces
+    floors  (dyes, 2, ny, nx) maintained amounts, at most the capacity, None if there are none
     """
 
     system: DyeSystem
@@ -42,50 +42,50 @@ class Known:
 
 
 class Work(Protocol):
-    """What a solver has made from a system; `fed` is the part of it that depends on what supplies keep up."""
+    """A solver's data for a system; `fed` is the part that depends on maintained supplies."""
 
-    known: Known
-    fed: dict[Any, Any]
+    derived: Derived
+    floor_cache: dict[Any, Any]
 
-    def made_for(self, system: DyeSystem) -> Work:
-        """What the solver makes from another system."""
+    def rebuild(self, system: DyeSystem) -> Work:
+        """Return the solver's data for another system."""
         ...
 
 
-def know(system: DyeSystem) -> Known:
-    """What follows from a system."""
+def derive(system: DyeSystem) -> Derived:
+    """Return the data derived from a system."""
     faces = face_values(system.cells)
     sums = face_sums(faces)
     room = float(system.cells.mobile_room[sums > 0.0].min(initial=np.inf))
     floors = None if system.supply is None else np.minimum(system.supply, system.cells.mobile_room)
-    return Known(system, faces, float(sums.max()), room, floors)
+    return Derived(system, faces, float(sums.max()), room, floors)
 
 
 def same_cells(one: DyeSystem, other: DyeSystem) -> bool:
-    """Whether what was made from cells, dyes and threads holds for both; arrays count as changed if they are others."""
+    """Return whether both have the same cells (as objects), dyes and threads, so that a solver's data hold for both."""
     return one.cells is other.cells and one.dyes == other.dyes and one.threads == other.threads
 
 
 def renew_work(memory: Memory, system: DyeSystem) -> Any:
-    """A solver's work, made anew as far as the system has other cells, dyes, threads or another supply than before."""
+    """Return a solver's data, renewed if the system has other cells, dyes, threads or supplies than before."""
     work: Work = memory.work  # type: ignore[assignment]
-    before = work.known.system
+    before = work.derived.system
     if not same_cells(system, before):
-        memory.work = work.made_for(system)
+        memory.work = work.rebuild(system)
     elif system is not before:
         if system.supply is not before.supply:
-            work.fed.clear()
-        work.known = know(system)
+            work.floor_cache.clear()
+        work.derived = derive(system)
     return memory.work
 
 
 def adsorbs(one: Dye) -> bool:
-    """Whether fibre fixes any of it."""
+    """Return whether fibre fixes this dye."""
     return one.isotherm is not None and one.adsorption > 0.0
 
 
 def law_of(one: Dye, scale: float) -> Law:
-    """How a dye is fixed by kernels, `scale` being D0 dt / d^2; Freundlich's isotherm with exponent 1 is partition."""
+    """Return a dye's law for kernels, `scale` being D0 dt / d^2. Freundlich's isotherm with exponent 1 is partition."""
     law = one.isotherm
     if law is None or not adsorbs(one):
         return Law(NOTHING, 0.0, 0.0, 0.0)
@@ -94,7 +94,7 @@ def law_of(one: Dye, scale: float) -> Law:
 
 
 def require_laws(system: DyeSystem) -> None:
-    """Raises BadInput for an isotherm of an unknown kind."""
+    """Raise BadInput for an isotherm of an unknown kind."""
     for one in system.dyes:
         law = one.isotherm
         if law is not None and (law.kind not in KINDS or (law.kind == "python") != (law.function is not None)):
@@ -102,7 +102,7 @@ def require_laws(system: DyeSystem) -> None:
 
 
 def require_compiled_laws(system: DyeSystem, solver: str) -> None:
-    """Raises BadInput for an isotherm that no kernel knows, and for one in Python."""
+    """Raise BadInput for an isotherm that no kernel has, and for one in Python."""
     require_laws(system)
     for one in system.dyes:
         if one.isotherm is not None and one.isotherm.kind == "python":
@@ -111,22 +111,22 @@ def require_compiled_laws(system: DyeSystem, solver: str) -> None:
 
 
 def largest_amounts(amounts: Float) -> Float:
-    """(dyes,) largest of amounts (dyes, 2, ny, nx)."""
+    """Return the largest (dyes,) of amounts (dyes, 2, ny, nx)."""
     return np.asarray(amounts.reshape(len(amounts), -1).max(axis=1))
 
 
-def use_threads(highest: NDArray[Any], known: Known) -> None:
-    """Let kernels use a system's threads, and count what supplies keep up among the largest amounts, in place."""
-    numba.set_num_threads(max(1, min(known.system.threads, threads_available()[0])))
-    if known.floors is not None:
-        np.maximum(highest, largest_amounts(known.floors), out=highest)
+def use_threads(highest: NDArray[Any], derived: Derived) -> None:
+    """Let kernels use a system's threads, and raise `highest` to the largest maintained amounts, in place."""
+    numba.set_num_threads(max(1, min(derived.system.threads, threads_available()[0])))
+    if derived.floors is not None:
+        np.maximum(highest, largest_amounts(derived.floors), out=highest)
 
 
-def begin_frame(arrays: Mapping[str, NDArray[Any]], known: Known, steps: int) -> bool:
-    """Bring a solver's memory, `highest` and `met`, up to date; whether the next step meets other cells or floors."""
-    use_threads(arrays["highest"], known)
-    room = sum_compensated(known.system.cells.mobile_room.reshape(-1))
-    met = np.array([room, 0.0 if known.floors is None else sum_compensated(known.floors.reshape(-1))])
+def begin_frame(arrays: Mapping[str, NDArray[Any]], derived: Derived, steps: int) -> bool:
+    """Update a solver's memory, `highest` and `met`. Return whether the next step has other cells or floors."""
+    use_threads(arrays["highest"], derived)
+    room = sum_compensated(derived.system.cells.mobile_room.reshape(-1))
+    met = np.array([room, 0.0 if derived.floors is None else sum_compensated(derived.floors.reshape(-1))])
     fresh = steps > 0 and not np.array_equal(met, arrays["met"])
     if fresh:
         arrays["met"][:] = met
@@ -134,15 +134,15 @@ def begin_frame(arrays: Mapping[str, NDArray[Any]], known: Known, steps: int) ->
 
 
 def count_bands(system: DyeSystem) -> int:
-    """Bands of rows, one a thread: as many as are worth it. The result does not depend on them."""
+    """Return the useful number of bands of rows, one a thread. The result does not depend on it."""
     return max(1, min(system.threads, threads_available()[0], system.cells.fibre.size // CELLS_PER_THREAD))
 
 
 class Banded:
-    """A solver whose kernels take bands of rows on several threads."""
+    """A solver whose kernels process bands of rows on several threads."""
 
     def about(self, system: DyeSystem) -> str:
-        """How kernels run a system, in words."""
+        """Describe how kernels run a system."""
         available, why = threads_available()
         number = count_bands(system)
         if number == 1 and min(system.threads, available) > 1:
@@ -153,12 +153,12 @@ class Banded:
 def make_report(
     system: DyeSystem, state: DyeState, totals: dict[str, int], supplied: list[float], message: str = ""
 ) -> DyeReport:
-    """What was done in a frame; `message` says why a step could not be taken."""
+    """Return the report of a frame; `message` gives the reason of a step that failed."""
     mobile, fixed = (
         tuple(sum_compensated(values.reshape(-1)) for values in amounts) for amounts in (state.phi, state.fixed)
     )
-    gave = tuple(supplied) if system.supply is not None else ()
+    supplied_amounts = tuple(supplied) if system.supply is not None else ()
     status: Status = "unconverged" if message else "ok"
     if not np.isfinite([*mobile, *fixed]).all():
         status, message = "diverged", "amounts of dye are no longer finite"
-    return DyeReport(status, totals["steps"], mobile, fixed, message, totals, gave)
+    return DyeReport(status, totals["steps"], mobile, fixed, message, totals, supplied_amounts)

@@ -1,1 +1,1 @@
-"""What is given to a cloth and what keeps dye out of it, and the regions of both."""
+"""Supplies of dye to a cloth, resists that keep dye out, and their regions."""

@@ -1,11 +1,11 @@
-"""Folded shibori: cloth is folded into a packet, the packet is clamped and stitched, and unfolded again.
+"""Folded shibori: cloth that is folded into a packet, clamped and stitched, and unfolded again.
 
 A fold maps each place of the cloth to one of the packet without stretching it: place by place it is a product of
-reflections in the lines along which the cloth is folded. What keeps dye out is drawn once, on the packet, and holds on
-the cloth wherever it comes to lie there. That every layer is pressed alike is assumed: dye reaches the packet's inner
-layers as it does the outer ones.
+reflections in the lines along which the cloth is folded. A resist is drawn once, on the packet, and applies to all
+cloth at its place there. Every layer is assumed to be pressed alike: dye reaches the packet's inner layers like the
+outer ones.
 
-Places are counted in half cells: middles of cells are whole numbers, which pleats of whole cells mirror exactly.
+Places are in half cells: middles of cells are whole numbers, which pleats of whole cells mirror exactly.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config
 
 DIGITS = 15
-"""Of sines: those of right angles are whole."""
+"""Digits of sines, which make those of right angles whole."""
 WHOLE = 9
-"""Digits of a pleat's width, in half cells: so many cells as metres are a whole number."""
+"""Digits of a pleat's width in half cells, which make that of whole cells, given in metres, whole."""
 
 
 class Pleats(Config):
-    """An accordion, from where the packet begins in its direction."""
+    """An accordion, from the packet's start in its direction."""
 
     fold: Literal["pleats"] = "pleats"
     number: Annotated[int, Field(ge=1, le=256)] | None = Field(
@@ -47,10 +47,10 @@ class Pleats(Config):
 
 
 class Triangles(Config):
-    """A strip folded up in triangles, as flags are, once the cloth is pleated to their height.
+    """A strip folded up in triangles, like a flag, once the cloth is pleated to their height.
 
-    The packet is a triangle with its corners, counted from where the packet before it began, in (0, 0), (0, side) and
-    (sqrt(3)/2 side, side/2) where it is equilateral, and in (0, 0), (side, 0) and (side, side) where it is right.
+    The packet is a triangle with its corners, relative to the start of the previous packet, in (0, 0), (0, side) and
+    (sqrt(3)/2 side, side/2) if it is equilateral, and in (0, 0), (side, 0) and (side, side) if it is right.
     """
 
     fold: Literal["triangles"] = "triangles"
@@ -74,28 +74,27 @@ Stitches = Annotated[tuple[Stitch, ...], Field(max_length=64)]
 def draw_packet(
     folds: Folds, clamps: Sequence[Region], stitches: Sequence[Stitch], shape: tuple[int, int], size: float
 ) -> Float:
-    """(ny, nx) 1 where a cloth of cells with side `size` [m] is clamped or stitched while it is folded, 0 elsewhere.
-
-    Raises BadInput for what is beside the packet, and folds finer than a cell.
+    """Return 1 where (ny, nx) a cloth of cells with side `size` [m] is clamped or stitched while folded, 0 elsewhere.
+    Raises BadInput for clamps and stitches outside of the packet, and folds finer than a cell.
     """
     u, v = fold_cells(folds, shape, size)
-    kept = np.zeros(shape, np.bool_)
+    pressed = np.zeros(shape, np.bool_)
     for what, items in (("clamps", clamps), ("stitches", stitches)):
         for index, item in enumerate(items):
-            there = _find_stitch(item, u, v) if isinstance(item, Stitch) else contains(item, u, v)
-            if not there.any():
+            covered = _find_stitch(item, u, v) if isinstance(item, Stitch) else contains(item, u, v)
+            if not covered.any():
                 raise BadInput(
                     "beside the packet", field=f"{what}[{index}]", value=item.model_dump(),
                     limit=f"folded, the cloth lies between ({u.min():.4g}, {v.min():.4g}) m and "
                     f"({u.max():.4g}, {v.max():.4g}) m",
                     remedy="places count on the packet, from the upper left corner, x to the right and y down",
                 )  # fmt: skip
-            kept |= there
-    return kept.astype(np.float64)
+            pressed |= covered
+    return pressed.astype(np.float64)
 
 
 def fold_cells(folds: Folds, shape: tuple[int, int], size: float) -> tuple[Float, Float]:
-    """(ny, nx) x and y [m] of cells' middles on the packet. Raises BadInput, at `folds[i]`, for folds too fine."""
+    """Return x, y (ny, nx) [m] of cells' middles on the packet. Raises BadInput, at `folds[i]`, for folds too fine."""
     ny, nx = shape
     u, v = np.meshgrid(2.0 * np.arange(nx) + 1.0, 2.0 * np.arange(ny) + 1.0)
     half = 0.5 * size
@@ -110,14 +109,14 @@ def fold_cells(folds: Folds, shape: tuple[int, int], size: float) -> tuple[Float
 
 
 def _pleat(one: Pleats, u: Float, v: Float, box: Float, half: float) -> tuple[Float, Float, Float, float]:
-    """Places, their bounds (2, 2) and the width of a pleat, in half cells, after pleating."""
+    """Return places, their bounds (2, 2) and the width of a pleat, in half cells, after pleating."""
     c, s = (round(float(value), DIGITS) for value in (np.cos(one.angle), np.sin(one.angle)))
-    along, beside = c * u + s * v, c * v - s * u
+    along, across = c * u + s * v, c * v - s * u
     corners = np.add.outer(c * box[0], s * box[1])
     low, high = float(corners.min()), float(corners.max())
     width = (high - low) / one.number if one.number is not None else round((one.width or 0.0) / half, WHOLE)
     folded = low + _accordion(along - low, width)
-    u, v = c * folded - s * beside, s * folded + c * beside
+    u, v = c * folded - s * across, s * folded + c * across
     if 0.0 in (c, s):
         axis = 0 if s == 0.0 else 1
         first = low if c + s > 0.0 else -low - width
@@ -130,19 +129,20 @@ def _pleat(one: Pleats, u: Float, v: Float, box: Float, half: float) -> tuple[Fl
 
 
 def _accordion(x: Float, width: float) -> Float:
-    """Where places lie on the first pleat."""
+    """Return places mirrored onto the first pleat."""
     folded: Float = width - np.abs(x % (2.0 * width) - width)
     return folded
 
 
 def _fold_up(one: Triangles, u: Float, v: Float, box: Float, half: float) -> tuple[Float, Float, Float, float]:
-    """The same after folding into triangles.
+    """Return the same after folding into triangles.
 
     The fold lines of an equilateral triangle of height h are parallel to its sides, h apart. Let a place be (p - q) h
     away from the first side, (q - r) h from the second and (1 - p + r) h from the third. Reflections in the first two
-    swap p and q, q and r; in the third, p and r, and add 1 to the one and -1 to the other. So all that they reach is p,
-    q and r in any order, and with whole numbers added whose sum is 0; the packet is where p >= q >= r >= p - 1. The
-    same may be added to all three: of whole parts only the sum counts, modulo 3, and each 1 of it goes to the smallest.
+    swap p and q, q and r; in the third, p and r, and add 1 to the one and -1 to the other. So they reach all
+    permutations of p, q and r, with whole numbers of sum 0 added; the packet is where p >= q >= r >= p - 1. Adding a
+    number to all three changes nothing: of whole parts only the sum counts, modulo 3, and each 1 of it goes to the
+    smallest.
     """
     side, (x, y) = one.side / half, (u - box[0, 0], v - box[1, 0])
     if one.kind == "right":
@@ -163,16 +163,16 @@ def _fold_up(one: Triangles, u: Float, v: Float, box: Float, half: float) -> tup
 
 
 def _find_stitch(one: Stitch, x: Float, y: Float) -> Bool:
-    """Where one of its stitches presses at places [m]."""
+    """Return where its stitches press, at places [m]."""
     pressed: Bool = np.zeros(x.shape, np.bool_)
-    before = 0.0
+    start = 0.0
     for (ax, ay), (bx, by) in zip(one.points, one.points[1:], strict=False):
         length = float(np.hypot(bx - ax, by - ay))
         if length == 0.0:
             continue
         c, s = (bx - ax) / length, (by - ay) / length
         along, away = c * (x - ax) + s * (y - ay), c * (y - ay) - s * (x - ax)
-        on = (before + along) % (2.0 * one.length) < one.length
+        on = (start + along) % (2.0 * one.length) < one.length
         pressed |= on & (along >= 0.0) & (along <= length) & (np.abs(away) <= 0.5 * one.width)
-        before += length
+        start += length
     return pressed

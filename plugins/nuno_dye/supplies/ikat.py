@@ -1,8 +1,8 @@
 """Ikat: yarns of warp or weft that were bound and dyed before they were woven, by a pattern along and across them.
 
-Their dye is fixed: it is there at the start, as a share of V_d, what fibre can hold, and does not spread. What was not
-rinsed out well is `loose`, a share of V_u, and runs. On the loom yarns do not lie as they did when bound: each
-is off along itself by up to `shift`, which is the blur of ikat.
+Their dye is fixed: it is a share of V_d, the capacity of fibre, from the start, and does not spread. Dye that was not
+rinsed out is `loose`, a share of V_u, and runs. On the loom each yarn is displaced along itself by up to `shift` from
+its place when bound, which is the blur of ikat.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from nuno_schemas.parts import Name
 from nuno_schemas.plugin import Config, Files
 
 STREAM = 4
-"""Of random numbers, beside those of what varies from yarn to yarn."""
+"""Stream of random numbers, different from those of the variation between yarns."""
 MOST_IKATS = 64
 
 
 class Bands(Config):
-    """Bound and dyed in turns along the yarns."""
+    """Alternating bound and dyed bands along the yarns."""
 
     pattern: Literal["bands"] = "bands"
     period: Length = Field(description="along the yarns, from one dyed band to the next [m]")
@@ -39,7 +39,7 @@ class Bands(Config):
 
 
 class Diamonds(Config):
-    """Lozenges that touch, dyed, with bound ones between them."""
+    """Dyed lozenges that touch, with bound ones between them."""
 
     pattern: Literal["diamonds"] = "diamonds"
     along: Length = Field(description="length of a lozenge along the yarns [m]")
@@ -47,7 +47,7 @@ class Diamonds(Config):
 
 
 class IkatImage(Config):
-    """Black is dyed, white was bound."""
+    """An image: black is dyed, white was bound."""
 
     pattern: Literal["image"] = "image"
     file: str = Field(description="a grey PNG of any size beside the scene, drawn out over the cloth")
@@ -76,9 +76,8 @@ Ikats = Annotated[tuple[Ikat, ...], Field(max_length=MOST_IKATS)]
 def dye_yarns(
     items: Sequence[Ikat], cells: Cells, state: DyeState, dyes: Sequence[str], files: Files, seed: int
 ) -> None:
-    """Give `state` what yarns bring along, in cells that lie in the yarns themselves; of several of one dye the most.
-
-    Raises BadInput, at `ikat[i]`, for a dye that is none, and an image that cannot be used.
+    """Add the yarns' dye to `state`, in cells of the yarns themselves; of several patterns of one dye the largest
+    amount counts. Raises BadInput, at `ikat[i]`, for an unknown dye, and an unusable image.
     """
     for index, item in enumerate(items):
         try:
@@ -88,16 +87,15 @@ def dye_yarns(
         layer = 1 if item.yarns == "warp" else 0
         share = find_share(item, cells, files, np.random.default_rng([seed, STREAM, index]))
         share = np.where(cells.fibre[layer], share, 0.0)
-        for amounts, most, room in (
+        for amounts, most, capacity in (
             (state.fixed, item.amount, cells.fixed_room), (state.phi, item.loose, cells.mobile_room),
         ):  # fmt: skip
-            np.maximum(amounts[dye, layer], most * share * room[layer], out=amounts[dye, layer])
+            np.maximum(amounts[dye, layer], most * share * capacity[layer], out=amounts[dye, layer])
 
 
 def find_share(item: Ikat, cells: Cells, files: Files, stream: np.random.Generator) -> Float:
-    """(ny, nx) how much of a pattern's dye a layer's places have, in [0, 1], with its yarns shifted.
-
-    A yarn has over its width what the pattern has at its middle, as threads that are dyed through.
+    """Return the share (ny, nx) of a pattern's dye in a layer, in [0, 1], with its yarns shifted. A yarn has the
+    pattern's value at its middle over its whole width, like threads that are dyed through.
     """
     layer = 1 if item.yarns == "warp" else 0
     yarn = _yarns(cells, layer)
@@ -115,11 +113,11 @@ def find_share(item: Ikat, cells: Cells, files: Files, stream: np.random.Generat
 
 
 def _draw(pattern: Bands | Diamonds, along: Float, across: Float) -> Float:
-    """1 where yarns are dyed, at places `along` them and `across` them [m]."""
+    """Return 1 where yarns are dyed, at places `along` them and `across` them [m]."""
     if isinstance(pattern, Bands):
         place = along + across * np.tan(pattern.angle)
         return np.asarray(place % pattern.period < pattern.width, np.float64)
-    # |p| + |q| <= 1 is a square on its corner, whose middle lies in the cloth's first corner.
+    # |p| + |q| <= 1 is a square on its corner, with its middle in the cloth's first corner.
     p, q = (
         2.0 * np.abs(v / side - np.round(v / side)) for v, side in ((along, pattern.along), (across, pattern.across))
     )
@@ -127,14 +125,14 @@ def _draw(pattern: Bands | Diamonds, along: Float, across: Float) -> Float:
 
 
 def _yarns(cells: Cells, layer: int) -> Int:
-    """The yarn of each row of weft, or column of warp. Raises BadInput for a cloth that does not tell them apart."""
+    """Return the yarn of each row of weft, or column of warp. Raises BadInput for a cloth without known yarns."""
     if cells.yarns is None:
         raise BadInput("the cloth does not tell its yarns apart", field="ikat")
     return cells.yarns[layer]
 
 
 def _shift(lines: Float, off: Float) -> Float:
-    """Lines (n, m), each `off` cells further on, by linear interpolation; beyond its ends a line goes on as it ends."""
+    """Return lines (n, m) displaced by `off` cells each, by linear interpolation, constant beyond their ends."""
     last = lines.shape[1] - 1
     place = np.clip(np.arange(last + 1) - off[:, None], 0.0, last)
     low = place.astype(np.intp)

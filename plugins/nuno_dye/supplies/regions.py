@@ -1,6 +1,6 @@
 """Parts of a cloth: discs, rectangles, polygons, strokes along polylines, or all of it.
 
-Places are [m] to the right and down from the cloth's upper left corner. A cell belongs to a part if its middle does.
+Places are [m] to the right and down from the cloth's upper left corner. A cell is in a part if its middle is.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Disc(Config):
 
 
 class Rectangle(Config):
-    """Between two corners."""
+    """A rectangle between two corners."""
 
     shape: Literal["rectangle"] = "rectangle"
     low: Place = Field(description="upper left corner [m]")
@@ -43,7 +43,7 @@ class Rectangle(Config):
 
 
 class Polygon(Config):
-    """Inside of a closed line, which may cross itself: what it winds around an odd number of times."""
+    """The inside of a closed line, which may cross itself, by the even-odd rule."""
 
     shape: Literal["polygon"] = "polygon"
     points: Annotated[tuple[Place, ...], Field(min_length=3, max_length=MOST_POINTS)] = Field(
@@ -52,7 +52,7 @@ class Polygon(Config):
 
 
 class Stroke(Config):
-    """What a round brush touches along a line."""
+    """The area that a round brush covers along a line."""
 
     shape: Literal["stroke"] = "stroke"
     points: Polyline = Field(description="of the line [m]")
@@ -63,7 +63,7 @@ Region = Annotated[All | Disc | Rectangle | Polygon | Stroke, Field(discriminato
 
 
 def find_middles(shape: tuple[int, int], size: float) -> tuple[Float, Float]:
-    """Middles of cells: x (1, nx) and y (ny, 1) [m], for a cloth of (ny, nx) cells with side `size` [m]."""
+    """Return middles of cells, x (1, nx) and y (ny, 1) [m], for a cloth of (ny, nx) cells with side `size` [m]."""
     ny, nx = shape
     x: Float = (np.arange(nx, dtype=np.float64)[None] + 0.5) * size
     y: Float = (np.arange(ny, dtype=np.float64)[:, None] + 0.5) * size
@@ -71,7 +71,7 @@ def find_middles(shape: tuple[int, int], size: float) -> tuple[Float, Float]:
 
 
 def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, int], size: float) -> Bool:
-    """(ny, nx) the cells of a part. Raises BadInput for one that holds the middle of no cell."""
+    """Return the cells (ny, nx) of a part. Raises BadInput if it contains the middle of no cell."""
     x, y = find_middles(shape, size)
     if isinstance(region, Polygon):
         inside = _fill(region.points, x, y)
@@ -90,7 +90,7 @@ def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, i
 
 
 def contains(region: All | Disc | Rectangle | Polygon | Stroke, x: Float, y: Float) -> Bool:
-    """Whether places (ny, nx) [m] lie in a part; they need not be those of a grid, as `cover` has them."""
+    """Return which places (ny, nx) [m] are in a part; unlike those of `cover` they need not form a grid."""
     inside = np.ones(np.broadcast_shapes(x.shape, y.shape), np.bool_)
     if isinstance(region, Disc):
         inside = np.hypot(x - region.centre[0], y - region.centre[1]) <= 0.5 * region.diameter
@@ -105,12 +105,12 @@ def contains(region: All | Disc | Rectangle | Polygon | Stroke, x: Float, y: Flo
     elif isinstance(region, Stroke):
         inside[:] = False
         for (ax, ay), (bx, by) in zip(region.points, [*region.points[1:], region.points[-1]], strict=True):
-            inside |= np.hypot(*_to_piece(x - ax, y - ay, bx - ax, by - ay)) <= 0.5 * region.width
+            inside |= np.hypot(*_from_segment(x - ax, y - ay, bx - ax, by - ay)) <= 0.5 * region.width
     return np.asarray(inside, np.bool_)
 
 
 def _sides(points: Sequence[Place]) -> Iterator[tuple[Place, Place]]:
-    """Of a closed line, each from its upper end: where two parts share a side, rounding puts each place into one."""
+    """Yield the sides of a closed line, each from its upper end: rounding puts places on shared sides in one part."""
     for ends in zip(points, [*points[1:], points[0]], strict=True):
         yield min(ends, key=_by_row), max(ends, key=_by_row)
 
@@ -119,15 +119,15 @@ def _by_row(place: Place) -> Place:
     return place[1], place[0]
 
 
-def _to_piece(px: Float, py: Float, dx: float, dy: float) -> tuple[Float, Float]:
-    """From the nearest place of a piece, which goes on by (dx, dy) from where p is counted from, to p."""
+def _from_segment(px: Float, py: Float, dx: float, dy: float) -> tuple[Float, Float]:
+    """Return the vector to p from the nearest place of a segment from the origin to (dx, dy)."""
     long = dx * dx + dy * dy
     along = np.clip((px * dx + py * dy) / long, 0.0, 1.0) if long > 0.0 else 0.0
     return px - along * dx, py - along * dy
 
 
 def _fill(points: Sequence[Place], x: Float, y: Float) -> Bool:
-    """(ny, nx) inside by the even-odd rule: a ray to the left crosses an odd number of sides."""
+    """Return the cells (ny, nx) inside by the even-odd rule: a ray to the left crosses an odd number of sides."""
     inside = np.zeros((y.size, x.size), np.bool_)
     for (ax, ay), (bx, by) in _sides(points):
         rows = np.flatnonzero((ay > y[:, 0]) != (by > y[:, 0]))
@@ -137,9 +137,8 @@ def _fill(points: Sequence[Place], x: Float, y: Float) -> Bool:
 
 
 def find_distance(points: Sequence[Place], reach: float, x: Float, y: Float) -> Float:
-    """(ny, nx) distance to a polyline [m], inf where it is beyond `reach` [m].
-
-    Each piece looks at the cells around it only.
+    """Return the distance (ny, nx) to a polyline [m], inf beyond `reach` [m]. Each segment visits only the cells near
+    it.
     """
     distance = np.full((y.size, x.size), np.inf)
     for (ax, ay), (bx, by) in zip(points, [*points[1:], points[-1]], strict=True):
@@ -148,7 +147,7 @@ def find_distance(points: Sequence[Place], reach: float, x: Float, y: Float) -> 
         if not (len(columns) and len(rows)):
             continue
         px, py = x[:, columns] - ax, y[rows] - ay
-        near = np.hypot(*_to_piece(px, py, bx - ax, by - ay))
+        near = np.hypot(*_from_segment(px, py, bx - ax, by - ay))
         part = distance[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         np.minimum(part, np.where(near <= reach, near, np.inf), out=part)
     return distance

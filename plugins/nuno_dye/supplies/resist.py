@@ -1,8 +1,7 @@
-"""What keeps dye out of cloth: B in [0, 1], the share of a cell's room for mobile dye that is taken.
+"""Resists, which keep dye out of cloth: B in [0, 1], the share of a cell's capacity for mobile dye that they take.
 
 B comes from an image, as in the dye paper; from shapes; from lines of paste or binding; from shibori patterns; and from
-what cloth is clamped and stitched with while it is folded.
-Several leave what each of them leaves of the room: 1 - B = (1 - B_1)(1 - B_2)...
+clamps and stitches on folded cloth. Several multiply the capacity that each leaves: 1 - B = (1 - B_1)(1 - B_2)...
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class Paste(_Resist):
 class Binding(_Resist):
     """A thread tied around the cloth, which presses most along its middle.
 
-    The share of room that it takes goes as the pressure under a cylinder, sqrt(1 - (d / a)^2) at a distance d from
+    The share of capacity that it takes follows the pressure under a cylinder, sqrt(1 - (d / a)^2) at a distance d from
     the middle, a being half of the width (Hertz 1882).
     """
 
@@ -91,7 +90,7 @@ class Folded(_Resist):
     stitches: Stitches = Field(default=(), description="running stitches through the packet, drawn tight")
 
     @model_validator(mode="after")
-    def _keeps_something_out(self) -> Folded:
+    def _require_pressure(self) -> Folded:
         if not (self.clamps or self.stitches):
             raise PydanticCustomError("nothing_pressed", "folds alone keep no dye out: add clamps or stitches", {})
         return self
@@ -103,7 +102,7 @@ Resists = Annotated[tuple[Resist, ...], Field(max_length=MOST_RESISTS)]
 
 
 def find_resist(resist: AnyResist, shape: tuple[int, int], size: float, files: Files) -> Float:
-    """(ny, nx) B of one item. Raises BadInput for an image that does not fit, and what touches no cell."""
+    """Return B (ny, nx) of one resist. Raises BadInput for an image that does not fit, and a resist on no cell."""
     if isinstance(resist, ImageResist):
         stretched = resist.fit == "stretch"
         values = read_image(files.resolve(resist.file), None if stretched else shape, resist.invert)
@@ -124,29 +123,29 @@ def find_resist(resist: AnyResist, shape: tuple[int, int], size: float, files: F
 
 
 def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:
-    """(ny, nx) B of each item. Raises BadInput, at `resist[i]` where it does not stand in a file."""
-    found = []
+    """Return B (ny, nx) of each resist. Raises BadInput, at `resist[i]` or in its file."""
+    values = []
     for index, item in enumerate(items):
         try:
-            found.append(find_resist(item, shape, size, files))
+            values.append(find_resist(item, shape, size, files))
         except BadInput as error:
             if isinstance(item, ImageResist):
                 raise
             if isinstance(item, Folded):
                 raise error.at(f"resist[{index}].{error.field}") from None
-            inside = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
-            raise error.at(f"resist[{index}].{inside}") from None
-    return tuple(found)
+            field = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
+            raise error.at(f"resist[{index}].{field}") from None
+    return tuple(values)
 
 
 def put_on(parts: Sequence[Float], cells: Cells) -> None:
-    """Add resists (ny, nx) to what both layers of cells have."""
+    """Add resists (ny, nx) to those of both layers of cells."""
     for part in parts:
         np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
 
 
 def combine(parts: Sequence[Float]) -> Float:
-    """B of several resists together, of one shape, at least one."""
+    """Return B of several resists together, of one shape, at least one."""
     room = np.ones_like(parts[0])
     for part in parts:
         room = room * (1.0 - part)
@@ -156,54 +155,54 @@ def combine(parts: Sequence[Float]) -> Float:
 def read_image(
     path: Path, shape: tuple[int, int] | None, invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
 ) -> Float:
-    """(ny, nx) a grey PNG of any bit depth, as shares of the white of that depth; what is transparent counts less.
+    """Read a grey PNG (ny, nx) of any bit depth, as shares of the white of that depth, times opacity. One with opacity
+    or in colours that are all grey is read to 8 bits of each channel.
 
-    One with opacity or in colours that are all grey is read to 8 bits of each channel.
+    `of` names the owner and the unit of `shape`; without a shape an image of any size is read.
 
-    `of` says whose size `shape` is, and in what; without a shape an image of any size is read.
-
-    Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
+    Raises BadInput for a file that is not PNG, for one in colour, and for another size than `shape`.
     """
     from PIL import Image, ImageOps, UnidentifiedImageError
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=["PNG"]) as image:
-            found = (image.height, image.width)
-            if shape is None or shape in (found, found[::-1]):
+            size = (image.height, image.width)
+            if shape is None or shape in (size, size[::-1]):
                 turned = ImageOps.exif_transpose(image)
-                found = (turned.height, turned.width)
-                values, cover_ = _read_pixels(turned)
+                size = (turned.height, turned.width)
+                values, opacity = _read_pixels(turned)
     except UnidentifiedImageError:
         raise BadInput("cannot be read as PNG", file=str(path), remedy="save it as a grey PNG") from None
-    except Exception as error:  # whatever a broken file makes of the decoder
+    except Exception as error:  # a decoder may raise anything on a broken file
         raise BadInput(f"cannot be read as PNG: {error}", file=str(path)) from None
-    if shape is not None and found != shape:
+    if shape is not None and size != shape:
         raise BadInput(
-            f"the image has not the {of[0]} size", file=str(path), value=f"{found[1]} x {found[0]} pixels",
+            f"the image has not the {of[0]} size", file=str(path), value=f"{size[1]} x {size[0]} pixels",
             limit=f"{shape[1]} x {shape[0]} {of[1]}", remedy=f"scale the image, or change the {of[0]} {of[1]}",
         )  # fmt: skip
     if values.ndim == 3:
         if (values != values[..., :1]).any():
             raise BadInput("the image is in colour", file=str(path), limit="grey", remedy="convert it to grey")
         values = values[..., 0]
-    return (1.0 - values if invert else values) * cover_
+    return (1.0 - values if invert else values) * opacity
 
 
 def stretch(values: Float, shape: tuple[int, int]) -> Float:
-    """(ny, nx) an image drawn out over cells, each the mean over it, so that the whole image's mean stays.
+    """Return an image stretched over cells (ny, nx), each the mean over its area, so that the whole image's mean is
+    kept.
 
-    Along an axis with more pixels than cells, pixels are even; with fewer, values go linearly from a pixel's middle to
-    the next one's, so that edges are no stairs of pixels.
+    Along an axis with more pixels than cells, pixels are constant; with fewer, values are linear from a pixel's middle
+    to the next one's, so that edges are not staircases.
     """
     return np.clip(_draw_out(_draw_out(values, shape[0]).T, shape[1]).T, 0.0, 1.0)
 
 
 def _draw_out(values: Float, cells: int) -> Float:
-    """(cells, k) means of pixels (m, k): differences of their integral, which is known at every place."""
+    """Return means (cells, k) of pixels (m, k), as differences of their exact integral."""
     m = len(values)
     if cells == m:
         return values
-    # Where a row of values holds from and to; in the half pixels at the rims the outermost pixel's.
+    # Bounds of each row of values; the half pixels at the rims have the outermost pixel's.
     nodes = np.arange(m + 1.0) if cells < m else np.clip(np.arange(m + 2) - 0.5, 0.0, m)
     first = values if cells < m else np.concatenate([values[:1], values])
     slope = np.zeros_like(values) if cells < m else np.diff(values, axis=0, prepend=values[:1], append=values[-1:])
@@ -217,11 +216,11 @@ def _draw_out(values: Float, cells: int) -> Float:
 
 
 def _read_pixels(image: Any) -> tuple[Float, Float | float]:
-    """Values (ny, nx) or (ny, nx, 3) and opacity, in [0, 1]."""
+    """Return values (ny, nx) or (ny, nx, 3) and opacity, in [0, 1]."""
     if image.mode == "1" or image.mode.startswith("I"):
         most = 255.0 if image.mode == "1" else 65535.0
         values = np.asarray(image.convert("L") if image.mode == "1" else image, np.float64)
-        # The one value that such a file may call transparent: Pillow does not convert it.
+        # Such a file may declare one value transparent, which Pillow does not convert.
         clear = image.info.get("transparency")
         return values / most, 1.0 if clear is None else (values != clear).astype(np.float64)
     mode = "LA" if image.mode in ("L", "LA") else "RGBA"

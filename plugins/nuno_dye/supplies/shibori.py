@@ -1,6 +1,6 @@
 """Patterns of tied, clamped and stencilled cloth as images of B: the small generator behind `kind: shibori`.
 
-The cloth is folded into panels first, like an accordion, so that what is done to a panel is done, mirrored, to all.
+The cloth is first folded into panels, like an accordion, so that a pattern on a panel is on all panels, mirrored.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Panels = Annotated[int, Field(ge=1, le=256)]
 
 
 class Rings(Config):
-    """A cone of cloth pulled up and bound again and again."""
+    """A cone of cloth that is pulled up and bound repeatedly."""
 
     pattern: Literal["rings"] = "rings"
     centre: Place | None = Field(default=None, description="in a panel [m]; its middle unless given")
@@ -29,7 +29,7 @@ class Rings(Config):
 
 
 class Stripes(Config):
-    """Pleats bound in parallel."""
+    """Pleats that are bound in parallel."""
 
     pattern: Literal["stripes"] = "stripes"
     spacing: Length = Field(description="from binding to binding [m]")
@@ -57,7 +57,7 @@ Pattern = Annotated[Rings | Stripes | Squares | Seigaiha, Field(discriminator="p
 
 
 def fold(x: Float, length: float, panels: int) -> Float:
-    """Where places x [m] of a cloth of this length lie in its first panel, once it is folded."""
+    """Return where places x [m] of a cloth of this length are in its first panel, once it is folded."""
     panel = length / panels
     folded: Float = panel - np.abs(x % (2.0 * panel) - panel)
     return folded
@@ -66,9 +66,8 @@ def fold(x: Float, length: float, panels: int) -> Float:
 def draw_pattern(
     pattern: Rings | Stripes | Squares | Seigaiha, folds: tuple[int, int], shape: tuple[int, int], size: float
 ) -> Float:
-    """(ny, nx) 1 where dye is kept out, 0 elsewhere; `folds` panels across and down.
-
-    Raises BadInput where bindings leave no room between them.
+    """Return 1 where (ny, nx) dye is kept out, 0 elsewhere; `folds` panels across and down. Raises BadInput if bindings
+    leave no space between them.
     """
     ny, nx = shape
     x, y = find_middles(shape, size)
@@ -90,7 +89,7 @@ def draw_pattern(
         away = np.hypot(u - centre[0], v - centre[1])
     else:
         away = _turn(u, v, pattern.angle)[1]
-    # A binding lies in the middle of each spacing: nothing is bound at a ring's centre.
+    # A binding is in the middle of each spacing: a ring's centre is not bound.
     place = away % pattern.spacing - 0.5 * pattern.spacing
     return np.asarray(np.abs(place) <= 0.5 * pattern.width, np.float64)
 
@@ -101,7 +100,7 @@ def _turn(x: Float, y: Float, angle: float) -> tuple[Float, Float]:
 
 
 def _draw_scales(pattern: Seigaiha, x: Float, y: Float) -> Float:
-    """Arcs of the frontmost scale at each place.
+    """Return the arcs of the frontmost scale at each place.
 
     Scales of a row touch; rows are half a radius apart and shifted by a radius, so five rows reach a place. Of
     2 arcs + 1 bands of equal width the even ones, from the rim, let dye in.

@@ -1,8 +1,8 @@
-"""Dye that is given to a cloth: drops, brush strokes, baths; at once, or kept up for a time.
+"""Supplies of dye to a cloth: drops, brush strokes, baths; at once, or maintained for a time.
 
-Amounts are shares of V_u, what a cell can hold of mobile dye: the dye paper's initial "1.0 V" is a full cell,
-amount 1. Supply raises a cell to its share and never takes dye away, so that what is there already, more or less,
-makes a cell neither overflow nor dry. A finite bath exchanges dye both ways, and a rinse takes mobile dye away.
+Amounts are shares of V_u, the capacity of a cell for mobile dye: the dye paper's initial "1.0 V" is a full cell, amount
+1. A supply raises a cell to its share and never takes dye away, so that cells with dye neither overflow nor dry. A
+finite bath exchanges dye both ways, and a rinse takes mobile dye away.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Layer = Literal["both", "weft", "warp"]
 
 
 class _Supply(Config):
-    """What all kinds share."""
+    """The fields of all kinds of supply."""
 
     dye: Annotated[int, Field(ge=0, le=255)] | Name = Field(
         default=0, description="its name, or its place in the list of dyes, from 0"
@@ -85,7 +85,7 @@ class Bath(_Supply):
 
 
 class Rinse(Config):
-    """Clean water, which takes mobile dye away at once; what fibre has fixed stays."""
+    """Clean water, which takes mobile dye away at once; fixed dye stays."""
 
     kind: Literal["rinse"] = "rinse"
     dye: Annotated[int, Field(ge=0, le=255)] | Name | None = Field(
@@ -104,7 +104,7 @@ Supplies = Annotated[tuple[AnySupply, ...], Field(max_length=MOST_SUPPLIES)]
 
 
 def find_cells(supply: AnySupply, shape: tuple[int, int], size: float) -> Bool:
-    """(2, ny, nx) the cells it reaches. Raises BadInput where there is none."""
+    """Return the cells (2, ny, nx) that a supply reaches. Raises BadInput if it reaches none."""
     if isinstance(supply, Drop):
         part = cover(Disc(centre=supply.place, diameter=supply.diameter), shape, size)
     elif isinstance(supply, Brush):
@@ -118,32 +118,31 @@ def find_cells(supply: AnySupply, shape: tuple[int, int], size: float) -> Bool:
 def prepare_supplies(
     items: Sequence[AnySupply], shape: tuple[int, int], size: float, dyes: Sequence[str]
 ) -> tuple[Supply, ...]:
-    """What a cloth of (ny, nx) cells with side `size` [m] is given of `dyes`, by name.
-
-    Raises BadInput, at `supply[i]`, for what reaches no cell and for a dye that is none of the scene's.
+    """Return the supplies of `dyes`, by name, to a cloth of (ny, nx) cells with side `size` [m]. Raises BadInput, at
+    `supply[i]`, if it reaches no cell or its dye is not in the scene.
     """
     return tuple(_prepare(item, f"supply[{index}]", shape, size, dyes) for index, item in enumerate(items))
 
 
 def find_dye(dye: int | str, dyes: Sequence[str]) -> int:
-    """The place of a dye among the scene's, given as that or by name. Raises BadInput."""
+    """Return the index of a dye among the scene's, given by index or name. Raises BadInput."""
     if dye in dyes:
         return dyes.index(str(dye))
     if isinstance(dye, int) and dye < len(dyes):
         return dye
-    known = ", ".join(f"{place} {name}" for place, name in enumerate(dyes))
+    listed = ", ".join(f"{place} {name}" for place, name in enumerate(dyes))
     remedy = nearest(dye, dyes) if isinstance(dye, str) else "write the dye's name, or its place in the list of dyes"
-    raise BadInput("no such dye", field="dye", value=dye, limit=known, remedy=remedy)
+    raise BadInput("no such dye", field="dye", value=dye, limit=listed, remedy=remedy)
 
 
 def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: Sequence[str]) -> Supply:
-    inside = "dye"
+    field = "dye"
     try:
         dye = None if item.dye is None else find_dye(item.dye, dyes)
-        inside = {"drop": "place", "stroke": "points", "bath": "region", "rinse": "region"}[item.kind]
+        field = {"drop": "place", "stroke": "points", "bath": "region", "rinse": "region"}[item.kind]
         cells = find_cells(item, shape, size)
     except BadInput as error:
-        raise error.at(f"{place}.{inside}") from None
+        raise error.at(f"{place}.{field}") from None
     if isinstance(item, Rinse):
         return Supply(item.kind, dye, cells, 0.0, item.start, rinsed=item.share)
     until = math.inf if item.stop is None else item.stop

@@ -1,1 +1,1 @@
-"""Lights, the maps that say what they reach, and shading; shared by `raster` and `rays`."""
+"""Lights, maps of what they reach, and shading; shared by `raster` and `rays`."""

@@ -1,4 +1,4 @@
-"""The floor and what is behind it, as pictures by a z-buffer and by rays have them."""
+"""The floor and the background, of pictures by a z-buffer and by rays."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
 
 SUNK = 1e-4
-"""How far the floor is drawn below its height, in radii of the scene, so that what stands on it stays in sight."""
+"""Distance of the drawn floor below its height, in radii of the scene, so that objects on it stay visible."""
 
 
 class Ground(NamedTuple):
-    """The floor, an endless plane that fades into the background.
+    """The floor, an infinite plane that fades into the background.
 
-    active       whether it is seen: by an eye above it
+    active       whether it is visible, from an eye above it
     drop         its height over the eye [m]
     centre (3,)  the point of it below or above the scene's middle [m]; radius: of the scene [m]
     albedo (3,)  linear; top, bottom (3,): the background's colours, linear
@@ -38,8 +38,8 @@ class Ground(NamedTuple):
 def find_ground(
     config: PictureConfig, lowest: float, origin: Float, eye: Float, up: Float, centre: Float, radius: float
 ) -> Ground:
-    """The floor of a picture. `lowest`: least height of what stands on it, inf for nothing; `up` (3,) of length 1;
-    heights, `eye`, `centre` (3,) and `radius` of the scene [m] are from the origin (3,) on.
+    """Return the floor of a picture. `lowest`: least height of objects on it, inf without any; `up` (3,) of length 1;
+    heights, `eye`, `centre` (3,) and `radius` of the scene [m] are relative to the origin (3,).
     """
     level = lowest if config.ground == "auto" else math.inf
     if not isinstance(config.ground, str):
@@ -54,7 +54,7 @@ def find_ground(
 
 @kernel
 def background(down: float, ground: Ground, out: Float) -> None:
-    """Gradient from `top` to `bottom` at a share `down` of the picture's height, level at both ends."""
+    """Write the background, a gradient flat at both ends, at a share `down` of the picture's height into out (3,)."""
     s = min(max(down, 0.0), 1.0)
     s = s * s * (3.0 - 2.0 * s)
     for k in range(3):
@@ -63,7 +63,7 @@ def background(down: float, ground: Ground, out: Float) -> None:
 
 @kernel
 def fade_at(dx: float, dy: float, dz: float, ground: Ground) -> float:
-    """How far the floor has faded into the background at a place (dx, dy, dz) [m] from its centre, 0 to 1."""
+    """Return the share of the background in the floor at (dx, dy, dz) [m] from its centre, 0 to 1."""
     distance = np.sqrt(dx * dx + dy * dy + dz * dz) / ground.radius
     fade: float = min(max((distance - 1.0) / 4.0, 0.0), 1.0)
     return fade * fade * (3.0 - 2.0 * fade)
@@ -72,7 +72,7 @@ def fade_at(dx: float, dy: float, dz: float, ground: Ground) -> float:
 @kernel
 def lay_floor(fade: float, lit: float, free: float, ground: Ground, lights: Any, out: Float) -> None:
     """Blend the floor's radiance into out (3,), which holds the background; lit, free: parts of the key light and of
-    the sky that reach it. `lights` have the fields of nuno_render.light.light_maps.Lights that it needs.
+    the sky that reach it. `lights` have the needed fields of nuno_render.light.light_maps.Lights.
     """
     up, light, colour = lights.up, lights.direction, lights.colour
     nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)

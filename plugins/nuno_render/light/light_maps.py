@@ -1,4 +1,4 @@
-"""Depth maps seen along a direction, and what they tell: shadows and how open a point is."""
+"""Depth maps seen along directions, which give shadows and the openness of a point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nuno_schemas.fabric import Float, Int
 
 
 class Lights(NamedTuple):
-    """The lights of a picture, and the maps that say what they reach.
+    """The lights of a picture, and maps of what they reach.
 
     direction (3,)        toward the key light; colour (3,) radiance of a white diffuse surface that faces it
     up (3,)               away from the floor; sky, ground (3,) radiance of the sky overhead and of the floor below
@@ -21,7 +21,7 @@ class Lights(NamedTuple):
     centre (3,)           middle of all maps [m]
     disc (k, 2)           taps in the unit disc
     depths (r, r)         seen along basis[2], basis (3, 3), at `scale` [texels/m] (draw_depths); r = 0: no shadows
-    nearest, farthest (k, r, r)  seen along k axes, their bases (k, 3, 3) and `sky_scale`; k = 0 where all is open
+    nearest, farthest (k, r, r)  seen along k axes, their bases (k, 3, 3) and `sky_scale`; k = 0 if all is open
     """
 
     direction: Float
@@ -47,12 +47,12 @@ def draw_depths(
     positions: Float, faces: Int, basis: Float, centre: Float, scale: float, nearest: NDArray[np.float32],
     farthest: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Parallel projection of all faces into two maps of signed distance along basis[2].
+    """Project all faces in parallel into two maps of signed distance along basis[2].
 
-    positions (n, 3); faces (f, 3); basis (3, 3) rows u, v and the direction toward the light;
-    centre (3,) is at the middle of the maps; scale [texels/m]; nearest (r, r) float32 starts at
-    -inf and keeps the largest distance; farthest likewise at +inf the smallest, unless (0, 0).
-    Edges count as inside: a crack would let light through, a hit too many shows nowhere.
+    positions (n, 3); faces (f, 3); basis (3, 3) rows u, v and the direction toward the light; centre (3,) is at the
+    middle of the maps; scale [texels/m]; nearest (r, r) float32 starts at -inf and keeps the largest distance; farthest
+    likewise at +inf the smallest, unless (0, 0). Edges count as inside: a crack would let light through, but surplus
+    hits are invisible.
     """
     size = nearest.shape[0]
     both = farthest.shape[0] > 0
@@ -92,9 +92,8 @@ def draw_depths(
 
 @kernel
 def open_part(depths: NDArray[np.float32], x: float, y: float, z: float, sign: float) -> float:
-    """Part of a bilinear texel footprint at (x, y) that does not block a point at z.
-
-    sign +1: blocked by what lies above z; -1: by what lies below (farthest map).
+    """Return the share of a bilinear texel footprint at (x, y) that does not block a point at z. sign +1: surfaces
+    above z block it; -1: those below (farthest map).
     """
     size = depths.shape[0]
     x -= 0.5
@@ -117,11 +116,11 @@ def open_part(depths: NDArray[np.float32], x: float, y: float, z: float, sign: f
 
 @kernel
 def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, lights: Lights) -> float:
-    """Part of the sky's light that reaches a point, 0 to 1.
+    """Return the share of the sky's light that reaches a point, 0 to 1.
 
-    (px, py, pz) a point and (nx, ny, nz) its unit normal on the side asked for. Each axis of the sky's
-    maps serves the one of its two directions that the normal faces, weighted by cosine and by a sky that
-    is brighter overhead. Without maps everything is open.
+    (px, py, pz) is a point and (nx, ny, nz) its unit normal on the visible side. Each axis of the sky's maps serves the
+    one of its two directions that the normal faces, weighted by cosine and by a sky that is brighter overhead. Without
+    maps everything is open.
     """
     nearest, farthest, bases, up = lights.nearest, lights.farthest, lights.bases, lights.up
     centre, scale = lights.centre, lights.sky_scale
@@ -136,7 +135,7 @@ def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, l
         u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
         v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
         w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-        # A slope rises within a texel: the slack grows with it, up to a limit.
+        # A slope rises within a texel: the tolerance grows with it, up to a limit.
         slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 0.1)
         slack = lift * (0.5 + min(slope, 4.0))
         rise = basis[2, 0] * up[0] + basis[2, 1] * up[1] + basis[2, 2] * up[2]
@@ -148,7 +147,7 @@ def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, l
 
 @kernel
 def floor_openness(corner: Float, across: Float, along: Float, lights: Lights, out: Float) -> None:
-    """Openness of a floor at corner + j across + i along, into out[i, j]; all vectors (3,) [m]."""
+    """Write the openness of a floor at corner + j across + i along into out[i, j]; all vectors (3,) [m]."""
     normal = lights.up
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -160,7 +159,7 @@ def floor_openness(corner: Float, across: Float, along: Float, lights: Lights, o
 
 @kernel
 def shadow(lights: Lights, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
-    """Part of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
+    """Return the share of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
 
     (px, py, pz) the point, lifted off its surface; (nx, ny, nz) its surface's unit normal on the
     lit side.

@@ -1,4 +1,4 @@
-"""The lights of a picture and the maps that say what they reach."""
+"""The lights of a picture, and maps of what they reach."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nuno_schemas.fabric import Float
 KEY = np.array([0.86, 0.82, 0.765])
 """Radiance of a white diffuse surface that faces the key light."""
 SKY, GROUND = np.array([0.33, 0.36, 0.405]), np.array([0.20, 0.185, 0.17])
-"""Radiance of the sky overhead and of the floor below, as they light surfaces."""
+"""Radiance of the sky overhead and of the floor below, which light surfaces."""
 
 SHADOW_SIZE, SKY_SIZE, SKY_AXES, TAPS = 1024, 144, 22, 64
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
@@ -25,22 +25,22 @@ DISC = np.array(
         for k in range(TAPS)
     ]
 )
-"""(64, 2) sunflower arrangement: even cover of the unit disc, each prefix of it even and centred."""
+"""Sunflower arrangement (64, 2): it covers the unit disc evenly, and so does each prefix."""
 
 
 def unit(vector: Float) -> Float:
-    """(3,) vector / its length."""
+    """Return a vector (3,) over its length."""
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def tangents(direction: Float) -> Float:
-    """(3, 3) rows: two unit vectors across a unit `direction`, then itself."""
+    """Return rows (3, 3): two unit vectors normal to a unit `direction`, then itself."""
     u = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(direction)))], direction))
     return np.ascontiguousarray(np.stack([u, np.cross(direction, u), direction]))
 
 
 def key_direction(config: PictureConfig, camera: Camera, up: Float) -> Float:
-    """(3,) unit direction toward the key light; auto is 52 degrees left of the camera, 50 high."""
+    """Return the unit direction (3,) toward the key light; auto is 52 degrees left of the camera, 50 high."""
     if config.light != "auto":
         return unit(np.array(config.light, np.float64))
     sight = np.asarray(camera.eye, np.float64) - np.asarray(camera.target, np.float64)
@@ -55,11 +55,10 @@ def key_direction(config: PictureConfig, camera: Camera, up: Float) -> Float:
 
 
 def prepare_lights(config: RasterConfig, scene: DrawnScene, camera: Camera, up: Float) -> Lights:
-    """Lights with their maps: depths seen from the key light, and along directions spread evenly over the sphere, in
-    opposite pairs that share one projection.
+    """Return lights with their maps: depths seen from the key light, and along directions spread evenly over the
+    sphere, in opposite pairs that share one projection.
 
-    Unlike occlusion found on the screen the latter neither flickers nor leaves halos, and it knows
-    what the camera does not see.
+    Rejected: occlusion on the screen, which flickers, leaves halos, and misses surfaces that the camera does not see.
     """
     light, drawn = key_direction(config, camera, up), len(scene.faces) > 0
     size, count = SHADOW_SIZE if config.shadows and drawn else 0, SKY_AXES if config.occlusion and drawn else 0

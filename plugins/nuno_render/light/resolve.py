@@ -1,4 +1,4 @@
-"""From samples to pixels: surfaces, ground and background, averaged in linear light."""
+"""Pixels from samples: surfaces, ground and background, averaged in linear light."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from nuno_schemas.fabric import Float, Int
 
 
 class Floor(NamedTuple):
-    """The floor as a z-buffer has it.
+    """The floor in a z-buffer.
 
-    ground         where it is and what it looks like
+    ground         its place and colour
     plane (3,)     1 / z of the floor at a pixel (x, y, 1)
-    rays (3, 3)    columns: what a ray changes by over a pixel to the right and down, and the ray at pixel (0, 0)
+    rays (3, 3)    columns: the change of a ray over a pixel to the right and down, and the ray at pixel (0, 0)
     eye (3,)       [m] of the camera
     grid (g, g)    openness about the centre; grid_u, grid_v (3,) its directions, grid_scale its points a metre
     """
@@ -37,7 +37,7 @@ class Floor(NamedTuple):
 
 @kernel
 def ground_point(x: float, y: float, height: int, floor: Floor, lights: Lights, out: Float) -> None:
-    """Ground seen at pixel (x, y), fading into the background with distance, into out (3,)."""
+    """Write the ground at pixel (x, y), fading into the background with distance, into out (3,)."""
     plane, rays, eye, normal, centre = floor.plane, floor.rays, floor.eye, lights.up, floor.ground.centre
     background(y / height, floor.ground, out)
     inverse = plane[0] * x + plane[1] * y + plane[2]

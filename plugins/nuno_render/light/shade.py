@@ -1,8 +1,8 @@
-"""Light on what each pixel sees, resolved from samples to a picture in linear light.
+"""Light on the surface at each pixel, resolved from samples to a picture in linear light.
 
-A pixel's samples are grouped by triangle; each group is shaded once, at the mean place of its
-samples, and weighs as many as it has. That place lies inside the triangle, so nothing is
-extrapolated at silhouettes (centroid sampling), and a smooth surface costs one shading a pixel.
+A pixel's samples are grouped by triangle; each group is shaded once, at the mean place of its samples, and weighted by
+their number. That place is inside the triangle, so nothing is extrapolated at silhouettes (centroid sampling), and a
+smooth surface costs one shading a pixel.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ BODY_GLOSS = 0.04
 
 @kernel
 def corner_planes(clip: Float, a: int, b: int, c: int, out: Float) -> None:
-    """What gives the corners' weights at a pixel, into out (3, 3).
+    """Write the linear forms of the corners' weights at a pixel into out (3, 3).
 
-    A point sum b_i c_i of homogeneous corners projects to (x, y) where it is parallel to
-    (x, y, 1), so b_i is (c_j x c_k) . (x, y, 1), up to a common factor (Olano and Greer 1997).
-    No division by w: corners behind the eye do no harm. Rows are the cross products.
+    A point sum b_i c_i of homogeneous corners projects to (x, y) if it is parallel to (x, y, 1), so b_i is (c_j x c_k)
+    . (x, y, 1), up to a common factor (Olano and Greer 1997). No division by w: corners behind the eye do no harm. Rows
+    are the cross products.
     """
     for k in range(3):
         i = b if k == 0 else (c if k == 1 else a)
@@ -41,7 +41,7 @@ def corner_planes(clip: Float, a: int, b: int, c: int, out: Float) -> None:
 
 @kernel
 def corner_weights(planes: Float, x: float, y: float) -> tuple[float, float, float]:
-    """Perspective-correct weights (b0, b1, b2) at pixel (x, y); thirds where degenerate."""
+    """Return perspective-correct weights (b0, b1, b2) at pixel (x, y); thirds if degenerate."""
     b0 = planes[0, 0] * x + planes[0, 1] * y + planes[0, 2]
     b1 = planes[1, 0] * x + planes[1, 1] * y + planes[1, 2]
     b2 = planes[2, 0] * x + planes[2, 1] * y + planes[2, 2]
@@ -53,22 +53,22 @@ def corner_weights(planes: Float, x: float, y: float) -> tuple[float, float, flo
 
 @kernel
 def sky(up_part: float, sky_light: Float, ground_light: Float, k: int) -> float:
-    """Irradiance / pi of a hemisphere sky in one channel, its radiance blending from ground to sky with height:
+    """Return irradiance / pi of a hemisphere sky in one channel, its radiance blending from ground to sky with height:
     integral of (d.n)+ ((s + g) / 2 + (s - g) / 2 d.up) over directions = (s + g) / 2 + (s - g) n.up / 3.
     """
-    found: float = 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
-    return found
+    irradiance: float = 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
+    return irradiance
 
 
 @kernel
 def _interreflect(free: float, albedo: float) -> float:
-    """Sky light in a cavity of one colour, all bounces: f / (1 - albedo (1 - f))."""
+    """Return sky light in a cavity of one colour, with all bounces: f / (1 - albedo (1 - f))."""
     return free / (1.0 - albedo * (1.0 - free))
 
 
 @kernel
 def _sheen(nl: float, nv: float, nh: float) -> Any:
-    """Charlie sheen (Estevez and Kulla 2017) with the visibility of Neubelt and Pettineo (2013)."""
+    """Return Charlie sheen (Estevez and Kulla 2017) with the visibility of Neubelt and Pettineo (2013)."""
     inverse = 1.0 / SHEEN_ROUGHNESS
     sine = np.sqrt(max(1.0 - nh * nh, 0.0))
     return (2.0 + inverse) * sine**inverse / (2.0 * np.pi) / (4.0 * (nl + nv - nl * nv) + 1e-6)
@@ -78,7 +78,7 @@ def _sheen(nl: float, nv: float, nh: float) -> Any:
 def surface_light(
     albedo: Float, n: Float, view: Float, lights: Lights, lit: float, free: float, cloth: bool, out: Float
 ) -> None:
-    """Radiance toward the viewer, into out (3,): diffuse key and sky light, and sheen or gloss.
+    """Write radiance toward the viewer into out (3,): diffuse key and sky light, and sheen or gloss.
 
     n, view (3,) unit vectors; lit: part of the key light, 0 to 1; free: part of the sky.
     """
@@ -107,7 +107,7 @@ def surface_light(
 
 @kernel
 def _texel(planes: Float, corners: Any, scene: DrawnScene, mesh: int, x: float, y: float, out: Float) -> None:
-    """Image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
+    """Write the image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
     (a, b, c), uv, weights = corners, scene.uv, corner_weights(planes, x, y)
     u = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0]
     v = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1]
@@ -124,8 +124,8 @@ def _texel(planes: Float, corners: Any, scene: DrawnScene, mesh: int, x: float, 
 def _place(
     weights: Any, corners: Any, scene: DrawnScene, eye: Float, p: Float, n: Float, g: Float, view: Float
 ) -> bool:
-    """Point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals
-    turned toward the viewer. Returns whether the back of the face is seen.
+    """Write point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals turned toward the
+    viewer. Return whether the back of the face is visible.
     """
     (a, b, c), positions, normals = corners, scene.positions, scene.normals
     facing = 0.0
@@ -152,7 +152,7 @@ def _place(
 def shade_point(
     f: int, x: float, y: float, scene: DrawnScene, clip: Float, eye: Float, lights: Lights, work: Float, out: Float
 ) -> None:
-    """Radiance of face f at pixel (x, y), into out (3,).
+    """Write the radiance of face f at pixel (x, y) into out (3,).
 
     clip (n, 3): the scene's vertices on the screen; eye (3,) [m]; `work` (9, 3) is scratch.
     """
@@ -182,11 +182,11 @@ def shade_point(
 
 @kernel
 def raise_point(p: Float, corners: Any, weights: Any, turn: float, x: Float, normals: Float, out: Float) -> None:
-    """Raise out (3,), where rays from a point p (3,) of a triangle start, to the smooth surface that the normals of its
-    corners suggest, vertices x and normals (n, 3).
+    """Raise out (3,), the start of rays from a point p (3,) of a triangle, to the smooth surface of its corners'
+    normals; vertices x and normals (n, 3).
 
     A coarse mesh's flat faces shadow each other where the interpolated normal still sees the light, which shows as
-    steps along the terminator. The point goes to the mean of its projections on the corners' tangent planes (Hanika,
+    steps along the terminator. The point moves to the mean of its projections on the corners' tangent planes (Hanika,
     Hacking the shadow terminator, 2021).
     """
     for m in range(3):

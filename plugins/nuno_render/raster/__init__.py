@@ -1,1 +1,1 @@
-"""The renderer for meshes: what each sample sees, found by a z-buffer."""
+"""The renderer for meshes, by a z-buffer."""

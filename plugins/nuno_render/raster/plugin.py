@@ -23,16 +23,14 @@ from nuno_schemas.colour import to_srgb
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.fabric import Bool, Float, Int
 
-# Which triangle each sample of the picture sees: a z-buffer over exact integer coverage.
-#
-# Vertices arrive in homogeneous pixel coordinates (X w, Y w, w): the pixel is (X, Y), y down,
-# and w the distance along the line of sight. Screen positions are rounded to 1/256 pixel and the
-# edge functions are integers, so that with the top-left rule a sample on an edge shared by two
-# triangles belongs to exactly one of them, whatever their shapes (Pineda 1988).
+# The visible triangle of each sample of the picture: a z-buffer over exact integer coverage.  Vertices arrive in
+# homogeneous pixel coordinates (X w, Y w, w): the pixel is (X, Y), y down, and w the distance along the line of sight.
+# Screen positions are rounded to 1/256 pixel and the edge functions are integers, so that with the top-left rule a
+# sample on an edge shared by two triangles belongs to exactly one of them, whatever their shapes (Pineda 1988).
 
 GUARD = 2.0**21
-"""Pixels kept around the picture: beyond it triangles are cut, and within it the edge functions
-(24 + 8 bits, squared, summed) stay inside 63 bits."""
+"""Pixels around the picture beyond which triangles are clipped; within, the edge functions (24 + 8 bits, squared,
+summed) fit in 63 bits."""
 
 PATTERNS: dict[int, NDArray[np.int64]] = {
     1: np.array([[0, 0]]),
@@ -43,38 +41,38 @@ PATTERNS: dict[int, NDArray[np.int64]] = {
          [-2, 6], [0, -7], [-4, -6], [-6, 4], [-8, 0], [7, -4], [6, 7], [-7, -8]]
     ),
 }  # fmt: skip
-"""Sample positions in 1/16 pixel from the pixel's centre: the usual n-rooks patterns, which have
-as many distinct rows and columns as samples and so smooth steep and flat edges alike."""
+"""Sample positions in 1/16 pixel from the pixel's centre: the usual n-rooks patterns, with as many distinct rows and
+columns as samples, which smooth steep and flat edges alike."""
 
 
 def sample_offsets(samples: int) -> NDArray[np.int64]:
-    """(samples, 2) positions in 1/256 pixel from the pixel's upper left corner."""
+    """Return positions (samples, 2) in 1/256 pixel from the pixel's upper left corner."""
     return PATTERNS[samples].astype(np.int64) * 16 + 128
 
 
 @kernel
-def _cut(source: Float, count: int, target: Float, plane: int, near: float) -> int:
-    """Sutherland-Hodgman: cut polygon `source` (count, 3) by one plane into `target`."""
-    made = 0
+def _clip(source: Float, count: int, target: Float, plane: int, near: float) -> int:
+    """Clip polygon `source` (count, 3) by a plane into `target` (Sutherland-Hodgman). Return its number of corners."""
+    written = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
         da = _inside(source[i, 0], source[i, 1], source[i, 2], plane, near)
         db = _inside(source[j, 0], source[j, 1], source[j, 2], plane, near)
         if da >= 0.0:
             for k in range(3):
-                target[made, k] = source[i, k]
-            made += 1
+                target[written, k] = source[i, k]
+            written += 1
         if (da >= 0.0) != (db >= 0.0):
             s = da / (da - db)
             for k in range(3):
-                target[made, k] = source[i, k] + s * (source[j, k] - source[i, k])
-            made += 1
-    return made
+                target[written, k] = source[i, k] + s * (source[j, k] - source[i, k])
+            written += 1
+    return written
 
 
 @kernel
 def _inside(x: float, y: float, w: float, plane: int, near: float) -> float:
-    """Signed measure of a homogeneous point against a plane: near, then left, right, top, bottom."""
+    """Return the signed distance of a homogeneous point from a plane: near, then left, right, top, bottom."""
     if plane == 0:
         return w - near
     along = x if plane < 3 else y
@@ -86,7 +84,7 @@ def _fill(
     polygon: Float, b: int, owner_id: int, cull: bool, offsets: NDArray[np.int64], reach: int,
     depth: NDArray[np.float32], owner: Int,
 ) -> int:  # fmt: skip
-    """Draw the triangle of corners 0, b, b + 1 of a convex polygon that needs no cutting; returns samples written."""
+    """Draw the triangle of corners 0, b, b + 1 of a clipped, convex polygon. Return the number of samples covered."""
     a, c = 0, b + 1
     height, width, samples = depth.shape
     ia, ib, ic = 1.0 / polygon[a, 2], 1.0 / polygon[b, 2], 1.0 / polygon[c, 2]
@@ -103,13 +101,13 @@ def _fill(
     top, bottom = max(min(ay, by, cy) >> 8, 0), min(max(ay, by, cy) >> 8, height - 1)
     if left > right or top > bottom:
         return 0
-    # Edge p -> q at a sample r: (q - p) x (r - p) >= 0, less one where the edge is neither top nor left.
+    # Edge p -> q at a sample r: (q - p) x (r - p) >= 0, less one if the edge is neither top nor left.
     x0, y0, x1, y1, x2, y2 = bx - ax, by - ay, cx - bx, cy - by, ax - cx, ay - cy
     t0 = 0 if y0 < 0 or (y0 == 0 and x0 > 0) else 1
     t1 = 0 if y1 < 0 or (y1 == 0 and x1 > 0) else 1
     t2 = 0 if y2 < 0 or (y2 == 0 and x2 > 0) else 1
     m0, m1, m2 = reach * (abs(x0) + abs(y0)), reach * (abs(x1) + abs(y1)), reach * (abs(x2) + abs(y2))
-    # 1/w is affine on the screen. The rounded corners are used, so that it stays between theirs.
+    # 1/w is affine on the screen, here from the rounded corners, so that it stays between theirs.
     gx = ((ib - ia) * (cy - ay) - (ic - ia) * (by - ay)) / area
     gy = ((ic - ia) * (bx - ax) - (ib - ia) * (cx - ax)) / area
     low, high = min(ia, ib, ic), max(ia, ib, ic)
@@ -139,13 +137,12 @@ def rasterise(
     clip: Float, faces: Int, mesh: Int, two_sided: Bool, near: float, offsets: NDArray[np.int64], reach: int,
     depth: NDArray[np.float32], owner: Int,
 ) -> int:  # fmt: skip
-    """Draw all triangles; returns how many samples they covered, hidden ones included.
+    """Draw all triangles. Return the number of samples that they cover, including hidden ones.
 
-    clip (n, 3) homogeneous pixels; faces (f, 3); mesh (f,) index into two_sided (m,);
-    near [m]; offsets (s, 2) [1/256 pixel], at most `reach` from the pixel's centre;
-    depth (h, w, s) float32, nearest 1/w, and owner (h, w, s) int32, its face: both updated.
-    Of two surfaces at one depth the first stays. Front faces, counter-clockwise seen by the
-    viewer, have a negative area where y points down; a one-sided mesh shows only these.
+    clip (n, 3) homogeneous pixels; faces (f, 3); mesh (f,) index into two_sided (m,); near [m]; offsets (s, 2) [1/256
+    pixel], at most `reach` from the pixel's centre; depth (h, w, s) float32, nearest 1/w, and owner (h, w, s) int32,
+    its face: both updated. At equal depth the first surface stays. Front faces, counter-clockwise seen by the viewer,
+    have a negative area, since y points down; a one-sided mesh shows only these.
     """
     first = np.empty((10, 3))
     second = np.empty((10, 3))
@@ -159,7 +156,7 @@ def rasterise(
         count = 3
         if outside:
             for plane in range(5):
-                count = _cut(first, count, second, plane, near)
+                count = _clip(first, count, second, plane, near)
                 first, second = second, first
         cull = not two_sided[mesh[f]]
         for k in range(1, count - 1):
@@ -167,18 +164,18 @@ def rasterise(
     return covered
 
 
-# The floor: an endless plane, known in closed form at every pixel.
+# The floor: an infinite plane, in closed form at every pixel.
 
 GRID, REACH = 96, 3.0
 """Points along each side of the grid of openness, and half its width in radii of the scene."""
 
 
 def prepare_floor(ground: Ground, size: tuple[int, int], sight: Sight, lights: Lights) -> Floor:
-    """The floor as seen in a picture of this size.
+    """Return the floor in a picture of this size.
 
-    With ray = forward + right (X - w / 2) / focal - up (Y - h / 2) / focal, affine in the
-    pixel, the point eye + z ray lies on the floor n . p = d where 1/z = n . ray / (d - n . eye),
-    affine too: so the floor takes part in the depth test without a triangle.
+    With ray = forward + right (X - w / 2) / focal - up (Y - h / 2) / focal, affine in the pixel, the point eye + z ray
+    lies on the floor n . p = d where 1/z = n . ray / (d - n . eye), also affine: so the floor is in the depth test
+    without a triangle.
     """
     eye, right, above, forward, focal = sight
     rays = np.stack([right / focal, -above / focal, forward], axis=1)
@@ -194,8 +191,8 @@ def prepare_floor(ground: Ground, size: tuple[int, int], sight: Sight, lights: L
 
 
 def _smooth(grid: Float) -> Float:
-    """A square grid after ten passes of (1 2 1) / 4 along both axes: a normal distribution 2.2
-    cells wide, which blends the separate shadows of the few sky directions.
+    """Smooth a square grid by ten passes of (1 2 1) / 4 along both axes: a normal distribution 2.2 cells wide, which
+    blends the separate shadows of the few sky directions.
     """
     for _ in range(20):
         padded = np.concatenate([grid[:1], grid, grid[-1:]])
@@ -204,7 +201,7 @@ def _smooth(grid: Float) -> Float:
 
 
 def floor_depth(floor: Floor, size: tuple[int, int], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
-    """(h, w, s) float32 1/z of the floor at every sample, 0 where it is not seen."""
+    """Return 1/z (h, w, s) float32 of the floor at every sample, 0 where it is not visible."""
     if not floor.ground.active:
         return np.zeros((size[1], size[0], len(offsets)), np.float32)
     plane = floor.plane
@@ -222,16 +219,16 @@ NEAR = 1e-3
 class Raster:
     """Draws meshes by z-buffer with soft shadows, sky occlusion and sheen, on one core.
 
-    Vertices that are not finite take their faces with them, so that a run that diverged can
-    still be drawn. uv (0, 0) is an image's upper left corner. One-sided meshes are closed
-    bodies: their back faces are not drawn, and vertices they share are shaded smoothly.
+    Faces of vertices that are not finite are left out, so that a run that diverged can still be drawn. uv (0, 0) is an
+    image's upper left corner. One-sided meshes are closed bodies: their back faces are not drawn, and vertices they
+    share are shaded smoothly.
     """
 
     name: ClassVar[str] = "raster"
     Config: ClassVar[type[BaseModel]] = RasterConfig
 
     def render(self, config: BaseModel, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
-        """(height, width, 3) uint8 sRGB. The same input gives the same bytes.
+        """Return a picture (height, width, 3) uint8 sRGB. The same input gives the same bytes.
 
         Raises BadInput for arrays of the wrong shape, face indices out of range, and a camera
         without size, field of view or direction.
@@ -244,7 +241,7 @@ class Raster:
 
 
 def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
-    """(height, width, 3) linear light, before the shoulder and sRGB. Raises as `Raster.render`."""
+    """Return linear light (height, width, 3), before the shoulder and sRGB. Raises as `Raster.render`."""
     sight = sight_of(camera)
     width, height = camera.size
     up = unit(np.array(config.up))
@@ -266,14 +263,14 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
 
 
 def _project(relative: Float, sight: Sight, size: tuple[int, int]) -> Float:
-    """(n, 3) homogeneous pixels (X w, Y w, w) of points (n, 3) relative to the eye."""
+    """Return homogeneous pixels (n, 3) (X w, Y w, w) of points (n, 3) relative to the eye."""
     _, *axes, focal = sight
     x, y, w = (relative[:, 0] * axis[0] + relative[:, 1] * axis[1] + relative[:, 2] * axis[2] for axis in axes)
     return np.stack([focal * x + size[0] / 2.0 * w, size[1] / 2.0 * w - focal * y, w], axis=1)
 
 
 def encode_picture(light: Float) -> NDArray[np.uint8]:
-    """(h, w, 3) sRGB of linear light, highlights rolled off."""
+    """Return sRGB (h, w, 3) of linear light, highlights rolled off."""
     picture = np.empty(light.shape, np.uint8)
     encode(np.ascontiguousarray(light), _encoding(), picture)
     return picture
@@ -281,5 +278,5 @@ def encode_picture(light: Float) -> NDArray[np.uint8]:
 
 @functools.cache
 def _encoding() -> NDArray[np.uint8]:
-    """What `encode` looks up."""
+    """Return the table of `encode`."""
     return np.asarray(np.rint(to_srgb(np.linspace(0.0, 1.0, 16384) ** 2) * 255.0).astype(np.uint8))

@@ -1,4 +1,4 @@
-"""Yarns between a point and what it looks at: each crossing counts once, however many of a yarn's capsules it takes."""
+"""Yarns along a ray: each crossing counts once, however many of a yarn's capsules it passes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def join_crossings(count: int, items: NDArray[np.int64], enters: Float, leaves: Float, yarn: NDArray[np.int64]) -> int:
-    """Make one hit of capsules of one yarn that overlap along the ray; returns how many are left, nearest first."""
+    """Merge hits of capsules of one yarn that overlap along the ray. Return the number left, nearest first."""
     kept = 0
     for i in range(count):
         whole = True
@@ -30,7 +30,7 @@ def join_crossings(count: int, items: NDArray[np.int64], enters: Float, leaves: 
 
 @kernel
 def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, buffers: Buffers) -> int:
-    """Crossings of yarns from p (3,) along d (3,) up to a distance: their number, and the buffers filled with them."""
+    """Write crossings of yarns from p (3,) along d (3,) up to a distance into the buffers. Return their number."""
     count = meet_capsules(p, d, most, threads.tree, keep, buffers)
     if count < 2:
         return count
@@ -39,7 +39,7 @@ def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, bu
 
 @kernel
 def free_way(p: Float, d: Float, skin: Skin, threads: Threads, share: float, keep: int, buffers: Buffers) -> float:
-    """Share of the light that comes to p (3,) from direction d (3,): none through bodies, `share` through a yarn."""
+    """Return the share of light that reaches p (3,) from direction d (3,): 0 through bodies, `share` through a yarn."""
     face, _ = meet_triangle(p, d, skin.tree, buffers)
     if face >= 0:
         return 0.0

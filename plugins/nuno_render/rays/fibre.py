@@ -5,10 +5,10 @@ dimensional textures, SIGGRAPH 1989): light from L leaves it as a cone about T, 
 
     (sin(T, L) sin(T, V) - T.L T.V)^p = cos(angle between V and the cone)^p,
 
-brightest where T is at right angles to L + V: on a hoop, where its normal plane holds the half vector. Seen round
-the yarn it has the falloff cos(phi / 2) of a mirroring fibre (Marschner et al., Light scattering from human hair
-fibers, SIGGRAPH 2003), phi between L and V about T, so that light from behind makes no highlight. Their diffuse term
-sin(T, L) is Lambert's law integrated over a round fibre; here the normal is known and nothing is left to integrate.
+brightest where T is normal to L + V: on a hoop, where its normal plane contains the half vector. Seen round the yarn it
+has the falloff cos(phi / 2) of a mirroring fibre (Marschner et al., Light scattering from human hair fibers, SIGGRAPH
+2003), phi between L and V about T, so that light from behind makes no highlight. Their diffuse term sin(T, L) is
+Lambert's law integrated over a round fibre; here the normal is known, without an integral.
 
 Skin and yarns scatter light inside, which carries it beyond the terminator: (n.L + w) / (1 + w), w larger for red in
 skin, which red light passes best.
@@ -27,20 +27,20 @@ from nuno_schemas.fabric import Float
 SKIN_WRAP = np.array([0.34, 0.20, 0.14])
 YARN_WRAP = 0.45
 GLOSS, SHARPNESS = 0.05, 18.0
-"""Strength and exponent of the skin's own highlight."""
+"""Strength and exponent of the skin's highlight."""
 BOUNCE = 0.55
-"""Light of a surface that hides the sky, relative to the sky's, before its own colour."""
+"""Light of a surface that hides the sky, relative to the sky's, without its colour."""
 
 
 class Look(NamedTuple):
-    """What a picture by rays is drawn with.
+    """The settings of a picture by rays.
 
     eye (3,)              [m]; direction, colour, up, sky, ground and spread as in nuno_render.light.light_maps.Lights
-    share                 of the light that comes through a yarn; keep: capsules that a ray is followed through
+    share                 of the light that passes a yarn; keep: the most capsules along a ray
     highlight, sharpness  strength and exponent of the yarns' highlight
     shadows, occlusion    whether the key light casts shadows, and whether yarns and bodies hide the sky
-    off                   how far rays start off a surface [m]
-    flat                  whether yarns are of one flat colour and cast no shadow
+    off                   distance of the start of rays from a surface [m]
+    flat                  whether yarns have one flat colour and cast no shadow
     """
 
     eye: Float
@@ -62,13 +62,13 @@ class Look(NamedTuple):
 
 @kernel
 def wrapped(cosine: float, w: float) -> float:
-    """Lambert's law over a terminator moved by w."""
+    """Return Lambert's law with the terminator moved by w."""
     return max((cosine + w) / (1.0 + w), 0.0)
 
 
 @kernel
 def fibre_highlight(t: Float, light: Float, view: Float, sharpness: float) -> float:
-    """Kajiya and Kay's highlight of a fibre along the unit vector t (3,), with the falloff about it; 0 to 1."""
+    """Return Kajiya and Kay's highlight of a fibre along the unit vector t (3,), with the falloff about it; 0 to 1."""
     tl = t[0] * light[0] + t[1] * light[1] + t[2] * light[2]
     tv = t[0] * view[0] + t[1] * view[1] + t[2] * view[2]
     sl, sv = np.sqrt(max(1.0 - tl * tl, 0.0)), np.sqrt(max(1.0 - tv * tv, 0.0))
@@ -85,14 +85,14 @@ def fibre_highlight(t: Float, light: Float, view: Float, sharpness: float) -> fl
 
 @kernel
 def ambient_light(albedo: Float, up_part: float, free: float, look: Look, k: int) -> float:
-    """Sky light that a surface sends on; what hides the sky is of the same colour."""
+    """Return reflected sky light; surfaces that hide the sky have the same colour."""
     light: float = albedo[k] * sky(up_part, look.sky, look.ground, k) * (free + (1.0 - free) * BOUNCE * albedo[k])
     return light
 
 
 @kernel
 def skin_light(albedo: Float, n: Float, view: Float, look: Look, lit: float, free: float, out: Float) -> None:
-    """Radiance of skin toward the viewer, into out (3,); lit and free as in shade.surface_light."""
+    """Write the radiance of skin toward the viewer into out (3,); lit and free as in shade.surface_light."""
     light, light_colour, up = look.direction, look.colour, look.up
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
@@ -107,7 +107,7 @@ def skin_light(albedo: Float, n: Float, view: Float, look: Look, lit: float, fre
 
 @kernel
 def yarn_light(albedo: Float, n: Float, t: Float, view: Float, look: Look, lit: float, free: float, out: Float) -> None:
-    """Radiance of a yarn with normal n and tangent t toward the viewer, into out (3,)."""
+    """Write the radiance of a yarn with normal n and tangent t toward the viewer into out (3,)."""
     light, light_colour, up = look.direction, look.colour, look.up
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
     shine = look.highlight * fibre_highlight(t, light, view, look.sharpness)

@@ -1,17 +1,17 @@
-"""Where rays o + t d, d a unit vector, meet triangles and capsules.
+"""Intersections of rays o + t d, d a unit vector, with triangles and capsules.
 
-A capsule is the union of two spheres and the side of a cylinder between them, and convex: a ray enters it where it
-first enters one of the three, and leaves it where it last leaves one. With p = o - a from the axis's end a and
-w = b - a, the ray moved to where it is nearest to a (t counts from there, so that a distant eye costs no digits), the
-side is met where A t^2 + 2 B t + C = 0 with
+A capsule is the union of two spheres and the side of a cylinder between them, and convex: a ray enters it at its first
+entry into one of the three, and leaves it at its last exit from one. With p = o - a from the axis's end a and w = b -
+a, and t counted from the ray's nearest point to a (so that a distant eye costs no digits), the ray meets the side where
+A t^2 + 2 B t + C = 0 with
 
     A = |d x w|^2,  B = (p x w).(d x w),  C = |p x w|^2 - r^2 w.w,   0 <= w.p + t w.d <= w.w,
 
-and a sphere where t^2 + 2 t p.d + p.p - r^2 = 0. A root of a negative number, and a ray along the axis, give NaN, which
-no comparison takes. The same by dot products, |p|^2 |w|^2 - (p.w)^2, loses the digits of (|w| / r)^2.
+and a sphere where t^2 + 2 t p.d + p.p - r^2 = 0. The root of a negative number, and a ray along the axis, give NaN, for
+which every comparison is false. Rejected: dot products, |p|^2 |w|^2 - (p.w)^2, which lose the digits of (|w| / r)^2.
 
-Of items that are met at one distance that of the lowest number comes first: what is found depends neither on the
-order of the search nor on the tree, to the last bit.
+Of items at one distance the lowest number comes first: the result depends neither on the order of the search nor on the
+tree, to the last bit.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from nuno_render.rays.tree import RayTree
 from nuno_schemas.fabric import Float
 
 DEPTH = 96
-"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 items."""
+"""Capacity of the stack of nodes: at most seven a level, and twelve levels hold 5e11 items."""
 SLOP = 1.0 + 2.0**-49
-"""Boxes end later by this factor: more than rounding takes off (Ize, Robust BVH ray traversal, JCGT 2(2), 2013)."""
+"""Factor by which boxes end later, more than rounding errors (Ize, Robust BVH ray traversal, JCGT 2(2), 2013)."""
 EDGE = 1e-12
-"""Share of a triangle by which it reaches over its edges, so that no ray passes between two."""
+"""Share of a triangle by which it extends over its edges, so that no ray passes between two."""
 
 
 class Buffers(NamedTuple):
-    """What rays are followed with: capsules met (keep,), where rays enter and leave them [m], those of one ray that are
-    shaded after it, nodes that wait (DEPTH,) with their distances, and vectors (10, 3) for shading.
+    """Scratch for rays: capsules met (keep,), where rays enter and leave them [m], those of one ray that are shaded
+    after it, the stack of nodes (DEPTH,) with their distances, and vectors (10, 3) for shading.
     """
 
     items: NDArray[np.int64]
@@ -53,7 +53,7 @@ class Buffers(NamedTuple):
 
 @kernel
 def make_buffers(keep: int) -> Buffers:
-    """Buffers for rays that are followed through `keep` capsules."""
+    """Return buffers for rays through at most `keep` capsules."""
     return Buffers(
         np.empty(keep, np.int64), np.empty(keep), np.empty(keep), np.empty(keep, np.int64), np.empty(keep),
         np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((10, 3)),
@@ -62,7 +62,7 @@ def make_buffers(keep: int) -> Buffers:
 
 @kernel
 def inverse(d: float) -> float:
-    """1 / d, huge where d is 0, so that no product with 0 is NaN."""
+    """Return 1 / d, huge if d is 0, so that no product with 0 is NaN."""
     if abs(d) < 1e-300:
         return 1e300
     return 1.0 / d
@@ -70,7 +70,7 @@ def inverse(d: float) -> float:
 
 @inlined
 def box_entries(ox: float, oy: float, oz: float, ix: float, iy: float, iz: float, boxes: Float, row: int) -> Any:
-    """Distances at which a ray enters a node's eight boxes, NaN where it misses them; (ix, iy, iz) are 1 / d."""
+    """Return distances at which a ray enters a node's eight boxes, NaN if it misses them; (ix, iy, iz) are 1 / d."""
     ax, bx = (load(boxes, row, 0) - ox) * ix, (load(boxes, row + 3, 0) - ox) * ix
     ay, by = (load(boxes, row + 1, 0) - oy) * iy, (load(boxes, row + 4, 0) - oy) * iy
     az, bz = (load(boxes, row + 2, 0) - oz) * iz, (load(boxes, row + 5, 0) - oz) * iz
@@ -81,7 +81,7 @@ def box_entries(ox: float, oy: float, oz: float, ix: float, iy: float, iz: float
 
 @inlined
 def capsule_ends(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
-    """Distances at which a ray enters and leaves a leaf's eight capsules; inf and -inf where it misses."""
+    """Return distances at which a ray enters and leaves a leaf's eight capsules; inf and -inf if it misses."""
     px, py, pz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
     wx, wy, wz = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
     radius = load(rows, row + 6, 0)
@@ -110,7 +110,7 @@ def capsule_ends(ox: float, oy: float, oz: float, dx: float, dy: float, dz: floa
 
 @inlined
 def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
-    """Distances at which a ray meets a leaf's eight triangles, NaN where it misses them (Moeller, Trumbore 1997)."""
+    """Return distances at which a ray meets a leaf's eight triangles, NaN if it misses (Moeller, Trumbore 1997)."""
     sx, sy, sz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
     ex, ey, ez = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
     fx, fy, fz = load(rows, row + 6, 0), load(rows, row + 7, 0), load(rows, row + 8, 0)
@@ -126,10 +126,10 @@ def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
 
 @kernel
 def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
-    """(triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) where there is none."""
+    """Return (triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) if none."""
     waiting, bound = buffers.waiting, buffers.bound
     ox, oy, oz, dx, dy, dz = p[0], p[1], p[2], d[0], d[1], d[2]
-    best, found = np.inf, -1
+    best, nearest = np.inf, -1
     top = 0
     if tree.child.shape[0] > 0:
         waiting[0], bound[0], top = 0, 0.0, 1
@@ -150,17 +150,15 @@ def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[
             j = first_lane(bits)
             bits &= bits - 1
             value, item = lane(t, j), tree.item[WIDTH * leaf + j]
-            if value > 0.0 and (value < best or (value == best and item < found)):
-                best, found = value, item
-    return found, best
+            if value > 0.0 and (value < best or (value == best and item < nearest)):
+                best, nearest = value, item
+    return nearest, best
 
 
 @kernel
 def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buffers: Buffers) -> int:
-    """Find the first `keep` capsules that a ray meets up to a distance; returns how many there are.
-
-    The buffers take them, nearest first.
-    A capsule in which the ray starts is met at a distance below 0.
+    """Write the first `keep` capsules that a ray meets up to a distance into the buffers, nearest first. Return their
+    number. A capsule in which the ray starts has a distance below 0.
     """
     items, enters, leaves = buffers.items, buffers.enters, buffers.leaves
     waiting, bound = buffers.waiting, buffers.bound
@@ -197,7 +195,7 @@ def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buf
 def _keep(
     enter: float, leave: float, item: int, keep: int, items: NDArray[np.int64], enters: Float, leaves: Float, count: int
 ) -> int:
-    """Put a hit in its place among the first `keep`; returns how many there are."""
+    """Insert a hit among the first `keep`. Return their number."""
     place = count
     while place > 0 and (enters[place - 1] > enter or (enters[place - 1] == enter and items[place - 1] > item)):
         place -= 1

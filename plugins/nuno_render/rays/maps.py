@@ -1,4 +1,4 @@
-"""The pictures `density` and `map`: numbers on the surface of bodies as colours, with a bar that says which."""
+"""The pictures `density` and `map`: values on the surface of bodies as colours, with a colour bar."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nuno_render.rays.near import sort_points, sum_near
 from nuno_render.rays.surfaces import find_weights
 from nuno_render.rays.worn import Skin, check_eye, gather_skin
 from nuno_render.rays.yarn_config import MapConfig, grid_of
-from nuno_render.rays.yarns import in_parts
+from nuno_render.rays.yarns import draw_in_parts
 from nuno_render.sampling import place_sample, scramble
 from nuno_render.sight import Sight, aim, sight_of
 from nuno_schemas.colour import colours, parse_hex
@@ -29,15 +29,15 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
 
-# Rows of a picture of values on bodies: what each sample's ray meets first, and the value there.
+# Rows of a picture of values on bodies: the first hit of each sample's ray, and the value there.
 
 COUNTS, MEANS, ON_VERTICES, ON_FACES = 0, 1, 2, 3
-"""Which value a place has: how many points are near, the mean of theirs, its corners' or its face's."""
+"""The value of a place: the number of points near, the mean of theirs, its corners' or its face's."""
 BACKGROUND = -np.inf
 
 
 class Shown(NamedTuple):
-    """Which value a place has, that of each vertex or face, and points with theirs as in nuno_render.rays.near."""
+    """The kind of value, values of vertices or faces, and points with theirs as in nuno_render.rays.near."""
 
     mode: int
     on_surface: Float
@@ -51,7 +51,7 @@ class Shown(NamedTuple):
 
 @kernel
 def value_at(p: Float, face: int, weights: Any, skin: Skin, shown: Shown) -> Any:
-    """The value at a point p (3,) of a face; NaN where nothing says any."""
+    """Return the value at a point p (3,) of a face; NaN if it has none."""
     mode, values = shown.mode, shown.on_surface
     if mode == ON_FACES:
         return values[face]
@@ -67,15 +67,15 @@ def value_at(p: Float, face: int, weights: Any, skin: Skin, shown: Shown) -> Any
 
 @block_kernel
 def map_rows(
-    first: int, last: int, sight: Sight, grid: Any, light: Float, skin: Skin, shown: Shown, found: Float
+    first: int, last: int, sight: Sight, grid: Any, light: Float, skin: Skin, shown: Shown, out: Float
 ) -> None:
-    """Rows `first` to `last` of found (h, w, s, 2): value, and cosine of the smooth normal to the light (3,).
+    """Fill rows `first` to `last` of out (h, w, s, 2): value, and cosine of the smooth normal to the light (3,).
 
     grid: columns and rows of samples, and the seed.
     """
     eye = sight.eye
     columns, rows, seed = grid
-    height, width = found.shape[0], found.shape[1]
+    height, width = out.shape[0], out.shape[1]
     buffers = make_buffers(1)
     d, p, g = np.empty(3), np.empty(3), np.empty(3)
     x, normals = skin.x, skin.normals
@@ -86,7 +86,7 @@ def map_rows(
                 sx, sy = place_sample(sample, columns, rows, pattern)
                 aim(sight, column + sx, row + sy, width, height, d)
                 face, t = meet_triangle(eye, d, skin.tree, buffers)
-                found[row, column, sample, 0], found[row, column, sample, 1] = BACKGROUND, 0.0
+                out[row, column, sample, 0], out[row, column, sample, 1] = BACKGROUND, 0.0
                 if face < 0:
                     continue
                 a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
@@ -100,18 +100,18 @@ def map_rows(
                     n = (1.0 - s - r) * normals[a, k] + s * normals[b, k] + r * normals[c, k]
                     cosine += n * light[k]
                     norm += n * n
-                found[row, column, sample, 0] = value_at(p, face, (s, r), skin, shown)
-                found[row, column, sample, 1] = cosine / np.sqrt(norm)
+                out[row, column, sample, 0] = value_at(p, face, (s, r), skin, shown)
+                out[row, column, sample, 1] = cosine / np.sqrt(norm)
 
 
 LINKS = 5.0
-"""How near points count unless a radius is given, in mean lengths of a link."""
+"""Default reach of points, in mean lengths of a link."""
 MOST = 0.95
-"""Share of what is seen that the colours reach to unless their end is given."""
+"""Default share of the visible values within the colours."""
 
 
 class Map:
-    """Shows values of vertices, faces, or of the points near each place, by their mean."""
+    """Shows values of vertices, of faces, or the mean of the points near each place."""
 
     name: ClassVar[str] = "map"
     Config: ClassVar[type[BaseModel]] = MapConfig
@@ -119,14 +119,14 @@ class Map:
     shows: ClassVar[bool] = True
 
     def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
-        """(height, width, 3) uint8 sRGB. Raises BadInput for nothing to show, too, and values of another number."""
+        """Return a picture (height, width, 3) uint8 sRGB. Raises BadInput without values or for a wrong number."""
         if worn.values is None:
             raise BadInput("there are no values to show", remedy="take the pictures density, yarns or lines")
         return _paint(config, worn, camera, worn.values, MEANS, progress)
 
 
 class Density:
-    """Shows how many points, where yarns cross, are near each place of the skin: the knit paper's figure 18."""
+    """Shows the number of points, where yarns cross, near each place of the skin: the knit paper's figure 18."""
 
     name: ClassVar[str] = "density"
     Config: ClassVar[type[BaseModel]] = MapConfig
@@ -134,14 +134,14 @@ class Density:
     shows: ClassVar[bool] = False
 
     def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
-        """(height, width, 3) uint8 sRGB. Raises BadInput."""
+        """Return a picture (height, width, 3) uint8 sRGB. Raises BadInput."""
         reach = reach_of(config, worn)
         counted = SurfaceValues("points", np.zeros(len(worn.points)), f"points within {1e3 * reach:.3g} mm")
         return _paint(config, worn, camera, counted, COUNTS, progress)
 
 
 def reach_of(config: MapConfig, worn: Worn) -> float:
-    """How near points count [m]."""
+    """Return the reach of points [m]. Raises BadInput without a radius and links."""
     if config.radius is not None:
         return config.radius
     d = worn.points[worn.links[:, 1]] - worn.points[worn.links[:, 0]]
@@ -155,7 +155,7 @@ def reach_of(config: MapConfig, worn: Worn) -> float:
 def map_values(
     config: MapConfig, worn: Worn, camera: Camera, shown: SurfaceValues, kind: int, progress: Progress | None = None
 ) -> Float:
-    """(h, w, samples, 2): the value at each sample, NaN where there is none and BACKGROUND where no body is, and the
+    """Return (h, w, samples, 2): the value at each sample, NaN without one and BACKGROUND without a body, and the
     cosine of the surface to the light. Raises BadInput.
     """
     sight = sight_of(camera)
@@ -175,25 +175,25 @@ def map_values(
     columns, rows = grid_of(config.samples)
     up = unit(np.array(config.up))
     light = key_direction(config, camera, up)
-    found = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
-    marked = Shown(mode, np.ascontiguousarray(shown.values, np.float64), *cells)
+    samples = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
+    surface_values = Shown(mode, np.ascontiguousarray(shown.values, np.float64), *cells)
 
     def draw(first: int, last: int) -> None:
-        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, marked, found)
+        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, surface_values, samples)
 
-    in_parts(draw, camera.size[1], None, progress)
-    return found
+    draw_in_parts(draw, camera.size[1], None, progress)
+    return samples
 
 
 def _paint(
     config: MapConfig, worn: Worn, camera: Camera, shown: SurfaceValues, kind: int, progress: Progress | None
 ) -> Picture:
-    """Values as colours of evenly lit bodies, on the plain background."""
-    found = map_values(config, worn, camera, shown, kind, progress)
-    value, cosine = found[..., 0], found[..., 1]
-    seen = value[np.isfinite(value) & (value != BACKGROUND)]
-    low = config.low if config.low is not None else float(seen.min(initial=math.inf))
-    high = config.high if config.high is not None else most_of(seen)
+    """Draw values as colours of evenly lit bodies, on the plain background."""
+    samples = map_values(config, worn, camera, shown, kind, progress)
+    value, cosine = samples[..., 0], samples[..., 1]
+    visible = value[np.isfinite(value) & (value != BACKGROUND)]
+    low = config.low if config.low is not None else float(visible.min(initial=math.inf))
+    high = config.high if config.high is not None else most_of(visible)
     if not (math.isfinite(low) and math.isfinite(high)):
         low, high = 0.0, 1.0
     if config.low is not None and config.high is not None and not low < high:
@@ -209,8 +209,8 @@ def _paint(
 
 
 def most_of(seen: Float) -> float:
-    """What MOST of all values above the least are below: of a few places, edges or closed toes, the rest would be
-    dark; and bare skin, which is no part of a knit, does not count.
+    """Return the quantile MOST of all values above the least: the maximum of a few places, edges or closed toes, would
+    make the rest dark; and bare skin, which is no part of a knit, does not count.
     """
     above = seen[seen > seen.min(initial=math.inf)]
     return float(np.percentile(above, 100.0 * MOST)) if len(above) else float(seen.max(initial=-math.inf))

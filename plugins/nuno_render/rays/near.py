@@ -1,4 +1,4 @@
-"""Points near a place: cells as wide as the reach, sorted, so that those near are in nine runs of three cells."""
+"""Points near a place: sorted into cells as wide as the reach, so that near ones are in nine runs of three cells."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SortedPoints(NamedTuple):
 
 
 def sort_points(points: Float, values: Float, reach: float) -> SortedPoints:
-    """SortedPoints of points (n, 3) [m], a reach apart; such as are not finite are left out."""
+    """Sort points (n, 3) [m] into cells of a reach, without those that are not finite."""
     finite = np.logical_and.reduce(np.isfinite(points), axis=1)
     points, values = points[finite], values[finite]
     low = points.min(axis=0) - reach if len(points) else np.zeros(3)
@@ -40,7 +40,7 @@ def sort_points(points: Float, values: Float, reach: float) -> SortedPoints:
 
 @kernel
 def sum_near(x: float, y: float, z: float, cells: Any) -> tuple[int, float]:
-    """(count, sum of values) of the points no farther than the reach from a place."""
+    """Return (count, sum of values) of the points within the reach of a place."""
     reach, low, shape = cells.reach, cells.low, cells.shape
     i, j = int(np.floor((x - low[0]) / reach)), int(np.floor((y - low[1]) / reach))
     k = int(np.floor((z - low[2]) / reach))

@@ -1,4 +1,4 @@
-"""What comes to the eye from skin, from a yarn and from the floor: one ray to the light and one to the sky each."""
+"""Radiance of skin, yarns and the floor toward the eye: one ray to the light and one to the sky each."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from nuno_render.sampling import place_sample, scramble
 from nuno_schemas.fabric import Float
 
 LOW = 0.1
-"""Sine of the least height over skin at which its shadow is looked for. Light that comes lower, or from below, reaches
-it through the skin, whose own body must not hide it.
-"""
+"""Least sine of the height over skin of rays to the light. Lower light reaches it through the skin, and its body must
+not hide it."""
 
 
 @kernel
 def across(d: Float, u: Float, v: Float) -> None:
-    """Two unit vectors at right angles to the unit vector d, into u and v (Duff et al., JCGT 6(1), 2017)."""
+    """Write two unit vectors normal to the unit vector d into u and v (Duff et al., JCGT 6(1), 2017)."""
     sign = 1.0 if d[2] >= 0.0 else -1.0
     a = -1.0 / (sign + d[2])
     b = d[0] * d[1] * a
@@ -36,12 +35,12 @@ def across(d: Float, u: Float, v: Float) -> None:
 def receive(
     p: Float, q: Float, n: Float, least: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers
 ) -> tuple[float, float]:
-    """(lit, free): shares of the key light at p (3,), and of the sky at q (3,) with unit normal n.
+    """Return (lit, free): shares of the key light at p (3,), and of the sky at q (3,) with unit normal n.
 
-    Light is looked for no lower over the surface than a sine of `least`.
+    Rays to the light rise over the surface by at least the sine `least`.
 
-    The light's disc and the cosine-weighted half sphere are each met at one place, which `sample` chooses:
-    (number, columns, rows, pattern of the pixel).
+    `sample` chooses one place in the light's disc and in the cosine-weighted half sphere: (number, columns, rows,
+    pattern of the pixel).
     """
     keep, light, work = look.keep, look.direction, buffers.work
     share = 1.0 if look.flat else look.share
@@ -74,7 +73,7 @@ def receive(
 
 @kernel
 def find_weights(p: Float, g: Float, x: Float, a: int, b: int, c: int) -> Any:
-    """Weights of corners b and c at a point p (3,) of their triangle, and the length of its normal g (3,)."""
+    """Return weights of corners b and c at a point p (3,) of their triangle, and the length of its normal g (3,)."""
     square, s, r = g[0] * g[0] + g[1] * g[1] + g[2] * g[2] + 1e-300, 0.0, 0.0
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -87,7 +86,7 @@ def find_weights(p: Float, g: Float, x: Float, a: int, b: int, c: int) -> Any:
 def shade_skin(
     face: int, d: Float, t: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers, out: Float
 ) -> None:
-    """Radiance of a body where a ray meets a triangle, into out (3,)."""
+    """Write the radiance of a body where a ray meets a triangle into out (3,)."""
     eye, work = look.eye, buffers.work
     p, n, g, albedo, view = work[3], work[4], work[5], work[6], work[7]
     a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
@@ -118,7 +117,7 @@ def shade_skin(
 def shade_yarn(
     item: int, d: Float, t: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers, out: Float
 ) -> None:
-    """Radiance of a yarn where a ray enters a capsule, into out (3,)."""
+    """Write the radiance of a yarn where a ray enters a capsule into out (3,)."""
     eye, light, work = look.eye, look.direction, buffers.work
     p, n, view, axis, tangent = work[3], work[4], work[5], work[6], work[7]
     along, length = 0.0, 0.0
@@ -140,7 +139,7 @@ def shade_yarn(
         n[k] /= norm
         tangent[k] /= bend
         tl += tangent[k] * light[k]
-    # The light that comes to the yarn is that on the side which faces it: inside it is scattered about.
+    # The yarn receives the light of the side that faces it, and scatters it inside.
     side = np.sqrt(max(1.0 - tl * tl, 0.0)) + 1e-12
     for k in range(3):
         work[8][k] += (threads.radius[item] + look.off) * (light[k] - tl * tangent[k]) / side
@@ -154,7 +153,7 @@ def shade_floor(
     d: Float, t: float, floor: Ground, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers,
     out: Float,
 ) -> None:  # fmt: skip
-    """Radiance of the floor, blended into out (3,), which holds the background."""
+    """Blend the radiance of the floor into out (3,), which holds the background."""
     eye, p, up = look.eye, buffers.work[3], look.up
     for k in range(3):
         p[k] = eye[k] + t * d[k]

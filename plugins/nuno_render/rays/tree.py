@@ -1,13 +1,13 @@
-"""Trees of boxes over what rays meet: triangles of bodies, and the pieces of yarns as capsules.
+"""Trees of boxes for rays: over triangles of bodies, and over pieces of yarns as capsules.
 
-The trees of nuno_kernels.meshes.tree, eight children a node and eight items a leaf, so that a node, like a leaf, is
-one vector test.
+The trees are those of nuno_kernels.meshes.tree, with eight children a node and eight items a leaf, so that a node, like
+a leaf, is one vector test.
 
-Weighed: Embree, by embreex or Open3D. It is in single precision, its Python packages meet triangles and no capsules,
-and which of two hits at one distance it takes is its own affair: a picture would change with its version.
+Rejected: Embree, by embreex or Open3D. It is in single precision, its Python packages intersect triangles but not
+capsules, and its choice of two hits at one distance is unspecified: a picture would change with its version.
 
-Not chosen: cylinders without their round ends, which leave gaps on the outer side of every bend; and curves met as
-curves, each of which takes several Newton steps where a capsule takes three roots.
+Rejected: cylinders without round ends, which leave gaps on the outer side of every bend; and exact curves, each of
+which takes several Newton steps where a capsule takes three roots.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ from nuno_schemas.fabric import Float, Int
 class RayTree(NamedTuple):
     """N nodes and L leaves over i items.
 
-    boxes (6 N, 8), child (N,)  as in nuno_kernels.meshes.tree.Tree; no nodes where there are no items
-    rows  (r L, 8)              of leaf k in rows r k to r k + r - 1, its eight items; NaN where there is none.
-                                Triangles, r = 9: corner a, edges b - a and c - a [m]. Capsules, r = 7: end a,
-                                axis b - a and radius [m]
-    item  (8 L,) int32          number of the item in each place of the leaves, -1 for none
+    boxes (6 N, 8), child (N,)  as in nuno_kernels.meshes.tree.Tree; no nodes without items
+    rows  (r L, 8)              of leaf k in rows r k to r k + r - 1, its eight items; NaN for missing ones. Triangles,
+          r = 9: corner a, edges b - a and c - a [m]. Capsules, r = 7: end a, axis b - a and radius [m]
+    item  (8 L,) int32          number of the item in each place of the leaves, -1 if empty
     """
 
     boxes: Float
@@ -39,14 +38,14 @@ class RayTree(NamedTuple):
 
 
 def triangle_tree(x: Float, faces: Int) -> RayTree:
-    """The tree of triangles faces (f, 3) of vertices x (n, 3) [m]."""
+    """Return the tree of triangles faces (f, 3) of vertices x (n, 3) [m]."""
     corners = x[faces]
     a, b, c = (corners[:, k] for k in range(3))
     return _build(corners, np.concatenate([a, b - a, c - a], axis=1), float(np.abs(corners).max(initial=0.0)))
 
 
 def capsule_tree(start: Float, end: Float, radius: Float) -> RayTree:
-    """The tree of capsules from start (i, 3) to end (i, 3) of radius (i,), all [m]."""
+    """Return the tree of capsules from start (i, 3) to end (i, 3) of radius (i,), all [m]."""
     thick = radius[:, None]
     low, high = np.minimum(start, end) - thick, np.maximum(start, end) + thick
     size = max(float(np.abs(low).max(initial=0.0)), float(np.abs(high).max(initial=0.0)))
@@ -54,7 +53,7 @@ def capsule_tree(start: Float, end: Float, radius: Float) -> RayTree:
 
 
 def _build(points: Float, rows: Float, size: float) -> RayTree:
-    """The tree of items that lie within boxes round points (i, c, 3), rows (i, r) each, all within `size` [m] of 0."""
+    """Return the tree of items in boxes round points (i, c, 3), with rows (i, r), all within `size` [m] of 0."""
     count = len(points)
     if not count:
         return RayTree(np.zeros((0, WIDTH)), np.zeros(0, np.int64), np.zeros((0, WIDTH)), np.zeros(0, np.int32))

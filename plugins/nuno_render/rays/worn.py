@@ -1,4 +1,4 @@
-"""Bodies and yarns as the caster takes them, checked once."""
+"""Bodies and yarns as checked arrays for the kernels of rays."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Skin(NamedTuple):
 
 class Threads(NamedTuple):
     """Pieces of yarns: a tree, start, end, and tangents there first, last (i, 3) [m] from the origin, radius (i,) [m],
-    the yarn (i,) int64 that each is of, and the yarns' colour (y, 3) linear.
+    the yarn (i,) int64 of each, and the yarns' colour (y, 3) linear.
     """
 
     tree: RayTree
@@ -45,10 +45,10 @@ class Threads(NamedTuple):
 
 
 def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces: bool = False) -> Skin:
-    """All bodies as one, in `colour` where they bring none.
+    """Return all bodies as one, in `colour` by default.
 
-    Faces with a vertex that is not finite are left out, or, to `keep_faces` as they are numbered, are points.
-    Raises BadInput for arrays of the wrong shape and for face indices out of range.
+    Faces with a vertex that is not finite are left out, or, to `keep_faces` with their numbers, become points. Raises
+    BadInput for arrays of the wrong shape and for face indices out of range.
     """
     x, faces = join_meshes(bodies, origin, "bodies")
     finite: Bool = np.logical_and.reduce(np.isfinite(x), axis=1)
@@ -56,8 +56,8 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces
     faces = np.where(drawn[:, None], faces, 0) if keep_faces else np.ascontiguousarray(faces[drawn])
     x = np.where(finite[:, None], x, 0.0)
     plain = parse_hex(colour)
-    own = [np.tile(plain, (len(m.vertices), 1)) if m.colours is None else np.asarray(m.colours) for m in bodies]
-    albedo = join_rows(own, 3).astype(np.float64)
+    colours = [np.tile(plain, (len(m.vertices), 1)) if m.colours is None else np.asarray(m.colours) for m in bodies]
+    albedo = join_rows(colours, 3).astype(np.float64)
     normals = vertex_normals(x, faces, np.arange(len(x), dtype=np.int32))
     return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, albedo)
 
@@ -65,7 +65,7 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces
 def gather_threads(
     yarns: YarnCurves, origin: Float, radius: float | tuple[float, ...] | None, colour: Float
 ) -> Threads:
-    """Pieces of yarns between points that are finite; `radius` [m] of all or of each kind, else their own; colour
+    """Return pieces of yarns between finite points; `radius` [m] of all or of each kind, by default their own; colour
     (y, 3) linear.
 
     Raises BadInput for a yarn without thickness, and for radii of another number of kinds.
@@ -92,7 +92,7 @@ def gather_threads(
 
 
 def _thickness(yarns: YarnCurves, radius: float | tuple[float, ...] | None) -> Float:
-    """(y,) radii [m]. Raises BadInput for radii of another number of kinds."""
+    """Return radii (y,) [m]. Raises BadInput for radii of another number of kinds."""
     if radius is None:
         return np.asarray(yarns.radius, np.float64)
     if not isinstance(radius, tuple):
@@ -106,21 +106,21 @@ def _thickness(yarns: YarnCurves, radius: float | tuple[float, ...] | None) -> F
 
 
 def tangents_along(points: Float, yarns: YarnCurves) -> Float:
-    """(n, 3) unit tangents at the points: of the chord between those beside; a ring goes on where it began."""
-    before, after = np.arange(-1, len(points) - 1), np.arange(1, len(points) + 1)
+    """Return unit tangents (n, 3) at the points, along the chord between the adjacent ones; a ring is closed."""
+    previous, following = np.arange(-1, len(points) - 1), np.arange(1, len(points) + 1)
     held = np.diff(yarns.ptr) > 1
     first, last = yarns.ptr[:-1][held], yarns.ptr[1:][held] - 1
     closed = (last > first + 1) & (yarns.points[first] == yarns.points[last]).all(axis=1)
-    before[first], after[last] = np.where(closed, last - 1, first), np.where(closed, first + 1, last)
+    previous[first], following[last] = np.where(closed, last - 1, first), np.where(closed, first + 1, last)
     lone = yarns.ptr[:-1][np.diff(yarns.ptr) == 1]
-    before[lone] = after[lone] = lone
-    chord = points[after] - points[before]
+    previous[lone] = following[lone] = lone
+    chord = points[following] - points[previous]
     length = np.linalg.norm(chord, axis=1, keepdims=True)
     return np.asarray(np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0))
 
 
 def check_eye(bodies: tuple[Mesh, ...], camera: Camera) -> None:
-    """Raises BadInput where the eye is inside of a closed body: what lies first ahead then shows its back."""
+    """Raise BadInput if the eye is inside of a closed body: the first face ahead then shows its back."""
     forward = np.asarray(axes(camera)[2])
     closed = tuple(mesh for mesh in bodies if not mesh.two_sided)
     eye = np.asarray(camera.eye, np.float64)

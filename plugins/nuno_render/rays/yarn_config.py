@@ -1,4 +1,4 @@
-"""What a user may choose about a picture of yarns."""
+"""The configuration of pictures of yarns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SKIN = "#e0b096"
 
 
 class CastConfig(PictureConfig):
-    """What all pictures of yarns share."""
+    """The fields of all pictures of yarns."""
 
     samples: int = Field(default=16, ge=1, le=4096, description="rays per pixel; grain shrinks with its root")
     seed: int = Field(default=0, ge=0, lt=2**31, description="of the places of the samples")
@@ -78,6 +78,6 @@ class MapConfig(CastConfig):
 
 
 def grid_of(samples: int) -> tuple[int, int]:
-    """Columns and rows of so many samples a pixel, or a few more: as square as they can be."""
+    """Return columns and rows of at least so many samples a pixel, as square as possible."""
     columns = math.isqrt(samples)
     return columns, -(-samples // columns)

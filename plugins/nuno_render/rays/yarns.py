@@ -32,18 +32,15 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.yarn_picture import Progress, Worn
 
-# Rows of a picture of yarns on bodies, by rays.
-#
-# Each sample's ray goes on to the first body, or the floor. Yarns that it crosses on the way let a share of what is
-# behind them through, each crossing once however many of the yarn's capsules it takes, and at most KEEP of them; from
-# what it meets one ray goes to the light and one to the sky. Nothing is blurred: a yarn thinner than a pixel covers it
-# in the mean of the samples by as much as it does in truth, and so the knit grows denser toward the silhouette by
-# itself.
+# Rows of a picture of yarns on bodies, by rays. Each sample's ray ends at the first body, or the floor. Yarns that it
+# crosses transmit a share of the light behind them, each crossing once however many of the yarn's capsules it passes,
+# and at most KEEP of them; from each hit one ray goes to the light and one to the sky. Nothing is blurred: the mean of
+# the samples gives a yarn thinner than a pixel its true coverage, and so the knit becomes denser toward the silhouette.
 
 KEEP = 16
-"""Capsules that a ray is followed through."""
+"""The most capsules along a ray."""
 FAINT = 1.0 / 1024.0
-"""What is behind yarns that let less than this through is not looked at."""
+"""Transmitted share below which surfaces behind yarns are not computed."""
 
 
 @kernel
@@ -51,9 +48,7 @@ def see(
     d: Float, down: float, look: Look, skin: Skin, threads: Threads, floor: Ground, sample: Any, buffers: Buffers,
     out: Float,
 ) -> None:  # fmt: skip
-    """What a ray sees that passes the picture at a share `down` of its height, into out (4,): radiance, and the yarns'
-    share of it.
-    """
+    """Write radiance and the yarns' share of it along a ray, at a share `down` of the picture's height, to out (4,)."""
     eye, up, share = look.eye, look.up, look.share
     face, most = meet_triangle(eye, d, skin.tree, buffers)
     fall = up[0] * d[0] + up[1] * d[1] + up[2] * d[2]
@@ -94,7 +89,7 @@ def cast_rows(
     first: int, last: int, sight: Sight, grid: Any, look: Look, skin: Skin, threads: Threads, floor: Ground,
     picture: Float,
 ) -> None:  # fmt: skip
-    """Rows `first` to `last` of picture (h, w, 4), linear light and the yarns' share of each pixel.
+    """Fill rows `first` to `last` of picture (h, w, 4), linear light and the yarns' share of each pixel.
 
     grid: columns and rows of samples, and the seed.
     """
@@ -117,7 +112,7 @@ def cast_rows(
 
 
 OFF = 1e-9
-"""How far rays start off a surface, in sizes of the scene."""
+"""Distance of the start of rays from a surface, in radii of the scene."""
 ROWS = 8
 """Rows that a thread draws at a time."""
 
@@ -131,7 +126,7 @@ class Yarns:
     shows: ClassVar[bool] = False
 
     def draw(self, config: YarnsConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
-        """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises as `radiance`."""
+        """Return a picture (height, width, 3) uint8 sRGB, equal for any number of threads. Raises as `radiance`."""
         light = radiance(config, worn, camera, progress)
         return annotate(encode_picture(light[..., :3]), config.caption or "", None)
 
@@ -145,7 +140,7 @@ class Lines:
     shows: ClassVar[bool] = False
 
     def draw(self, config: LinesConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
-        """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises BadInput."""
+        """Return a picture (height, width, 3) uint8 sRGB, equal for any number of threads. Raises BadInput."""
         sight = sight_of(camera)
         pixel = float(np.linalg.norm(sight.eye)) / sight.focal
         flat = replace(worn, yarns=straight(worn, 0.5 * config.width * pixel))
@@ -156,7 +151,7 @@ class Lines:
 
 
 def straight(worn: Worn, radius: float) -> YarnCurves:
-    """Every link as a yarn of its own, of a radius [m]."""
+    """Return every link as a separate yarn of a radius [m]."""
     count = len(worn.links)
     points = worn.points[worn.links].reshape(-1, 3)
     ptr = 2 * np.arange(count + 1, dtype=np.int64)
@@ -168,11 +163,11 @@ def radiance(
     config: YarnsConfig, worn: Worn, camera: Camera, progress: Progress | None = None, threads: int | None = None,
     flat: bool = False,
 ) -> Float:  # fmt: skip
-    """(height, width, 4): linear light, and the share of each pixel that is yarn.
+    """Return linear light, and the share of yarn in each pixel (height, width, 4).
 
-    `threads` draw rows side by side, all processors unless given; `flat` yarns are one colour and cast no shadow.
-    Raises BadInput for an eye inside of a body, a camera without size, field of view or direction, a yarn without
-    thickness, arrays of the wrong shape, and where there are no yarns.
+    `threads` draw rows in parallel, by default all processors; `flat` yarns are one colour and cast no shadow. Raises
+    BadInput for an eye inside of a body, a camera without size, field of view or direction, a yarn without thickness,
+    arrays of the wrong shape, and without yarns.
     """
     sight = sight_of(camera)
     if worn.yarns is None or not len(worn.yarns.points):
@@ -199,11 +194,13 @@ def radiance(
     def draw(first: int, last: int) -> None:
         cast_rows(first, last, sight, grid, look, skin, yarns, floor, picture)
 
-    in_parts(draw, height, threads, progress)
+    draw_in_parts(draw, height, threads, progress)
     return picture
 
 
-def in_parts(draw: Callable[[int, int], None], height: int, threads: int | None, progress: Progress | None) -> None:
+def draw_in_parts(
+    draw: Callable[[int, int], None], height: int, threads: int | None, progress: Progress | None
+) -> None:
     """Draw rows `first` up to `last`, a few at a time, on several threads."""
     parts = {first: min(first + ROWS, height) for first in range(0, height, ROWS)}
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
@@ -217,7 +214,7 @@ def in_parts(draw: Callable[[int, int], None], height: int, threads: int | None,
 
 
 def yarn_colours(config: YarnsConfig, yarns: YarnCurves) -> Float:
-    """(y, 3) linear light of the yarns."""
+    """Return linear light (y, 3) of the yarns."""
     if config.colour is not None:
         return np.tile(parse_hex(config.colour), (yarns.number, 1))
     table = np.stack([parse_hex(colour) for colour in config.colours])
