@@ -80,7 +80,7 @@ class Sweep:
     others: machine.Others
 
     def keep(self) -> None:
-        """Write page, JSON and CSV into the folder, if any; call it when the processes have ended, to count their time."""
+        """Write page, JSON and CSV into the folder, if any; after the end of the processes, whose time counts."""
         if self.folder is not None:
             self.report(machine.about(self.others, where=self.where)).write_beside(self.folder / "sweep")
 
