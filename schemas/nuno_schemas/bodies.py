@@ -18,11 +18,11 @@ from nuno_schemas.skin import Skin
 
 CAPSULE, PLANE, BOX, MESH, FIELD, SKIN = 0, 1, 2, 3, 4, 5
 OF_TRIANGLES = (MESH, FIELD, SKIN)
-"""Kinds of primitives that have a mesh; that of a FIELD may have holes, and that of a SKIN bends."""
+"""Kinds of primitives that have a mesh; the mesh of a FIELD may have holes, and that of a SKIN bends."""
 
 
 def no_rows(kind: type[np.generic], *columns: int) -> NDArray[Any]:
-    """An empty array of rows of so many columns."""
+    """Return an empty array of shape (0, *columns)."""
     return np.zeros((0, *columns), kind)
 
 
@@ -32,21 +32,21 @@ class Geometry:
 
     bodies     names of the b bodies; frames: names "body/frame" of the f frames
     kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX, MESH, FIELD or SKIN
-    frame      (p,) int32    frame that carries the primitive; the first of those that carry a skin
+    frame      (p,) int32    frame that carries the primitive; of a skin the first of its frames
     body       (p,) int32    body it belongs to; a body is the union of its primitives
     a, b       (p, 3)        in the frame [m]: capsule ends; plane point and unit normal;
                              box centre and half extents; lowest and highest corner of a mesh or field, and of a
-                             skin as it is bound
+                             skin in its bind pose
     radius     (p,)          [m], capsules only, else 0
     stiffness  (b,)          penalty stiffness per cloth vertex [N/m]; NaN = chosen by the solver
     damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
     friction   (b,)          Coulomb coefficient
-    vertices   (v, 3)        of all meshes, in their primitives' frames, those of skins as they are bound [m]
-    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH and SKIN closed
-    owner      (t,) int32    primitive that the triangle belongs to
-    fields                   of the primitives of kind FIELD, in their order, None where contact is with the triangles;
-                             empty where they are only to be drawn
-    skins                    of the primitives of kind SKIN, in their order
+    vertices   (v, 3)        vertices of all meshes, in their primitives' frames, of skins in their bind pose [m]
+    faces      (t, 3) int32  triangles of the meshes, counter-clockwise seen from outside, each MESH and SKIN closed
+    owner      (t,) int32    primitive of each triangle
+    fields                   distance fields of the FIELD primitives, in their order, None if contact uses the
+                             triangles; empty if the bodies are only drawn
+    skins                    skins of the SKIN primitives, in their order
     """
 
     bodies: Annotated[tuple[str, ...], "b"]
@@ -67,40 +67,40 @@ class Geometry:
     skins: tuple[Skin, ...] = ()
 
     def skin(self, primitive: int) -> Skin | None:
-        """What carries a primitive that is a skin, None for others."""
+        """Return the skin of a SKIN primitive, None for others."""
         return self.skins[int((self.kind[:primitive] == SKIN).sum())] if self.kind[primitive] == SKIN else None
 
     def distance_field(self, primitive: int) -> DistanceField | None:
-        """The field that contact with a primitive reads, None where it reads none."""
+        """Return the distance field that contact with a primitive reads, or None."""
         if self.kind[primitive] != FIELD or not self.fields:
             return None
         return self.fields[int((self.kind[:primitive] == FIELD).sum())]
 
     def of_primitives(self, chosen: Sequence[int]) -> Geometry:
-        """Some of the primitives, by number in their order, of the same bodies and frames."""
-        own = {name: getattr(self, name)[chosen] for name in ("kind", "frame", "body", "a", "b", "radius")}
+        """Return only the primitives of ascending numbers `chosen`, with all bodies and frames."""
+        arrays = {name: getattr(self, name)[chosen] for name in ("kind", "frame", "body", "a", "b", "radius")}
         kept = np.isin(self.owner, chosen)
         return replace(
-            self, **own, faces=self.faces[kept], owner=np.searchsorted(chosen, self.owner[kept]).astype(np.int32),
+            self, **arrays, faces=self.faces[kept], owner=np.searchsorted(chosen, self.owner[kept]).astype(np.int32),
             fields=tuple(self.distance_field(i) for i in chosen if self.kind[i] == FIELD),
             skins=tuple(skin for i in chosen if (skin := self.skin(i)) is not None),
         )  # fmt: skip
 
     def of_bodies(self, chosen: Sequence[int]) -> Geometry:
-        """Some of the bodies, by number in their order, on the same frames."""
+        """Return only the bodies of ascending numbers `chosen`, with all frames."""
         part = self.of_primitives(np.flatnonzero(np.isin(self.body, chosen)).tolist())
-        own = {name: getattr(self, name)[chosen] for name in ("stiffness", "damping", "friction")}
+        arrays = {name: getattr(self, name)[chosen] for name in ("stiffness", "damping", "friction")}
         body = np.searchsorted(chosen, part.body).astype(np.int32)
-        return replace(part, **own, bodies=tuple(self.bodies[i] for i in chosen), body=body)
+        return replace(part, **arrays, bodies=tuple(self.bodies[i] for i in chosen), body=body)
 
     def mesh(self, primitive: int) -> tuple[Float, Int]:
-        """Vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""
+        """Return the vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""
         return pick_mesh(self.vertices, self.faces[self.owner == primitive])
 
     def placed(self, primitive: int, poses: Poses) -> tuple[Float, Int]:
-        """The same with its vertices in the world. Raises IndexError for poses of fewer frames.
+        """Return the mesh with its vertices in the world. Raises IndexError for poses with too few frames.
 
-        Added up by hand: a product of matrices, whose bits differ between machines, would go into cloth drawn over it.
+        The sum is written out: the bits of a matrix product differ between machines, and cloth is built on this mesh.
         """
         x, faces = self.mesh(primitive)
         frame = int(self.frame[primitive])
@@ -112,20 +112,19 @@ class Geometry:
 
 
 def pick_mesh(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    """The vertices that faces (f, 3) use, in their order, and the faces by the numbers they have there."""
+    """Return the vertices that faces (f, 3) use, in ascending order, and the faces renumbered to them."""
     used, numbers = np.unique(faces, return_inverse=True)
     return vertices[used], numbers.reshape(-1, 3).astype(np.int32)
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the frames are at time t: world = R(rotation) local + translation.
+    """Poses of the frames at time t [s]: world = R(rotation) local + translation.
 
     rotation    (f, 4) unit quaternions w, x, y, z
     translation (f, 3) [m]
     Within a frame of animation both are interpolated (slerp, linear), and the velocity of that
-    interpolation is the body's velocity. Vertices of skins go straight from where they are at its start to where they
-    are at its end.
+    interpolation is the body's velocity. Vertices of skins move in a straight line from start to end of the frame.
     """
 
     t: Annotated[float, Bounds()]
@@ -133,22 +132,22 @@ class Poses:
     translation: Annotated[Float, "f", 3]
 
     def bend(self, skin: Skin, first: int, x: Float) -> Float:
-        """(v, 3) where the vertices x (v, 3) of a skin, whose frames begin at number `first`, are in the world [m].
+        """Return the world positions (v, 3) [m] of the vertices x (v, 3) of a skin with frames from number `first` on.
 
-        Raises IndexError for poses of fewer frames.
+        Raises IndexError for poses with too few frames.
         """
-        own = slice(first, first + len(skin.place))
-        if len(self.rotation[own]) < len(skin.place):
+        frames = slice(first, first + len(skin.place))
+        if len(self.rotation[frames]) < len(skin.place):
             raise IndexError(f"a skin on {len(skin.place)} frames from number {first} on, of {len(self.rotation)}")
-        return skin.bend(x, self.rotation[own], self.translation[own])
+        return skin.bend(x, self.rotation[frames], self.translation[frames])
 
     def same_place(self, other: Poses) -> bool:
-        """Whether the frames are where others are, to the last bit."""
+        """Return whether the frames have the same poses as others, to the last bit."""
         return np.array_equal(self.rotation, other.rotation) and np.array_equal(self.translation, other.translation)
 
 
 def rotation_matrices(q: Float) -> Float:
-    """(f, 4) unit quaternions -> (f, 3, 3) matrices."""
+    """Convert (f, 4) unit quaternions to (f, 3, 3) matrices."""
     w, x, y, z = np.moveaxis(q, -1, 0)
     return np.stack(
         [
@@ -161,27 +160,27 @@ def rotation_matrices(q: Float) -> Float:
 
 
 SMALLEST, LARGEST = 0.02, 5.0
-"""Longest side of the box about a body that can wear something [m]: from a doll's leg to twice a person."""
+"""Longest side of the bounding box of a body that can wear cloth [m]: from a doll's leg to twice a person."""
 PERSON = 0.95, 2.35
-"""How tall a person is who stands, from a small child on [m]: units differ by more, so that only one makes a person."""
+"""Height of a standing person, from a small child on [m]: units differ by more, so that only one fits a person."""
 METRES = 0.3, 2.4
-"""A body of this size in metres, or a part of one, is taken as it is: no other unit would make a person of it [m]."""
+"""A body or part of a body of this size is taken to be in metres: in no other unit would it be a person's size [m]."""
 WORN = 0.8, 1.9
-"""How tall the wearer of a garment is, of the height up to which its pattern is placed [-]: from a hood to a waist."""
+"""Height of the wearer over the height up to which a garment's pattern is placed [-]: from a hood to a waist."""
 UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1dm": 0.1, "1ft": 0.3048, "1m": 1.0,
          "10m": 10.0, "100m": 100.0, "1km": 1e3}  # fmt: skip
-"""Lengths that a file's unit may be [m]; those over a metre for bodies that were divided by 10 to 1000."""
+"""Possible units of a file [m]; those over a metre are for bodies that were divided by 10 to 1000."""
 
 
 def fits_person(height: float) -> bool:
-    """Whether a person is so tall [m]."""
+    """Return whether a height [m] is that of a person."""
     return PERSON[0] <= height <= PERSON[1]
 
 
 def unit_of(size: float, worn: float = 0.0) -> str:
-    """The unit of a body's file by the longest side of the box about it, in that unit; empty where none fits.
+    """Return the unit of a body's file, from the longest side of its bounding box in that unit; empty if no unit fits.
 
-    `worn` is the height up to which the pattern of a garment is placed that it is to wear [m], 0 if it is not known.
+    `worn` is the height up to which the pattern of its garment is placed [m], 0 if unknown.
     """
     if METRES[0] <= size <= METRES[1]:
         return "1m"
@@ -191,19 +190,19 @@ def unit_of(size: float, worn: float = 0.0) -> str:
 
 
 def check_size(x: Float, body: str, scale: float) -> None:
-    """Raises BadInput for a body x (v, 3) [m] that no one has; `body` is its name, `scale` how long its file's unit was
-    taken to be [m].
+    """Raise BadInput for a body x (v, 3) [m] of an implausible size; `body` is its name, `scale` the assumed length of
+    its file's unit [m].
     """
     size = float(np.ptp(x, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         return
-    here, said = f"bodies.{body}.collider.scale", "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
+    setting, assumed = f"bodies.{body}.collider.scale", "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
     # It may be a part of a person: more than one unit may fit.
     fits = {unit: size / scale * long for unit, long in UNITS.items() if METRES[0] <= size / scale * long <= METRES[1]}
-    which = [f"{unit} if it is {long:.3g} m long" for unit, long in fits.items()] if len(fits) > 1 else list(fits)
-    remedy = f"say how long its unit is: --set {here}={', '.join(which) or 'LENGTH'}"
+    units = [f"{unit} if it is {long:.3g} m long" for unit, long in fits.items()] if len(fits) > 1 else list(fits)
+    remedy = f"say how long its unit is: --set {setting}={', '.join(units) or 'LENGTH'}"
     raise BadInput(
-        f"the body is too small or too large to wear anything: its file may be in another unit than {said}",
+        f"the body is too small or too large to wear anything: its file may be in another unit than {assumed}",
         field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
-        remedy=f"it seems to be in metres: leave {here} out, or --set {here}=1m" if "1m" in fits else remedy,
+        remedy=f"it seems to be in metres: leave {setting} out, or --set {setting}=1m" if "1m" in fits else remedy,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Camera fitting, shared by whatever draws a frame."""
+"""Camera fitting, for all renderers and viewers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Axes = tuple[Float, Float, Float]
 
 
 def axes(camera: Camera) -> Axes:
-    """Unit vectors right, up and forward of a camera, each (3,).
+    """Return the unit vectors right, up and forward of a camera, each (3,).
 
-    Raises BadInput where eye and target coincide, or `up` is parallel to the line of sight.
+    Raises BadInput if eye and target coincide, or `up` is parallel to the line of sight.
     """
     forward = np.asarray(camera.target, np.float64) - np.asarray(camera.eye, np.float64)
     length = float(np.linalg.norm(forward))
@@ -41,11 +41,11 @@ def frame(
     fov: float = 0.5,
     margin: float = 0.08,
 ) -> Camera:
-    """A camera that holds all points in the picture, with z up.
+    """Fit a camera to all points, with z up.
 
     points     (n, 3) [m], or meshes; non-finite points are left out. For an animation, pass
                the points of several frames, so that the camera stands still
-    azimuth    where the camera stands [rad], counter-clockwise seen from above; 0 is on the
+    azimuth    direction of the camera [rad], counter-clockwise seen from above; 0 is on the
                -y side and looks along +y
     elevation  its height above the horizon [rad], -pi/2 to pi/2
     size       (width, height) [pixels];  fov vertical field of view [rad]
@@ -75,7 +75,7 @@ def frame(
 
 
 def _cloud(points: NDArray[np.floating] | Iterable[Mesh]) -> Float:
-    """(n, 3) finite points, at least one."""
+    """Return the finite points, shape (n, 3), or those of a unit cube if there are none."""
     parts = [points] if isinstance(points, np.ndarray) else [mesh.vertices for mesh in points]
     cloud = np.concatenate([np.zeros((0, 3)), *(np.asarray(part, np.float64).reshape(-1, 3) for part in parts)])
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -83,7 +83,7 @@ def _cloud(points: NDArray[np.floating] | Iterable[Mesh]) -> Float:
 
 
 def _fit(x: Float, z: Float, k: float) -> tuple[float, float]:
-    """Sideways position and distance back of an eye that sees all (x, z) within slope k.
+    """Return the sideways position and the distance back of an eye that sees all (x, z) within slope k.
 
     An eye at (a, -d) sees a point where |x - a| <= k (z + d), so x - k z <= a + k d and
     -x - k z <= -a + k d for all points. With P and M the largest left sides, the smallest d

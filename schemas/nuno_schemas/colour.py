@@ -1,4 +1,4 @@
-"""Colours: how they are written, the map for scalars on cloth, and the sRGB transfer. One place for every picture."""
+"""Colours: their notation, the colour map for scalars on cloth, and the sRGB transfer, for every picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MISSING = "#9a9a9a"
 
 
 def upright(image: Any) -> Any:
-    """An image that Pillow has opened, as viewers show it: turned as its EXIF says, 16 bits rounded to 8."""
+    """Return an image that Pillow has opened as viewers show it: turned by its EXIF tag, 16 bits rounded to 8."""
     from PIL import Image, ImageOps
 
     image = ImageOps.exif_transpose(image)
@@ -34,7 +34,7 @@ def upright(image: Any) -> Any:
 
 
 def as_rgb(image: Any) -> NDArray[np.uint8]:
-    """(h, w, 3) sRGB of an image that Pillow has opened, upright, on white. Raises ValueError for floats."""
+    """Return (h, w, 3) sRGB of an image that Pillow has opened, upright, on white. Raises ValueError for floats."""
     from PIL import Image
 
     if image.mode == "F":
@@ -46,7 +46,7 @@ def as_rgb(image: Any) -> NDArray[np.uint8]:
 
 
 def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
-    """(h, w, 3) sRGB of an image file. Raises OSError or ValueError for one that cannot be read."""
+    """Return (h, w, 3) sRGB of an image file. Raises OSError or ValueError for an unreadable file."""
     from PIL import Image
 
     try:
@@ -60,59 +60,59 @@ def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
 
 
 def to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
-    """Linear light in [0, 1] of sRGB values in [0, 1] (IEC 61966-2-1), any shape."""
+    """Convert sRGB values in [0, 1] to linear light in [0, 1] (IEC 61966-2-1), any shape."""
     value = np.asarray(srgb, np.float64)
     return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """sRGB values in [0, 1] of linear light, clipped to [0, 1], any shape (IEC 61966-2-1)."""
+    """Convert linear light, clipped to [0, 1], to sRGB values in [0, 1] (IEC 61966-2-1), any shape."""
     value = np.clip(np.asarray(linear, np.float64), 0.0, 1.0)
     return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
 
 
 HEX = "#[0-9a-fA-F]{6}"
-"""Form of an sRGB colour in numbers."""
+"""Regular expression of an sRGB colour in numbers."""
 
 
 def names() -> dict[str, str]:
-    """The 148 named colours of CSS (CSS Color 4, section 6.1), each as "#rrggbb"."""
+    """Return the 148 named colours of CSS (CSS Color 4, section 6.1), each as "#rrggbb"."""
     from PIL import ImageColor  # takes longer to load than a small scene to read
 
     return {name: str(written) for name, written in ImageColor.colormap.items()}
 
 
 def as_hex(text: str) -> str:
-    """A colour as "#rrggbb": written so already, or a CSS name in letters of any case. Raises ValueError."""
+    """Return a colour as "#rrggbb", from that notation or a CSS name in any case. Raises ValueError for other text."""
     if re.fullmatch(HEX, text):
         return text
-    known = names()
-    if text.lower() in known:
-        return known[text.lower()]
-    near, asked, _ = nearest(text.lower(), known).partition("? ")
-    meant = f"{near}? Or " if asked and not text.startswith("#") else ""
+    css = names()
+    if text.lower() in css:
+        return css[text.lower()]
+    near, separator, _ = nearest(text.lower(), css).partition("? ")
+    hint = f"{near}? Or " if separator and not text.startswith("#") else ""
     advice = "write red, green and blue as #rrggbb, for example #c04030, or one of CSS's names, for example indianred"
-    raise ValueError(f"not a colour; {meant}{advice}")
+    raise ValueError(f"not a colour; {hint}{advice}")
 
 
 def parse_hex(text: str) -> NDArray[np.float64]:
-    """(3,) linear light of an sRGB colour written "#rrggbb". Raises ValueError for other text."""
+    """Return the linear light (3,) of an sRGB colour "#rrggbb". Raises ValueError for other text."""
     if not re.fullmatch(HEX, text):
         raise ValueError(f"{text!r} is not a colour such as '#f2efe9'")
     return to_linear(np.frombuffer(bytes.fromhex(text[1:]), np.uint8) / 255.0)
 
 
 def colours(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
-    """(n, 3) linear light for n values: `low` is the map's dark end, `high` its bright end.
+    """Map n values to linear light (n, 3): `low` is the map's dark end, `high` its bright end.
 
-    Values outside are clipped; where low = high everything is dark; NaN is grey. The control
+    Values outside are clipped; with low = high everything is dark; NaN is grey. The control
     points are interpolated in sRGB, in which viridis is smooth and nearly uniform.
     """
     value = np.asarray(values, np.float64).reshape(-1)
     span = high - low
-    place = np.clip((value - low) / span, 0.0, 1.0) if span > 0.0 else np.zeros_like(value)
+    position = np.clip((value - low) / span, 0.0, 1.0) if span > 0.0 else np.zeros_like(value)
     table = np.array([list(bytes.fromhex(text[1:])) for text in CONTROL], np.float64) / 255.0
-    at = np.linspace(0.0, 1.0, len(CONTROL))
-    result = to_linear(np.stack([np.interp(place, at, table[:, channel]) for channel in range(3)], axis=1))
+    knots = np.linspace(0.0, 1.0, len(CONTROL))
+    result = to_linear(np.stack([np.interp(position, knots, table[:, channel]) for channel in range(3)], axis=1))
     result[np.isnan(value)] = parse_hex(MISSING)
     return result

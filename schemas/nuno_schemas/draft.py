@@ -1,4 +1,4 @@
-"""A weaver's draft as a picture, of a plugin of `nuno.dye_cloths` that draws some by `draw_draft(path)`."""
+"""A weaver's draft as a picture, as a plugin of `nuno.dye_cloths` with a method `draw_draft(path)` returns it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class DrawnDraft:
     """A draft with its drawdown.
 
     picture  (h, w, 3) sRGB
-    pixel    side of a pixel of the drawdown [m], None where the file has no spacing
-    facts    what it says of itself, in words, by name
+    pixel    side of a pixel of the drawdown [m], None if the file has no spacing
+    facts    properties that the file states, as text by name
     """
 
     picture: Picture

@@ -1,4 +1,4 @@
-"""Renderers: plugins that draw a picture, what they draw, and from where."""
+"""Renderers: plugins that draw meshes as a camera sees them."""
 
 from __future__ import annotations
 
@@ -41,5 +41,5 @@ class Renderer(Plugin, Protocol):
     """Draws meshes."""
 
     def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
-        """(height, width, 3) uint8 sRGB picture."""
+        """Return a picture (height, width, 3) uint8 sRGB."""
         ...

@@ -1,7 +1,7 @@
-"""Cloth that is dyed: two layers of cells, what they hold, how dye passes between them, and plugins for it.
+"""Dyed cloth: two layers of cells, the dye in them, diffusion between them, and the plugins of dyeing.
 
 Arrays are (2, ny, nx): layer 0 is the weft, whose yarns run along x (the last axis), layer 1 the warp, along y.
-Amounts are fractions of what a cell can hold at most (`v_max`), per cell.
+Amounts are per cell, as fractions of the most that a cell can hold (`v_max`).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from nuno_schemas.plugin import Files, Plugin
 
 @dataclass(frozen=True)
 class Tortuosity:
-    """How straight the way from a cell to its neighbour is, in [0, 1]; 0 lets nothing pass (dye paper, figure 4).
+    """Straightness of the path from a cell to its neighbour, in [0, 1]; 0 blocks all dye (dye paper, figure 4).
 
     layers  to the other layer (I)
-    beside  in a layer, across the yarn (II)
+    beside  within a layer, across the yarn (II)
     rim     between fibre and gap (III)
     gap     between gap and gap (IV)
-    yarn    in a layer, along the yarn (V)
-    weave   additional, in a layer, between fibre above and fibre below (tau 2)
+    yarn    within a layer, along the yarn (V)
+    weave   additional factor within a layer, between fibre above and fibre below (tau 2)
     """
 
     layers: Annotated[float, Bounds(0.0)]
@@ -42,13 +42,13 @@ class Tortuosity:
 
 @dataclass(frozen=True)
 class Cells(Layers):
-    """A woven cloth as diffusion cells: its layers, and how dye spreads in them.
+    """A woven cloth as diffusion cells: its layers, and the properties that govern diffusion.
 
     porosity  (2, ny, nx)        P, share of a cell that is not fibre, in [0, 1]
     twist     (2, ny, nx)        tau 1 of the yarn, in [0, 1]
-    resist    (2, ny, nx)        B, share of the room for mobile dye that paste or binding takes, in [0, 1]
+    resist    (2, ny, nx)        B, share of the capacity for mobile dye that paste or binding takes, in [0, 1]
     size      [m]                side of a cell
-    coarser                      how many times as large cells are as those that D_ab is given for
+    coarser                      size of a cell over that of the cells for which D_ab is given
     """
 
     porosity: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
@@ -60,28 +60,28 @@ class Cells(Layers):
 
     @property
     def mobile_room(self) -> Float:
-        """(2, ny, nx) V_u = V_max P (1 - B), capacity for mobile dye (dye paper, equation 9)."""
+        """V_u = V_max P (1 - B), capacity for mobile dye (dye paper, equation 9), shape (2, ny, nx)."""
         room: Float = self.v_max * self.porosity * (1.0 - self.resist)
         return room
 
     @property
     def fixed_room(self) -> Float:
-        """(2, ny, nx) V_d = (1 - P) V_max, capacity for fixed dye (equation 6); fibre alone holds any."""
+        """V_d = (1 - P) V_max, capacity for fixed dye (equation 6), 0 outside fibre, shape (2, ny, nx)."""
         room: Float = (1.0 - self.porosity) * self.v_max * self.fibre
         return room
 
 
 @dataclass(frozen=True)
 class Isotherm:
-    """How much dye fibre may fix, A_d, at the mobile amount phi beside it (dye paper, equations 5 to 8).
+    """The most dye that fibre fixes, A_d, at the mobile amount phi in its cell (dye paper, equations 5 to 8).
 
-    A `kind` that the kernels know has its numbers in `first` and `second`:
+    The kinds compiled into the kernels have their parameters in `first` and `second`:
 
         "partition"   k phi                     first k
         "freundlich"  k phi^b                   first k, second b
         "langmuir"    V_d K phi / (1 + K phi)   first K
 
-    Any other has kind "python" and a `function(phi, room)` of arrays (2, ny, nx), room being V_d; it is
+    Any other isotherm has kind "python" and a `function(phi, room)` of arrays (2, ny, nx), room being V_d; it is
     called at every step.
     """
 
@@ -93,10 +93,10 @@ class Isotherm:
 
 @dataclass(frozen=True)
 class Dye:
-    """One dye: D0 [m^2/s], its diffusion coefficient in water, and how fibre fixes it.
+    """One dye: D0 [m^2/s], its diffusion coefficient in water, and its adsorption by fibre.
 
-    `adsorption` is D_ab / D0; where it is 0, or without an isotherm, nothing is fixed. Without `weisz_zollinger`
-    D = D0 P T; a solver that does not know it refuses it.
+    `adsorption` is D_ab / D0; if it is 0, or without an isotherm, nothing is fixed. Without `weisz_zollinger`
+    D = D0 P T; a solver that does not support it refuses it.
     """
 
     name: str
@@ -107,18 +107,18 @@ class Dye:
 
     @property
     def steepest(self) -> float:
-        """The most that D comes to, over D0 P T."""
+        """Largest possible D over D0 P T."""
         return 1.0 if self.weisz_zollinger is None else self.weisz_zollinger.cap
 
 
 @dataclass(frozen=True)
 class DyeSystem:
-    """A cloth and the dyes in it, each an amount by itself; `threads` is the most that kernels may use.
+    """A cloth and its independent dyes; `threads` is the most that kernels may use.
 
-    `supply` (dyes, 2, ny, nx) is what supplies keep up: the least mobile dye that a cell holds after every step, 0
-    where none does; None where nothing is kept up. It only ever adds: a cell that holds more is left alone, and one
-    with less room is kept full. Solvers may keep what they made of arrays in here: give others, do not change them.
-    `leave` is as nuno_schemas.system.System has it.
+    `supply` (dyes, 2, ny, nx) is the least mobile dye that a cell holds after every step, maintained by supplies, 0
+    without a supply; None if there are no supplies. It only adds dye: a cell that holds more is unchanged, and a cell
+    with less capacity is kept full. Solvers may cache data made from these arrays: replace arrays, never modify them.
+    `leave` is that of nuno_schemas.system.System.
     """
 
     cells: Cells
@@ -130,7 +130,7 @@ class DyeSystem:
 
 @dataclass
 class DyeState:
-    """Amounts at time t [s], (dyes, 2, ny, nx): phi is mobile, fixed has been taken by fibre."""
+    """Amounts at time t [s], (dyes, 2, ny, nx): mobile dye phi, and dye fixed by fibre."""
 
     phi: Annotated[Float, "dyes", 2, "ny", "nx"]
     fixed: Annotated[Float, "dyes", 2, "ny", "nx"]
@@ -139,9 +139,9 @@ class DyeState:
 
 @dataclass(frozen=True)
 class DyeReport:
-    """What a solver did in a frame; mobile and fixed are the dyes' totals at its end, summed with compensation.
+    """A solver's report of a frame; mobile and fixed are the dyes' totals at its end, summed with compensation.
 
-    `supplied` are the totals that kept-up supplies gave in this frame; empty stands for nothing.
+    `supplied` is the total per dye that continuous supplies added in this frame; empty means none.
     """
 
     status: Literal["ok", "diverged", "unconverged", "left"]
@@ -150,22 +150,22 @@ class DyeReport:
     fixed: Annotated[tuple[float, ...], "dyes"]
     message: str = ""
     totals: Mapping[str, int] = field(default_factory=dict)
-    """What adds up over a run."""
+    """Counts that add up over a run."""
     supplied: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Supply:
-    """Dye that is given to a part of the cloth, once, or kept up for a time; or that is rinsed out of it.
+    """Dye supplied to a part of the cloth, once or continuously for a time; or a rinse that removes dye.
 
-    kind    what a report calls it
-    dye     its place among the dyes; None, of what is rinsed out: all of them
-    cells   (2, ny, nx) bool, what it reaches
-    amount  share of V_u that cells are raised to; of a finite bath, the share that it holds before it is used
-    start   [s] when it is given or begins to be kept up
-    stop    [s] until when it is kept up, inf to the end; None: given once
-    liquor  a finite bath's volume over the room of the cells it reaches; None: endless
-    rinsed  share of their mobile dye that cells lose at `start`; None: they are given some
+    kind    name in reports
+    dye     index of the dye; None, for a rinse: all dyes
+    cells   (2, ny, nx) bool, cells that it reaches
+    amount  share of V_u that cells are raised to; of a finite bath, its share before use
+    start   [s] time of a single supply, or start of a continuous one
+    stop    [s] end of a continuous supply, inf for the end of the run; None: supplied once
+    liquor  volume of a finite bath over the capacity of the cells it reaches; None: infinite
+    rinsed  share of their mobile dye that cells lose at `start`; None: not a rinse
     """
 
     kind: str
@@ -179,31 +179,32 @@ class Supply:
 
 
 class IsothermPlugin(Plugin, Protocol):
-    """An isotherm by name."""
+    """Provides an isotherm by name."""
 
     def prepare(self, config: Any) -> Isotherm: ...
 
 
 class DyeCloth(Plugin, Protocol):
-    """Builds a cloth's cells, what they hold at the start, and what gives dye to them."""
+    """Builds a cloth's cells, their initial amounts of dye, and the supplies of dye."""
 
     def build(self, config: Any, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
-        """Cells, and the amounts (dyes, 2, ny, nx) of `dyes`, by name, before any is supplied. Raises BadInput."""
+        """Build the cells, and the amounts (dyes, 2, ny, nx) of the dyes named in `dyes`, before any supply. Raises
+        BadInput.
+        """
         ...
 
     def resists(self, config: Any, cells: Cells, files: Files) -> tuple[Float, ...]:
-        """B (ny, nx) of each of `config.resist`, all of them in the cells that were built. Raises BadInput."""
+        """Return B (ny, nx) of each of `config.resist`, in the cells that were built. Raises BadInput."""
         ...
 
     def supplies(self, config: Any, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
-        """What gives `dyes`, by name, to the cells that were built, in the order of `config.supply`.
-
-        Raises BadInput.
+        """Return the supplies of the dyes named in `dyes` to the cells that were built, in the order of
+        `config.supply`. Raises BadInput.
         """
         ...
 
     def count(self, config: Any, files: Files) -> int:
-        """Cells it will have, found without building it."""
+        """Return the number of cells of the cloth, without building it."""
         ...
 
 
@@ -211,17 +212,17 @@ class DyeSolverPlugin(Plugin, Protocol):
     """Advances the amounts of dye by whole steps over one frame."""
 
     def prepare(self, config: Any, system: DyeSystem, state: DyeState) -> Memory:
-        """Memory for this system. Raises BadInput for what the solver cannot do."""
+        """Return memory for this system. Raises BadInput for a system that the solver does not support."""
         ...
 
     def limit(self, config: Any, system: DyeSystem) -> float:
-        """Largest stable step [s], inf where nothing limits it."""
+        """Return the largest stable step [s], inf without a limit."""
         ...
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """Advance `state` in place by `steps` steps of `dt` [s]; no steps at all only measure it."""
+        """Advance `state` in place by `steps` steps of `dt` [s]; with `steps` = 0 only measure it."""
         ...
 
     def about(self, system: DyeSystem) -> str:
-        """How its kernels run this system, in words for the report: threads, and why."""
+        """Describe for the report how the kernels run this system: the number of threads, and why."""
         ...

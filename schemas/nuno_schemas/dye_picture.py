@@ -1,4 +1,4 @@
-"""What pictures of dyed cloth are drawn from, and plugins that draw them."""
+"""Pictures of dyed cloth: the data that they show, and the plugins that draw them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Photograph:
-    """What a cloth looks like: a whole number of pixels across each cell.
+    """Photograph of a cloth, with a whole number of pixels k across each cell.
 
     light  (k ny, k nx, 3) uint8  sRGB
-    warp   (k ny, k nx) bool      whether a pixel shows the warp, or the weft
+    warp   (k ny, k nx) bool      whether a pixel shows the warp (true) or the weft
     """
 
     light: NDArray[np.uint8]
@@ -32,16 +32,16 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Layers:
-    """What shows of a cloth's cells, layer 0 the weft and layer 1 the warp.
+    """The visible properties of a cloth's cells, layer 0 the weft and layer 1 the warp.
 
-    fibre  (2, ny, nx) bool    fibre or gap
-    up     (2, ny, nx) bool    whether the yarn is above the other layer's there
-    v_max                      most that a cell holds; what follows is for pictures
-    yarns  (ny,) and (nx,)     the yarn in whose pitch a row of weft, or a column of warp, lies; None where only
-                               gaps tell yarns apart
-    photograph                 of the cloth, where there is one
+    fibre  (2, ny, nx) bool    fibre (true) or gap
+    up     (2, ny, nx) bool    whether the yarn is above the other layer's yarn
+    v_max                      most dye that a cell holds; the fields below are for pictures only
+    yarns  (ny,) and (nx,)     yarn of each row of weft, and of each column of warp; None if yarns are separated by
+                               gaps alone
+    photograph                 photograph of the cloth, or None
     ground (ny, 3), (nx, 3)    colour of the undyed yarns by row of weft and by column of warp, sRGB in [0, 1]; None
-                               where nothing says
+                               if unknown
     """
 
     fibre: Annotated[Bool, 2, "ny", "nx"]
@@ -55,7 +55,7 @@ class Layers:
 
 
 class Window(NamedTuple):
-    """Cells that a picture shows: rows top to bottom, columns left to right, the last ones not included."""
+    """Cells shown in a picture: rows top to bottom, columns left to right, bottom and right excluded."""
 
     top: int
     bottom: int
@@ -64,7 +64,7 @@ class Window(NamedTuple):
 
 
 def amount_seen(phi: Float, fixed: Float, view: DyeView = "all") -> Float:
-    """What a view shows of mobile and fixed amounts: all of it, what fibre has taken, or what it has not."""
+    """Return the amount shown in a view: all dye, fixed dye, or mobile dye."""
     return {"all": phi + fixed, "fixed": fixed, "mobile": phi}[view]
 
 
@@ -74,9 +74,11 @@ class DyePicturePlugin(Plugin, Protocol):
     def prepare(
         self, config: Any, files: Files, layers: Layers, dyes: Sequence[DyeColour], window: Window, scale: int
     ) -> Any:
-        """What pictures of the window at `scale` pixels a cell have in common. Raises BadInput."""
+        """Return data shared by all pictures of the window at `scale` pixels per cell. Raises BadInput."""
         ...
 
     def draw(self, prepared: Any, amounts: Float) -> Picture:
-        """(scale (bottom - top), scale (right - left), 3) picture of amounts (dyes, 2, ny, nx) of the whole cloth."""
+        """Return a picture, shape (scale (bottom - top), scale (right - left), 3), of the whole cloth's amounts
+        (dyes, 2, ny, nx).
+        """
         ...

@@ -1,11 +1,11 @@
-"""Dyes that a scene can name. What spreads of them follows from the molar mass; most else is assumed, and says so.
+"""Presets of dyes. The diffusion coefficient follows from the molar mass; most other values are assumed, and marked so.
 
-D0       3.6 sqrt(76 / M) mm^2/h, M in g/mol (dye paper, equation 5), where nothing was measured.
-isotherm its kind, where it was measured: indigo on silk follows Langmuir (Kongkachuichay et al., Chiang Mai Journal of
+D0       3.6 sqrt(76 / M) mm^2/h, M in g/mol (dye paper, equation 5), unless measured.
+isotherm its measured kind, if any: indigo on silk follows Langmuir (Kongkachuichay et al., Chiang Mai Journal of
          Science 37(2), 2010, 363-367), madder on wool Nernst and Temkin (Chemchame et al., International Journal of
-         Chemical Sciences 19(1), 2021, 306). Amounts here are shares of what a cell holds, so that no constant of a
-         laboratory, which counts grams in a litre, can be taken over: all constants are chosen.
-colour   as cloth dyed with it looks to us, on no standard of colour.
+         Chemical Sciences 19(1), 2021, 306). Amounts here are shares of a cell's capacity, so that constants from a
+         laboratory, in grams per litre, cannot be used: all constants are chosen.
+colour   chosen by eye from dyed cloth, without a colour standard.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ MM2_PER_HOUR = 1e-6 / 3600.0
 
 @dataclass(frozen=True)
 class KnownDye:
-    """fields of the scene's dye, in SI; fibre and mordant that they are meant for; how each of all these was had:
-    `measured`, or `derived` or `assumed`, a colon and the reason; source of them; mass [g/mol] of the colourant.
+    """A dye preset: fields of the scene's dye, in SI; fibre and mordant they apply to; the origin `how` of each of
+    these: `measured`, or `derived` or `assumed`, a colon and the reason; source; molar mass of the colourant [g/mol].
     """
 
     fields: Mapping[str, Any]
@@ -36,7 +36,7 @@ class KnownDye:
 
 
 def spread(mass: float) -> float:
-    """The diffusion coefficient in water [m^2/s] of a dye of this molar mass [g/mol]."""
+    """Return the diffusion coefficient in water [m^2/s] of a dye of this molar mass [g/mol]."""
     return 3.6 * math.sqrt(76.0 / mass) * MM2_PER_HOUR
 
 
@@ -44,7 +44,7 @@ def _natural(
     colourant: str, mass: float, fibre: str, mordant: str, source: str, isotherm: Mapping[str, Any], kind: str,
     colour: Mapping[str, str] | None = None,
 ) -> KnownDye:  # fmt: skip
-    given: dict[str, Any] = {"D0": spread(mass), "adsorption": 0.01, "isotherm": isotherm}
+    fields: dict[str, Any] = {"D0": spread(mass), "adsorption": 0.01, "isotherm": isotherm}
     how = {
         "D0": f"derived: 3.6 sqrt(76 / M) mm^2/h of {colourant}, M = {mass:g} g/mol",
         "adsorption": "assumed: as of the dye paper's figure 9",
@@ -53,8 +53,8 @@ def _natural(
         "mordant": "assumed: as is customary",
     }
     if colour is not None:
-        given["colour"], how["colour"] = colour, "assumed: by eye"
-    return KnownDye(given, fibre, mordant, how, source, mass)
+        fields["colour"], how["colour"] = colour, "assumed: by eye"
+    return KnownDye(fields, fibre, mordant, how, source, mass)
 
 
 _PARTITION = {"plugin": "partition", "k": 0.5}
@@ -87,11 +87,11 @@ PRESETS: dict[str, KnownDye] = {
         "the dye of the dye paper's figures, which it does not name",
     ),
 }  # fmt: skip
-"""A dye without a colour has that of a scene's dye that gives none."""
+"""A preset without a colour has the default colour of a scene's dye."""
 
 
 def written_out(name: str, own: Mapping[str, Any]) -> dict[str, Any]:
-    """A dye's fields as a scene would give them: those of the preset, and in their place or in a colour's its own."""
+    """Return a dye's fields as in a scene: those of the preset, replaced by those in `own`, also within the colour."""
     fields = {"name": name, **PRESETS[name].fields, **own}
     colour, changed = PRESETS[name].fields.get("colour"), own.get("colour")
     if isinstance(colour, Mapping) and isinstance(changed, Mapping):
@@ -100,7 +100,7 @@ def written_out(name: str, own: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def list_dyes() -> tuple[Preset, ...]:
-    """Every preset, in units that a scene may write; constants of its isotherm by their names."""
+    """Return every preset, in units of scenes, with the constants of its isotherm by name."""
     return tuple(_preset(name, known) for name, known in PRESETS.items())
 
 

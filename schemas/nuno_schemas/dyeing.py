@@ -1,4 +1,4 @@
-"""What a scene says of dye."""
+"""The part of a scene that describes dyeing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DyeSolver(Solver):
 class WeiszZollinger(Part):
     """Diffusion that is slower where there is more dye: D = D0 P T min(cap, phi0 / phi) (dye paper, equation 4).
 
-    What passes a face follows from the integral of D over phi between its two amounts.
+    The flux through a face follows from the integral of D over phi between the amounts on its sides.
     """
 
     phi0: float = Field(gt=0, le=1e6, description="mobile dye at equilibrium; where there is as much, D = D0 P T")
@@ -50,7 +50,7 @@ def _presets() -> list[str]:
 
 
 def _may_be_named(schema: dict[str, Any]) -> None:
-    """What editors learn of a dye: its name and D0 need not be given where a preset is."""
+    """Make name and D0 optional in the JSON Schema of a dye that names a preset."""
     del schema["required"]
     schema["anyOf"] = [{"required": ["name", "D0"]}, {"required": ["preset"]}]
     schema["properties"]["preset"] = {**schema["properties"]["preset"], "enum": _presets()}
@@ -58,7 +58,7 @@ def _may_be_named(schema: dict[str, Any]) -> None:
 
 
 def _or_named(schema: dict[str, Any]) -> None:
-    """What editors learn of a list of dyes: one may be a preset's name alone."""
+    """Allow the name of a preset in the place of a dye, in the JSON Schema of a list of dyes."""
     schema["items"] = {"anyOf": [schema["items"], {"type": "string", "enum": _presets()}]}
 
 
@@ -82,19 +82,19 @@ class Dyestuff(Part):
     @model_validator(mode="before")
     @classmethod
     def _of_preset(cls, data: Any) -> Any:
-        """The preset's fields in its place: the scene is then the one that writes them out."""
-        given = {"preset": data} if isinstance(data, str) else data
-        if not isinstance(given, dict) or given.get("preset") is None:
+        """Replace a preset by its fields: the scene is then equal to one with these fields."""
+        fields = {"preset": data} if isinstance(data, str) else data
+        if not isinstance(fields, dict) or fields.get("preset") is None:
             return data
-        from nuno_schemas.dye_presets import PRESETS, written_out  # a scene that names none does without
+        from nuno_schemas.dye_presets import PRESETS, written_out  # not imported for scenes without presets
 
-        own = {key: value for key, value in given.items() if key != "preset"}
-        name = given["preset"]
+        overrides = {key: value for key, value in fields.items() if key != "preset"}
+        name = fields["preset"]
         if not isinstance(name, str) or name not in PRESETS:
             context = {"name": str(name), "known": nearest(str(name), PRESETS)}
             inside = () if isinstance(data, str) else ("preset",)
             raise PydanticCustomError("no_dye", "unknown dye preset '{name}'; {known}", {**context, "inside": inside})
-        return written_out(name, own)
+        return written_out(name, overrides)
 
     @model_validator(mode="after")
     def _fixed_by_a_law(self) -> Dyestuff:
@@ -135,7 +135,7 @@ class Dyeing(Part):
     @model_validator(mode="before")
     @classmethod
     def _object_not_on(cls, data: Any) -> Any:
-        # The obvious word for it, and what other readers of YAML make of that word.
+        # `on` is the obvious word, and YAML 1.1 readers turn it into true.
         for name in ("on", "true"):
             if isinstance(data, dict) and name in data:
                 problem = "no such field; the object that is dyed is `object`: write object: {value}"

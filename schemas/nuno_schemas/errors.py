@@ -1,4 +1,4 @@
-"""Errors that a user can act on: what is wrong, where, what the limit is, and what to do."""
+"""Errors that a user can act on: they state the problem, the place, the limit and the remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 class BadInput(Exception):
     """Input refused before anything starts (exit code 2).
 
-    `problem` is one sentence; the other fields are printed where they are known.
+    `problem` is one sentence; the other fields are printed unless they are None.
     """
 
     problem: str
@@ -26,13 +26,13 @@ class BadInput(Exception):
         super().__init__(self.problem)
 
     def at(self, field: str) -> BadInput:
-        """This error of a field of the scene, in the place of one of a file."""
+        """Return this error of a file as an error of a field of the scene."""
         return replace(self, file=None, line=None, field=field)
 
     def told(self) -> dict[str, str | float]:
-        """What is known of it, as JSON can say it: `BadInput(**told)` prints the same words."""
-        known = {name: value for name, value in vars(self).items() if value is not None}
-        return {name: value if isinstance(value, str | int | float) else str(value) for name, value in known.items()}
+        """Return the fields that are set, as JSON values: `BadInput(**fields)` prints the same words."""
+        fields = {name: value for name, value in vars(self).items() if value is not None}
+        return {name: value if isinstance(value, str | int | float) else str(value) for name, value in fields.items()}
 
     def __str__(self) -> str:
         place = ":".join(str(part) for part in (self.file, self.line) if part is not None)
@@ -49,9 +49,9 @@ class BadInput(Exception):
 
 
 class RunFailed(Exception):
-    """A run that started and could not go on (exit code 1); its recording is kept.
+    """A run that failed after its start (exit code 1); its recording is kept.
 
-    `peer` names the service that is to blame, where it is another one.
+    `peer` names the service that caused the failure, if it is another one.
     """
 
     def __init__(self, problem: str, peer: str = "") -> None:
@@ -60,11 +60,11 @@ class RunFailed(Exception):
 
 
 MANY = 24
-"""Names that a person reads through."""
+"""Largest number of names that an error lists in full."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A remedy that names the nearest known name, then all of them; of more than MANY, the nearest few."""
+    """Return a remedy with the nearest known name, then all known names, or the nearest few of more than MANY."""
     names = sorted(set(known))
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""

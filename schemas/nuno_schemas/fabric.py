@@ -1,9 +1,9 @@
-"""What a model builds: a fabric (constant) and its state (varying). SI units throughout.
+"""Fabric (constant) and state (varying), as a model builds them. SI units throughout.
 
 Springs and hinges are stored as runs: `count` elements whose indices all grow by `stride`.
-A 256 x 256 sheet has 1,536 spring runs instead of 392,000 index pairs, and a run is what a
-kernel can vectorise; an irregular mesh simply has runs of one. Constants are given per run or
-per element, whichever is shorter, and `pairs()` or `quads()` writes the plain list out.
+A 256 x 256 sheet has 1,536 spring runs instead of 392,000 index pairs, and kernels vectorise
+over runs; an irregular mesh has runs of one. Constants are given per run or per element,
+whichever is shorter, and `pairs()` or `quads()` returns the plain list.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ STRUCTURAL, SHEAR, BENDING, ELASTIC = 0, 1, 2, 3
 
 
 def _expand(first: Int, count: Int, stride: Int) -> Int:
-    """Indices of all elements: (m, w) first indices, (m,) counts and strides -> (total, w)."""
+    """Return the indices of all elements: (m, w) first indices, (m,) counts and strides -> (total, w)."""
     run = np.repeat(np.arange(len(count)), count)
     step = (np.arange(len(run)) - (np.cumsum(count) - count).take(run)) * stride.take(run)
-    found = first.take(run, axis=0)
-    found += step.astype(np.int32)[:, None]
-    return found
+    indices = first.take(run, axis=0)
+    indices += step.astype(np.int32)[:, None]
+    return indices
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Springs:
     k      (m,) or (s,)  stiffness [N/m], per run or per spring, s = count.sum()
     rest   (m,) or (s,)  rest length [m]
     c      (m,) or (s,)  damping along the spring [N s/m]
-    kind   (m,)   int8   STRUCTURAL, SHEAR, BENDING, or ELASTIC: of a band (for reports only)
+    kind   (m,)   int8   STRUCTURAL, SHEAR, BENDING, or ELASTIC, an elastic band's (for reports only)
     lock, k_lock (m,) or (s,), both or neither: a spring's tension is k e up to the elongation e = lock * rest and
            grows by k_lock [N/m] from there: k_lock >= k, as of a covered yarn once its cover is straight
     """
@@ -66,7 +66,7 @@ class Springs:
         return int(self.count.sum())
 
     def stiffest(self) -> Springs:
-        """These springs with the greatest stiffness that each ever has, wherever it is."""
+        """Return these springs with the greatest stiffness that each has at any elongation."""
         if self.k_lock is None:
             return self
         k = np.maximum(*(self.per_spring(values) for values in (self.k, self.k_lock)))
@@ -79,17 +79,17 @@ class Springs:
         return all(values is None or values.shape == self.count.shape for values in constants)
 
     def pairs(self) -> Int:
-        """(s, 2) int32 vertices of every spring, an array of its own."""
+        """Return the vertices of every spring, shape (s, 2) int32, in a new array."""
         if self.first.shape[0] == self.number:
             return self.first.copy()
         return _expand(self.first, self.count, self.stride)
 
     def per_spring(self, values: Float) -> Float:
-        """(s,) values of a constant that may be stored per run."""
+        """Return the values per spring, shape (s,), of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
 
     def of_kind(self, kind: int) -> Bool:
-        """(s,) whether each spring is of a kind."""
+        """Return whether each spring is of a kind, shape (s,)."""
         return np.repeat(self.kind == kind, self.count)
 
     @staticmethod
@@ -97,7 +97,7 @@ class Springs:
         pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0, lock: Float | None = None,
         k_lock: Float | None = None,
     ) -> Springs:  # fmt: skip
-        """Runs of one spring each, constants per spring."""
+        """Return runs of one spring each, with constants per spring."""
         number = pairs.shape[0]
         one = np.broadcast_to(np.int32(1), number)  # no memory: a net may have millions
         kinds = np.broadcast_to(np.int8(kind), number)
@@ -105,10 +105,10 @@ class Springs:
 
     @staticmethod
     def join(parts: list[Springs]) -> Springs:
-        """One set from several (at least one), constants per run if all have them so."""
+        """Join several sets (at least one) into one, with constants per run if all sets have them per run."""
         locks = any(p.lock is not None for p in parts)
         if locks:
-            # A spring that does not lock goes on as it was.
+            # A spring that does not lock keeps its stiffness.
             parts = [p if p.lock is not None else replace(p, lock=np.zeros_like(p.k), k_lock=p.k) for p in parts]
         per_run = all(p.per_run for p in parts)
 
@@ -146,11 +146,11 @@ class Hinges:
         return int(self.count.sum())
 
     def quads(self) -> Int:
-        """(h, 4) int32 vertices of every hinge."""
+        """Return the vertices of every hinge, shape (h, 4) int32."""
         return _expand(self.first, self.count, self.stride)
 
     def per_hinge(self, values: Float) -> Float:
-        """(h,) values of a constant that may be stored per run."""
+        """Return the values per hinge, shape (h,), of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
 
 
@@ -158,8 +158,8 @@ class Hinges:
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
-    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips", no frame: the only one that the body has;
-    local (b, 3) where they are in the frame [m], None: where they start.
+    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips", frame None: the body's only frame;
+    local (b, 3) positions in the frame [m], None: their start positions.
     """
 
     vertices: Annotated[Int, "b", Bounds(0, below="n")]
@@ -174,15 +174,14 @@ class Binding:
 
 @dataclass(frozen=True)
 class Panels:
-    """The flat panels that garments are sewn from, as they lie in texture coordinates, warp along v.
+    """The flat panels of sewn garments in texture coordinates, warp along v.
 
     names (q,)              of the panels
-    of    (f,)   int32      panel of each triangle, -1 where it is of none
-    edge  (f, 3) int32      edge of that panel that each side of a triangle, from one corner to the next, lies along; -1
-                            where it lies along none
+    of    (f,)   int32      panel of each triangle, -1 for no panel
+    edge  (f, 3) int32      panel edge along each side of a triangle, from one corner to the next; -1 for no edge
     unit  (q,)   float64    [m] per unit of texture coordinates, by panel: rest shapes at their true size
-    pairs (k, 2) int32      points of `Corners` that are sewn into one, along the two edges of each seam
-    seam  (k,)   int32      of each pair: the number of its seam
+    pairs (k, 2) int32      points of `Corners` that are sewn together, along the two edges of each seam
+    seam  (k,)   int32      seam of each pair
     """
 
     names: Annotated[tuple[str, ...], "q"]
@@ -194,18 +193,18 @@ class Panels:
 
     @staticmethod
     def letters(seam: int) -> str:
-        """What a seam is called: A to Z, then AA, AB, and so on."""
+        """Return the name of a seam: A to Z, then AA, AB, and so on."""
         return (Panels.letters(seam // 26 - 1) if seam >= 26 else "") + chr(ord("A") + seam % 26)
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Texture coordinates of triangles' corners, where a vertex has several: along the seams of a sewn garment.
+    """Texture coordinates per corner of a triangle, for vertices with several: along the seams of a sewn garment.
 
-    points (p, 2) float32  as `Fabric.uv` has them
-    vertex (p,)   int32    the vertex that each is one of
-    faces  (f, 3) int32    into the points: triangles and corners in the order of `Fabric.faces`, which is vertex[faces]
-    panels                 that the triangles are cut in, or None
+    points (p, 2) float32  texture coordinates, as in `Fabric.uv`
+    vertex (p,)   int32    vertex of each point
+    faces  (f, 3) int32    points of each triangle, in the order of `Fabric.faces`, which is vertex[faces]
+    panels                 panels of the triangles, or None
     """
 
     points: Annotated[NDArray[np.float32], "p", 2]
@@ -215,37 +214,36 @@ class Corners:
 
     @staticmethod
     def of(faces: Int, uv: NDArray[np.floating[Any]]) -> Corners:
-        """Those of triangles (f, 3) whose corners lie at (f, 3, 2): equal ones of a vertex are one point."""
+        """Return the corners of triangles (f, 3) at coordinates (f, 3, 2); equal ones of a vertex become one point."""
         each = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2).astype(np.float32)])
-        own, place = np.unique(each, axis=0, return_inverse=True)
-        points, vertex = np.ascontiguousarray(own[:, 1:], np.float32), own[:, 0].astype(np.int32)
-        return Corners(points, vertex, place.reshape(-1, 3).astype(np.int32))
+        distinct, index = np.unique(each, axis=0, return_inverse=True)
+        points, vertex = np.ascontiguousarray(distinct[:, 1:], np.float32), distinct[:, 0].astype(np.int32)
+        return Corners(points, vertex, index.reshape(-1, 3).astype(np.int32))
 
 
 @dataclass(frozen=True)
 class Fabric:
-    """A piece of cloth, or several: what does not change while a run goes on.
+    """The constant data of one or several pieces of cloth.
 
     position (n, 3) float64  [m] at the start; velocity (n, 3) [m/s]
     mass     (n,)   float64  [kg], > 0
-    pinned   (n,)   bool     held where they are, or moved by a binding
+    pinned   (n,)   bool     fixed in place, or moved by a binding
     faces    (f, 3) int32    triangles, counter-clockwise seen from outside; f may be 0
     uv       (n, 2) float32  texture coordinates in [0, 1], or None: u to the right as seen from
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
-                             OBJ files. Image rows run down, so what samples an image, such as
-                             drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
+                             OBJ files. Image rows run down, so samplers of images, such as
+                             drawing.Mesh and glTF, use (u, 1 - v) with (0, 0) at the upper left
     corners                  texture coordinates that differ along seams, instead of uv, or None
-    springs, hinges, membrane, bending, friction  or None where there are none
+    springs, hinges, membrane, bending, friction  or None
     yarns                    springs that are links of yarns, or None
-    cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
-                             areas and normals of where it has no faces
+    cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: they give
+                             a net without faces areas and normals
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
-    numbers  (n,)   int32    by what number a user knows each vertex, of cloth that is stepped in another order than the
-                             user's; None where they are those of the fabric
-    origin                   numbers of the fabric as it was built, noted by an operation that changed it since; of one
-                             that is as it was, at most what its elements do not show: k_bend [N/m], the stiffness of
-                             bending springs of a mesh that has no inner edge
+    numbers  (n,)   int32    the user's number of each vertex, if the fabric was renumbered; else None
+    origin                   properties of the fabric as built, noted by an operation that changed it; of an unchanged
+                             fabric at most k_bend [N/m], the stiffness of bending springs, for a mesh without an inner
+                             edge, whose elements do not show it
     """
 
     name: str
@@ -273,12 +271,12 @@ class Fabric:
         return int(self.mass.shape[0])
 
     def told(self, vertex: int) -> int:
-        """The number by which a user is told of a vertex."""
+        """Return the user's number of a vertex."""
         return vertex if self.numbers is None else int(self.numbers[vertex])
 
     @property
     def laid_out(self) -> Corners | None:
-        """Its texture coordinates, by corners of triangles; None where it has none."""
+        """The texture coordinates per corner of a triangle, or None."""
         if self.corners is not None or self.uv is None:
             return self.corners
         return Corners(self.uv, np.arange(self.number, dtype=np.int32), self.faces)
@@ -291,7 +289,7 @@ class Fabric:
 
 @dataclass
 class State:
-    """What changes: x (n, 3) [m], v (n, 3) [m/s], both float64 and C-contiguous; t [s]."""
+    """Positions x (n, 3) [m] and velocities v (n, 3) [m/s], both float64 and C-contiguous, at time t [s]."""
 
     x: Annotated[Float, "n", 3]
     v: Annotated[Float, "n", 3]
@@ -303,12 +301,12 @@ class State:
 
 @dataclass
 class Memory:
-    """What a solver keeps between frames.
+    """A solver's memory between frames.
 
     arrays are part of the state (friction anchors, adaptive step): checkpointed and restored.
     work can be rebuilt at any time (kernel layouts, buffers) and is never stored.
-    bounds hold the entries of arrays that come out of a file. An array of integers needs them, also where any integer
-    will do: a kernel does not check an index. Floats of a term are finite, unless they say otherwise.
+    bounds limit the entries of arrays that are read from a file. Every array of integers needs bounds, even if any
+    integer is allowed: a kernel does not check an index. Floats of a term must be finite unless bounds allow others.
     """
 
     arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)

@@ -14,16 +14,16 @@ from nuno_schemas.layout import Bounds
 
 @dataclass(frozen=True)
 class DistanceField:
-    """Distance of a closed surface, negative inside, interpolated trilinearly in the cell that a point lies in.
+    """Signed distance from a closed surface, negative inside, interpolated trilinearly in the cell of a point.
 
     low       (3,) [m]      lowest corner of a box of whole cells
     size      [m]           edge of a whole cell
     shape     (3,) int32    whole cells along x, y and z
     tolerance [m]           largest error within `band` [m] of the surface; farther away it grows with the distance
     band      [m]
-    child     (c,) int32    first the whole cells, z fastest, then the eight parts of each cell that is cut, z fastest:
-                            where its parts begin, or -1 - (number of a leaf)
-    corners   (l, 32) float32  of each leaf: distance [m] and gradient x, y, z at its eight corners, z fastest
+    child     (c,) int32    an octree: first the whole cells, z fastest, then the eight children of each divided cell,
+                            z fastest. The index of a cell's first child, or -1 - (number of a leaf)
+    corners   (l, 32) float32  distance [m] and gradient x, y, z at the eight corners of each leaf, z fastest
     """
 
     low: Annotated[Float, 3]

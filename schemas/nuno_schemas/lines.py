@@ -1,4 +1,4 @@
-"""Lines drawn on cloth, ridges and valleys, and how the cloth about them is smoothed."""
+"""Lines drawn on cloth, ridges and valleys, and the smoothing of the cloth around them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Weight = Annotated[float, quantity("", ge=0, le=1)]
 
 MOST_POINTS = 100_000
 PLACES = ("points", "texture", "on_faces", "file")
-"""Ways to say where a line lies."""
+"""Fields that give the position of a line."""
 BARYCENTRIC = 1e-6
-"""How far from 1 the sum of barycentric coordinates may be."""
+"""Largest difference of the sum of barycentric coordinates from 1."""
 
 
 class OnFace(Part):
-    """A point in a triangle of the cloth as it is when the line is drawn."""
+    """A point in a triangle of the cloth at the time when the line is drawn."""
 
     face: int = Field(ge=0, description="of the object's triangles, counted from 0")
     at: tuple[Weight, Weight, Weight] = Field(description="barycentric coordinates: shares of its corners")
@@ -54,11 +54,11 @@ class Line(Part):
 
     @model_validator(mode="after")
     def _one_place(self) -> Line:
-        given = [name for name in PLACES if getattr(self, name) is not None]
-        if len(given) != 1:
+        names = [name for name in PLACES if getattr(self, name) is not None]
+        if len(names) != 1:
             problem = "a line is given by one of points, texture, on_faces and file, not by {given}"
-            inside = (given[1],) if given else ()
-            raise PydanticCustomError("one_place", problem, {"given": " and ".join(given) or "none", "inside": inside})
+            inside = (names[1],) if names else ()
+            raise PydanticCustomError("one_place", problem, {"given": " and ".join(names) or "none", "inside": inside})
         if self.height == 0.0:
             problem = "a height of 0 raises nothing; give one above 0 for a ridge, below for a valley"
             raise PydanticCustomError("no_height", problem, {"inside": ("height",)})

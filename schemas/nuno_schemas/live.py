@@ -1,4 +1,4 @@
-"""Joints that are told where to be while a run goes on: by a tracker, a robot, a game engine."""
+"""Joints steered from outside during a run: by a tracker, a robot, a game engine."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from nuno_schemas.fabric import Float
 
 ALL_BUT = 1.0 - 1e-9
-"""Who has come so much of the way has arrived."""
+"""A joint that has gone this share of the way has arrived."""
 
 
 class BodyPoses(BaseModel):
-    """Whoever moves a body of `motion: {plugin: topic}`: where each of its joints is to be, in their order.
+    """The sender steers a body of `motion: {plugin: topic}`: target poses of its joints, in their order.
 
-    Of one joint `position` and `rotation` may be given without a list around them, and a rotation that is left out is
-    none.
+    For a single joint, `position` and `rotation` may be given without lists, and a missing rotation is the identity.
     """
 
     model_config = ConfigDict(use_attribute_docstrings=True)
     positions: list[tuple[float, float, float]]
-    """Of the joints' origins in the world [m]."""
+    """Positions of the joints' origins in the world [m]."""
     rotations: list[tuple[float, float, float, float]]
-    """Quaternions w, x, y, z, of any length but zero."""
+    """Quaternions w, x, y, z of any norm but zero."""
 
     @model_validator(mode="before")
     @classmethod
@@ -38,14 +37,14 @@ class BodyPoses(BaseModel):
 
 @dataclass
 class Live:
-    """Where j joints are, and how they follow what they are told.
+    """Current poses of j joints, and how they follow their targets.
 
-    rotation      (j, 4) unit quaternions w, x, y, z, and translation (j, 3) [m]: now, at first where they wait
-    key           under which poses are published on the bus; None: `poses/BODY` of the run
-    waits         whether each frame waits for poses of its own; else it takes the newest, by the clock
-    silence       [s] after which it is said that nothing comes: of waiting in a frame; by the clock of the scene's
-    stops         whether silence ends the run; else the joints stay where they are
-    fastest       [m/s] most that a joint follows at, and fastest_turn [rad/s]
+    rotation      (j, 4) unit quaternions w, x, y, z, and translation (j, 3) [m]: current, at first the initial poses
+    key           bus key of the target poses; None: `poses/BODY` of the run
+    waits         whether each frame waits for its own poses; else it takes the newest, by the clock
+    silence       [s] without poses before a warning: of waiting in a frame, or by the clock of scene time
+    stops         whether silence ends the run; else the joints stop where they are
+    fastest       [m/s] largest speed of a joint, and fastest_turn [rad/s]
     """
 
     rotation: Float
@@ -58,12 +57,12 @@ class Live:
     fastest_turn: float = 30.0
 
     def pose(self, t: float) -> tuple[Float, Float]:
-        """Rotation (j, 4) and translation (j, 3) now, whatever the time."""
+        """Return the current rotation (j, 4) and translation (j, 3) [m] for any t."""
         return self.rotation.copy(), self.translation.copy()
 
     def follow(self, rotation: Float, translation: Float, dt: float) -> float:
-        """Go towards poses for dt [s], all joints by the same share of their ways so that bones keep together; the
-        share of the way that is left.
+        """Move towards the target poses for dt [s], all joints by the same share of their ways so that bones stay
+        joined. Return the share of the way that is left.
         """
         way = translation - self.translation
         length = float(np.sqrt((way**2).sum(axis=1)).max())
@@ -71,7 +70,7 @@ class Live:
         half = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))[:, None]
         turn = 2.0 * float(half.max())
         share = min(1.0, _share(self.fastest * dt, length), _share(self.fastest_turn * dt, turn))
-        if share > ALL_BUT:  # to the bit where they were told to be
+        if share > ALL_BUT:  # the target poses to the bit
             self.rotation, self.translation = rotation.copy(), translation.copy()
             return 0.0
         near = np.where(dot[:, None] < 0.0, -rotation, rotation)

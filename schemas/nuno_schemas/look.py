@@ -1,4 +1,4 @@
-"""How a scene wants dyed cloth to look: a dye's colours, and the picture."""
+"""The part of a scene that describes the look of dyed cloth: a dye's colours, and the picture."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from nuno_schemas.units import quantity
 Amount = Annotated[float, quantity("", gt=0)]
 
 YARNS = "yarns"
-"""The plugin that draws where a scene names none."""
+"""The default plugin for pictures of dyed cloth."""
 DyeView = Literal["all", "fixed", "mobile"]
-"""all dye, what fibre has taken, or what it has not."""
+"""Dye that is shown: all, fixed by fibre, or mobile."""
 Form = Literal["straight", "smooth"]
-"""Of yarns as curves."""
+"""Form of yarns as curves."""
 Scale = Annotated[int, Field(strict=True, ge=1, le=256)]
 
 
@@ -47,7 +47,7 @@ class Crop(Part):
 
 
 class DyePicture(Choice):
-    """What draws dyed cloth, and how; the fields beside are the plugin's own."""
+    """The plugin that draws dyed cloth, and its settings; all other fields are the plugin's own."""
 
     plugin: str = Field(default=YARNS, description="its name; nuno plugins lists what is installed")
     view: DyeView = Field(default="all", description="all dye, what fibre has fixed of it, or what is mobile")

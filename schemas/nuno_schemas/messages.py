@@ -16,7 +16,7 @@ from nuno_schemas.live import BodyPoses
 
 
 class Described(BaseModel):
-    """Whose fields are described by the texts below them."""
+    """Base of messages: the text below a field is its description in the schema."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)
 
@@ -29,49 +29,49 @@ class Header(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
     schema_version: int = SCHEMA_VERSION
-    """Of these messages; another one is refused."""
+    """Version of the message schema; any other is refused."""
     run: str
     """The run's id."""
     service: str
-    """By whom."""
+    """The sender."""
     seq: int
-    """From 0 on, of each topic and service: a number that is left out is a message that was missed."""
+    """Number of the message, from 0 on for each topic and service: a gap means a missed message."""
     frame: int
-    """-1 where it belongs to none."""
+    """Frame of the message, -1 for none."""
     t: float
     """Simulated time [s]."""
     digest: str = ""
-    """Of the float64 state that it is of."""
+    """Digest of the float64 state at that time."""
 
 
 class FrameStatus(Described):
-    """What a service that steps says of each frame."""
+    """Status of a stepping service after each frame."""
 
     frame: int
-    """0 is the start."""
+    """Number of the frame, 0 at the start."""
     t: float
     """Simulated time [s]."""
     digest: str
-    """Of the float64 state."""
+    """Digest of the float64 state."""
     state: Literal["running", "paused", "done", "stopped", "diverged", "unconverged"]
-    """What becomes of the run."""
+    """State of the run."""
     steps: int
-    """Taken for this frame."""
+    """Steps of this frame."""
     step_seconds: float
     """Wall time of the frame's steps [s]."""
     message: str = ""
-    """Why it diverged or was stopped."""
+    """Why the run diverged or was stopped."""
 
 
 class Status(FrameStatus):
     """Simulation, once a frame."""
 
     energy: dict[str, float | None]
-    """Joules by kind: kinetic, gravitational, springs, hinges. None: not finite, which JSON cannot say."""
+    """Energy by kind [J]: kinetic, gravitational, springs, hinges. None: not finite, which JSON cannot express."""
     stretch: float | None
     """Largest |d| / rest - 1 over the springs. None: not finite."""
     wrinkles: dict[str, float | None] = {}
-    """Height and width of what each change raised [m], by its number: 0_height."""
+    """Height and width of the ridge that each operation raised [m], by its number: 0_height."""
 
 
 class DyeStatus(FrameStatus):
@@ -80,11 +80,11 @@ class DyeStatus(FrameStatus):
     time: float
     """Time of the dyeing [s]: t times the dye's speed."""
     mobile: dict[str, float | None]
-    """By dye [full cells]."""
+    """Mobile amount by dye [full cells]."""
     fixed: dict[str, float | None]
-    """By dye, taken by fibre [full cells]."""
+    """Amount fixed by fibre, by dye [full cells]."""
     supplied: dict[str, float]
-    """By dye, until now [full cells]."""
+    """Amount supplied until now, by dye [full cells]."""
     balance: float | None
     """Largest |mobile + fixed - supplied| / supplied of the dyes; 0 where none was supplied."""
 
@@ -95,7 +95,7 @@ class Penetration(Described):
     """
 
     frame: int
-    """Whose positions were looked at."""
+    """Frame of the positions that were checked."""
     t: float
     """Simulated time [s]."""
     depth: float
@@ -107,83 +107,83 @@ class Penetration(Described):
     mean: float
     """Mean depth of those inside [m]."""
     seconds: float
-    """Wall time of the look [s]."""
+    """Wall time of the check [s]."""
     crossings: int | None = None
-    """Edges of cloth that pass through triangles of cloth, or of bodies that are met as cloth is, and edges of those
-    through triangles of cloth; None where that was not looked for.
+    """Edges of cloth that pass through triangles of cloth, or of bodies that the scene treats as cloth, and edges of
+    such bodies through triangles of cloth; None if not checked.
     """
     places: list[tuple[float, float, float]] = []
-    """Where the first of them do [m]."""
+    """Positions of the first of these crossings [m]."""
     objects: list[tuple[str, str]] = []
-    """Whose edges these are, and whose triangles."""
+    """Object of the edge and object of the triangle, for each of these crossings."""
     distance: float | None = None
-    """Least distance of an edge of cloth from a triangle of cloth that it shares no vertex with [m], 0 where one passes
-    through; None for more than the thickness, and where it was not looked for.
+    """Least distance of an edge of cloth from a triangle of cloth without a common vertex [m], 0 for a crossing; None
+    if larger than the thickness, or not checked.
     """
 
 
 class BodyContact(Described):
-    """What a body feels of the cloth at the end of a frame, in the world's axes."""
+    """Forces of the cloth on a body at the end of a frame, in the world's axes."""
 
     body: str
-    """Its name."""
+    """Name of the body."""
     force: tuple[float, float, float]
-    """Of all cloth that touches it or is attached to it [N]."""
+    """Force of all cloth that touches the body or is attached to it [N]."""
     torque: tuple[float, float, float]
-    """The same about the origin of the body's first frame [N m]; of one that does not move, of the world."""
+    """Torque of the same cloth about the origin of the body's first frame, of a still body about the world's [N m]."""
     attached: tuple[float, float, float]
-    """The part of the force that cloth which is attached to it pulls with [N]."""
+    """The part of the force from attached cloth [N]."""
     vertices: int
-    """Of the cloth, that touch it."""
+    """Number of cloth vertices that touch the body."""
     area: float | None
-    """Of the cloth around these [m^2]. None: of a net without triangles and cells, which has none."""
+    """Area of the cloth around these vertices [m^2]; None for a net without triangles and cells."""
     pressure: float | None
     """Largest force along the cloth's normal over area, of a vertex [Pa]."""
     mean_pressure: float | None
-    """Of all these vertices together [Pa]."""
+    """Force along the normal over area, of all these vertices together [Pa]."""
 
 
 class Contact(Described):
-    """Simulation, once a frame where the scene's record has `contact_forces`: what bodies feel."""
+    """Simulation, once a frame if the scene records `contact_forces`: the forces of the cloth on bodies."""
 
     frame: int
-    """Whose end it is."""
+    """The forces are those at the end of this frame."""
     t: float
     """Simulated time [s]."""
     bodies: list[BodyContact]
-    """All of the scene, in its order."""
+    """All bodies, in the order of the scene."""
 
 
 class Event(Described):
     """Something that happened to a run: control, resume, an error."""
 
     frame: int
-    """-1 where it belongs to none."""
+    """Frame of the event, -1 for none."""
     t: float
     """Simulated time [s]."""
     service: str
-    """By whom."""
+    """The sender."""
     kind: Literal["control", "start", "resume", "error", "warning", "end"]
-    """What happened."""
+    """Kind of event."""
     text: str
-    """In words."""
+    """Description of the event."""
     args: dict[str, Any] = {}
-    """What a control request asked for; what an error or the end has to say beside its words."""
+    """Arguments of a control request; details of an error or of the end."""
 
 
 class Ack(Described):
     """A service that must see every frame has handled this one."""
 
     service: str
-    """By whom."""
+    """The sender."""
     frame: int
-    """Handled."""
+    """The handled frame."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A kind of message: its name under the run, encoding, whether it is recorded, when it comes, and, of what has no
-    schema of its own, what it holds.
+    """A kind of message: its name under the run, encoding, schema, whether it is recorded, when it is sent, and its
+    content if the schema does not describe it.
     """
 
     name: str
@@ -230,7 +230,7 @@ POSES = Topic(
     "poses", "json", "nuno.BodyPoses", recorded=False,
     when="as whoever moves a body says, each body on `poses/BODY`, without a header",
 )  # fmt: skip
-"""Comes from outside, so that it is none of TOPICS; what bodies make of it is on BODIES."""
+"""Sent from outside, so that it is not in TOPICS; the resulting poses are on BODIES."""
 PENETRATION = Topic("collision/report", "json", "nuno.Penetration")
 CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays", when="at the start", holds="the cells of a cloth that is dyed")
 CONCENTRATION = Topic(
@@ -265,7 +265,7 @@ TOPICS = {
     )
 }  # fmt: skip
 FRAMES = (STATE.name, CONCENTRATION.name)
-"""Topics of which a run has one message a frame, and which services that must see every frame acknowledge."""
+"""Topics with one message a frame, which services that must see every frame acknowledge."""
 STATUSES: dict[str, type[FrameStatus]] = {STATUS.name: Status, DYE_STATUS.name: DyeStatus}
 CHECKPOINTS = (CHECKPOINT.name, DYE_CHECKPOINT.name)
 MODELS: dict[str, type[BaseModel]] = {
@@ -277,4 +277,4 @@ MODELS: dict[str, type[BaseModel]] = {
     "nuno.Event": Event,
     "nuno.Ack": Ack,
 }
-"""Of what is JSON, by the name of its schema."""
+"""Models of the JSON messages, by the name of their schema."""

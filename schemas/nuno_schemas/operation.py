@@ -1,4 +1,4 @@
-"""Operations: plugins that make something new of a fabric and where it is."""
+"""Operations: plugins that make something new from a fabric and its state."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class Beside:
-    """A body beside cloth, at one time.
+    """A body near cloth, at one time.
 
     frames       names of its f frames
-    rotation     (f, 4) unit quaternions w, x, y, z, and translation (f, 3) [m] of them
-    distance     (f, n) of each vertex from the surface of what a frame carries, negative inside; inf where it carries
-                 nothing [m]
+    rotation     (f, 4) unit quaternions w, x, y, z, and translation (f, 3) [m] of the frames
+    distance     (f, n) signed distance of each vertex from the primitives on each frame, negative inside; inf for a
+                 frame without primitives [m]
     """
 
     frames: Annotated[tuple[str, ...], "f"]
@@ -40,9 +40,9 @@ class Beside:
 
 @dataclass(frozen=True)
 class Changed:
-    """A fabric that takes the place of the one it was made of, and its state, while a run goes on.
+    """A fabric that replaces the one it was made from during a run, and its state.
 
-    source (n,) int32: the vertex that each was, -1 for a new one; old vertices keep their order
+    source (n,) int32: index of each vertex in the old fabric, -1 for a new one; old vertices keep their order
     """
 
     fabric: Fabric
@@ -52,7 +52,7 @@ class Changed:
 
 @dataclass(frozen=True)
 class Arranged:
-    """Where a fabric is to start: position (n, 3) [m], and numbers for a report."""
+    """The start of a fabric: position (n, 3) [m], and numbers for a report."""
 
     position: Annotated[Float, "n", 3]
     facts: Mapping[str, float]
@@ -60,11 +60,11 @@ class Arranged:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an operation made.
+    """Result of an operation.
 
-    `facts` are numbers for a report; `curves` yarns as curves, where it makes any, and `arrays` what more
-    there is to say of each of their points, or of the fabric's where it makes no curves; `changed` the fabric
-    itself, by an operation that may be applied in a running simulation.
+    `facts` are numbers for a report; `curves` are yarns as curves, if it makes any; `arrays` are further values
+    per point of the curves, or per vertex of the fabric without curves; `changed` is the new fabric, of an
+    operation that may be applied in a running simulation.
     """
 
     facts: Mapping[str, float]
@@ -74,10 +74,10 @@ class Outcome:
 
 
 class Operation(Plugin, Protocol):
-    """Makes something new of a fabric and where it is."""
+    """Makes something new from a fabric and its state."""
 
     def apply(self, config: Any, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """`skin` are the bodies that are meshes, None where there is none. Changes none of its arguments."""
+        """Apply the operation; `skin` is the surface of all mesh bodies, or None. Changes none of its arguments."""
         ...
 
 
@@ -88,19 +88,19 @@ class Arrangement(Operation, Protocol):
         self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_],
         thickness: float | None, bodies: Surface | None = None,
     ) -> Arranged:  # fmt: skip
-        """Where cloth starts instead of fabric.position; what is pinned stays where it is, to the bit. `objects` are
-        the vertices (k,) of each by name, meet (o, o) says which of them, in that order, meet each other and
-        themselves, `thickness` [m] is that of cloth in contact, None without, and `bodies` are those that it meets as
-        it meets cloth, where they start. Changes none of its arguments.
+        """Return the start of the cloth instead of fabric.position; pinned vertices keep theirs to the bit. `objects`
+        holds the vertices (k,) of each object by name; meet (o, o) is true for objects, in that order, that collide
+        with each other or themselves; `thickness` [m] is that of cloth contact, None without; `bodies` are the bodies
+        that the scene treats as cloth, in their start poses. Changes none of its arguments.
         """
         ...
 
 
 class Alteration(Operation, Protocol):
-    """An operation that changes the fabric, and may be applied while a simulation goes on.
+    """An operation that changes the fabric, and may be applied during a simulation.
 
-    It may have a method `require(config, fabric)`, which raises BadInput for a fabric that it can never change,
-    wherever that moves: a run is then refused before it starts.
+    It may have a method `require(config, fabric)`, which raises BadInput for a fabric that it cannot change in any
+    state: a run is then refused before it starts.
     """
 
     def compile(self) -> None:
@@ -108,22 +108,22 @@ class Alteration(Operation, Protocol):
         ...
 
     def resolve(self, config: Any, files: Files) -> Any:
-        """The configuration with what its files hold in the place of their names. Raises BadInput."""
+        """Return the configuration with the names of files replaced by their content. Raises BadInput."""
         ...
 
 
 class Holding(Alteration, Protocol):
-    """An alteration that is made beside a body: it is applied by `apply_beside`."""
+    """An alteration that depends on a body: it is applied by `apply_beside`."""
 
     def body(self, config: Any) -> str:
-        """Name of the body."""
+        """Return the name of the body."""
         ...
 
     def apply_beside(self, config: Any, fabric: Fabric, state: State, body: Beside) -> Outcome:
-        """As `apply`."""
+        """Apply the operation near the body, as `apply` does without one."""
         ...
 
 
 def arranges(operation: object) -> bool:
-    """Whether an operation is an `Arrangement`."""
+    """Return whether an operation is an `Arrangement`."""
     return hasattr(operation, "arrange")

@@ -1,4 +1,4 @@
-"""What the parts of a scene are made of: names, colours, quantities that several have, and choices of a plugin."""
+"""Building blocks of a scene: names, colours, common quantities, and choices of a plugin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Metres = Annotated[float, quantity("m")]
 
 
 def _written(pattern: str, problem: str) -> Any:
-    """Text of a form: editors learn the pattern, people read the words."""
+    """Return the type of a text that matches a pattern: editors read the pattern, people the problem."""
 
     def check(text: str) -> str:
         if not re.fullmatch(pattern, text):
@@ -27,7 +27,7 @@ def _written(pattern: str, problem: str) -> Any:
 
 
 def _colours(schema: dict[str, Any]) -> None:
-    """What editors learn of a colour: the form in numbers, and names to choose from."""
+    """Describe a colour in a JSON Schema: the notation in numbers, and the names to choose from."""
     del schema["type"]
     schema["anyOf"] = [{"type": "string", "pattern": f"^{HEX}$"}, {"type": "string", "enum": sorted(names())}]
 
@@ -60,7 +60,7 @@ class Part(BaseModel):
 
 
 class Choice(BaseModel):
-    """A plugin and its configuration; the fields beside `plugin` are the plugin's own."""
+    """A plugin and its configuration; all fields but `plugin` are the plugin's own."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     plugin: str = Field(description="its name; nuno plugins lists what is installed")
@@ -71,11 +71,11 @@ class Choice(BaseModel):
 
 
 def require_distinct(parts: list[Any]) -> list[Any]:
-    """Refuse a list of parts two of which have the same name."""
+    """Refuse a list with two parts of the same name."""
     first: dict[str, int] = {}
     for i, part in enumerate(parts):
         if first.setdefault(part.name, i) != i:
-            # pydantic places an error of a list at the list; `inside` says where in it.
+            # pydantic places an error of a list at the list; `inside` is the place within it.
             problem = "the name '{name}' is used twice; rename one of them"
             raise PydanticCustomError("same_name", problem, {"name": part.name, "inside": (i, "name")})
     return parts

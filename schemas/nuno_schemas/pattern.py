@@ -1,4 +1,4 @@
-"""What is found of a sewing pattern before anything is simulated."""
+"""Results of checking a sewing pattern before any simulation."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Remark:
-    """Something about a pattern that its maker should know.
+    """A remark on a pattern for its maker.
 
-    kind     in two or three words, the same for all of a kind
-    wrong    whether it cannot be sewn so
+    kind     kind of remark, two or three words
+    wrong    whether it makes the pattern impossible to sew
     where    panels and edges, as `front[3]`
-    text     in words, with measures in cm
-    line     in the file, where it is known; field: the path of what stands there
+    text     explanation, with measures in cm
+    line     line of the file, if known; field: the path of the field there
     """
 
     kind: str
@@ -27,7 +27,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class PanelSize:
-    """A panel as it is cut: edges, of which some are sewn; area [m^2], width and height [m]."""
+    """A cut panel: number of edges and of sewn edges, area [m^2], width and height [m]."""
 
     name: str
     edges: int
@@ -39,7 +39,7 @@ class PanelSize:
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole of the garment that is not sewn shut, as its hem: edges, as `front[3]`, in order, and their length [m]."""
+    """An opening of the garment, such as its hem: edges, as `front[3]`, in order, and their total length [m]."""
 
     edges: tuple[str, ...]
     length: float
@@ -47,8 +47,8 @@ class Opening:
 
 @dataclass(frozen=True)
 class Checked:
-    """A pattern: its panels, seams by number and length in all [m], openings, what is to be said of it, and the height
-    up to which panels are placed [m], 0 of none.
+    """A checked pattern: panels, number and total length of seams [m], openings, remarks, and the height up to which
+    panels are placed [m], 0 without placement.
     """
 
     panels: tuple[PanelSize, ...]

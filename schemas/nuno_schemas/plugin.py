@@ -50,7 +50,7 @@ class Config(Part):
 
 
 class Plugin(Protocol):
-    """What every plugin has: its entry point's name, and what a scene may say of it."""
+    """What every plugin has: the name of its entry point, and the model of its configuration in a scene."""
 
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
@@ -60,12 +60,12 @@ class Files(Protocol):
     """Opens files that a scene names, inside the folders the user allows."""
 
     def resolve(self, name: str) -> Path:
-        """The path of an existing file. Raises BadInput for one outside the roots or missing."""
+        """Return the path of an existing file. Raises BadInput for a file that is missing or outside the roots."""
         ...
 
     def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
-        """The fields of an existing YAML or JSON file, with their lines. Raises BadInput by line for what the model
-        `kind` does not take.
+        """Read an existing YAML or JSON file into the model `kind`, with the line of each field. Raises BadInput with
+        the line of a field that the model refuses.
         """
         ...
 
@@ -76,30 +76,30 @@ class Model(Plugin, Protocol):
     def build(self, config: Any, files: Files, seed: int) -> Fabric: ...
 
     def count(self, config: Any, files: Files) -> int:
-        """Vertices it will have, found without building it."""
+        """Return the number of vertices of the fabric, without building it."""
         ...
 
 
 class Drawn(Model, Protocol):
-    """A model that can be drawn over a body: it is then built with the body's mesh, where that is at the start."""
+    """A model that can be drawn over a body: it is then built from the body's mesh in its pose at the start."""
 
     def over(self, config: Any) -> str | None:
-        """Name of the body; None for one that is built by itself."""
+        """Return the name of the body, or None for a fabric that is built without one."""
         ...
 
     def build_over(
         self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32], worn: Sequence[Fabric] = ()
     ) -> Fabric:
-        """Built over a closed mesh: vertices (v, 3) [m] in the world, triangles (f, 3).
+        """Build the fabric over a closed mesh: vertices (v, 3) [m] in the world, triangles (f, 3).
 
-        worn  cloth of triangles that was drawn over the same body before, the innermost first, where it starts
+        worn  cloth of triangles that is already on the same body, innermost first, in its start position
         """
         ...
 
 
 @dataclass(frozen=True)
 class Rested:
-    """What an object has come to rest as: how it was configured, and where its vertices (n, 3) began and lie [m]."""
+    """An object at rest: its configuration, and its vertices (n, 3) at the start and at rest [m]."""
 
     config: Any
     start: Float
@@ -107,28 +107,26 @@ class Rested:
 
 
 class Refined(Drawn, Protocol):
-    """A drawn model that can come to rest on fewer vertices first, as `coarse` of its Config says, and goes on from
-    there.
-    """
+    """A drawn model that can settle on a coarser mesh first, as `coarse` of its Config says, and go on from there."""
 
     def coarser(self, config: Any) -> Any:
-        """How it is configured to have fewer vertices; None for one that is built at once."""
+        """Return the configuration of the coarser mesh, or None if the model is built at once."""
         ...
 
     def build_over(
         self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32], worn: Sequence[Fabric] = (),
         rested: Rested | None = None,
     ) -> Fabric:  # fmt: skip
-        """The same, where what has `rested` lies."""
+        """Build the fabric in the place of its coarser mesh, `rested`."""
         ...
 
 
 class Force(Plugin, Protocol):
     """A force on the cloth.
 
-    One that knows no vertex by a number of its own, from its configuration or a file, says `any_numbering = True`, and
-    so may contacts: large cloth whose vertices stand in no order is then handed to it, and stepped, in a better one,
-    in which `Fabric.told` gives the user's number of a vertex. One that does not say so has the user's order.
+    A force whose configuration and files refer to no vertex by number declares `any_numbering = True`, and so may a
+    contact: large cloth with vertices in random order is then renumbered for speed before the force is prepared, and
+    `Fabric.told` returns the user's number of a vertex. Without the declaration, vertices keep the user's order.
     """
 
     def prepare(self, config: Any, fabric: Fabric, seed: int) -> Term: ...
@@ -138,22 +136,24 @@ class Contact(Plugin, Protocol):
     """Forces between cloth and bodies."""
 
     def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
-        """The term of the bodies that have this contact, so configured: those of `geometry`, on the frames of all."""
+        """Return the term of the bodies with this contact and configuration: `geometry` holds these bodies, and the
+        frames of all bodies.
+        """
         ...
 
 
 class ClothContact(Plugin, Protocol):
-    """What cloth does to cloth. Its Config has a `thickness` [m], from which on cloth keeps off cloth: up to there the
-    collision service measures how near it comes.
+    """Contact between cloth and cloth. Its Config has a `thickness` [m], the distance that cloth keeps from cloth: the
+    collision service measures distances up to it.
     """
 
     def prepare(
         self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float,
         bodies: Geometry | None = None, poses: Poses | None = None,
     ) -> Term:  # fmt: skip
-        """The term of all cloth, which has faces; `objects` are the vertices (k,) of each by name, and meet (o, o) says
-        which of them, in that order, meet each other and themselves. The bodies, on the frames of all, are those that
-        the scene wants to be met as cloth is, and poses where they are at the start; not given where it names none.
+        """Return the term of all cloth, which has faces. `objects` holds the vertices (k,) of each object by name; meet
+        (o, o) is true for objects, in that order, that collide with each other or themselves. `bodies` are those that
+        the scene treats as cloth, with the frames of all bodies, and `poses` their start; None if it names none.
         """
         ...
 
@@ -161,17 +161,17 @@ class ClothContact(Plugin, Protocol):
 class Integrator(Plugin, Protocol):
     """Advances a system's state by whole steps over one frame.
 
-    States, and all values of vertices that it gives, are in the order of the system's fabric, which may be renumbered
-    (see Force): its messages call a vertex by `Fabric.told`.
+    States, and all values per vertex that it returns, are in the order of the system's fabric, which may be renumbered
+    (as Force explains): its messages name a vertex by `Fabric.told`.
     """
 
     order: ClassVar[int]
     explicit: ClassVar[bool]
     adaptive: ClassVar[bool]
-    """Whether it chooses its own steps: `dt` is then the largest it may take."""
+    """Whether it chooses its own steps: `dt` is then the largest step allowed."""
 
     def prepare(self, config: Any, system: System, state: State, without: Sequence[str] = ()) -> Memory:
-        """Memory for this system, in which the terms of the names in `without` do nothing; compiles nothing before the
+        """Return memory for this system without the effect of the terms named in `without`. Nothing compiles before the
         first `advance` or `limit`.
         """
         ...
@@ -184,50 +184,50 @@ class Integrator(Plugin, Protocol):
         """Advance `state` in place by `steps` steps of `dt` [s].
 
         `poses` are the frames' poses at the start and at the end of the interval, or None
-        where nothing moves and no body exists. No steps at all only measure the state.
+        if there is no body. With `steps` = 0 the state is only measured.
         """
         ...
 
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
-        """Wall time by part [s] of one step, or of one evaluation of the forces where a method counts those, measured
-        here and now on `state`: "springs", "hinges", "wind", "contact", "python" as far as the system has them.
+        """Measure the wall time by part [s] of one step on `state`, or of one evaluation of the forces for methods that
+        count evaluations: "springs", "hinges", "wind", "contact", "python", as far as the system has them.
 
-        Without those of `making_lists`. Changes neither state nor memory; poses as in `advance`. Meant for the end of a
-        run: a run's own steps are not slowed down by it.
+        The terms of `making_lists` are left out. Changes neither state nor memory; poses as in `advance`. Called at the
+        end of a run, so that it does not slow down the run's own steps.
         """
         ...
 
     def making_lists(self, memory: Memory) -> tuple[str, ...]:
-        """Names of the terms that make lists now and then, so that only real steps tell what they cost."""
+        """Return the names of the terms that rebuild lists only in some steps: only real steps show their cost."""
         ...
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
-        """(n,) how far each vertex is from rest: the force that surfaces and friction leave on it, and what its
-        velocity will turn into, as a share of the springs' mean tension. 0 for vertices that are held, inf for all
-        others of cloth without springs. Changes neither state nor memory; poses as in `advance`.
+        """Return how far each vertex is from rest, shape (n,): the force that surfaces and friction do not balance, and
+        that which its velocity will become, over the springs' mean tension. 0 for held vertices, inf for all others of
+        cloth without springs. Changes neither state nor memory; poses as in `advance`.
         """
         ...
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
-        """What acts in a state, by kind of force, with bodies as at the start of the interval of `poses`, and as fast:
-        what an explicit method's next step begins with. Changes neither state nor memory.
+        """Return the forces in a state by kind, with the bodies' poses and velocities at the start of the interval of
+        `poses`: an explicit method's next step begins with them. Changes neither state nor memory.
         """
         ...
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
-        """What each body does to the cloth in a state, with bodies as at the end of the interval of `poses`, and as
-        fast. Changes neither state nor memory.
+        """Return the forces of each body on the cloth in a state, with the bodies' poses and velocities at the end of
+        the interval of `poses`. Changes neither state nor memory.
         """
         ...
 
     def about(self, system: System) -> str:
-        """How its kernels run this system, in words for the report: threads, and why."""
+        """Describe for the report how the kernels run this system: the number of threads, and why."""
         ...
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        """Return the matrix (2, 2) of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         ...
 
 
@@ -246,15 +246,15 @@ class BodyShape:
     owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
     fields: tuple[DistanceField, ...] = ()
     notes: tuple[str, ...] = ()
-    """What the user should know of it, in words: where a mesh is open."""
+    """Remarks for the user, such as where a mesh is open."""
     skins: tuple[Skin, ...] = ()
     pose: Callable[[float], tuple[Float, Float]] | None = None
-    """As that of Mover, where the frames are not where the motion has them; None: they are."""
+    """As `Mover.pose`, if the frames differ from the motion's joints; None if they are the same."""
 
 
 class Motion(Plugin, Protocol):
-    """Moves frames over time. One whose mover is live also says whether its frames wait for the clock, by a method
-    paced(config) -> bool.
+    """Moves frames over time. A motion with a live mover also has a method paced(config) -> bool: whether its frames
+    wait for the clock.
     """
 
     def prepare(self, config: Any, files: Files) -> Mover: ...
@@ -266,7 +266,7 @@ class Mover:
 
     `joints` and `parents` describe a skeleton at rest: names, (j,) parent index or -1, and
     `offsets` (j, 3) [m] from the parent. A motion without skeleton has one joint.
-    `pose(t)` gives rotation (j, 4) and translation (j, 3) of every joint in the world.
+    `pose(t)` returns rotation (j, 4) and translation (j, 3) of every joint in the world.
     """
 
     joints: Annotated[tuple[str, ...], "j"]
@@ -274,23 +274,23 @@ class Mover:
     offsets: Annotated[Float, "j", 3]
     pose: Callable[[float], tuple[Float, Float]]
     live: Live | None = None
-    """Of joints that are told where to be while the run goes on; `pose` is then its own."""
+    """Joints that are steered from outside during the run; `pose` is then `live.pose`."""
     notes: tuple[str, ...] = ()
-    """What the user should know of it, in words."""
+    """Remarks for the user."""
 
 
 class Collider(Plugin, Protocol):
     """A shape on the frames of a motion."""
 
     def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
-        """Primitives; without a mover there is one frame, the world."""
+        """Return the primitives and frames; without a mover the only frame is the world."""
         ...
 
 
 @runtime_checkable
 class Landmarked(Protocol):
-    """A collider that knows places of its shape by name."""
+    """A collider with named landmarks on its shape."""
 
     def heights(self, config: Any) -> Mapping[str, float]:
-        """Heights of these places in the joint's frame [m]; none where the shape does not stand upright."""
+        """Return the heights of the landmarks in the joint's frame [m]; empty if the shape does not stand upright."""
         ...

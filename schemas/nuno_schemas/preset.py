@@ -1,4 +1,4 @@
-"""Fabrics and yarns that a scene can name, with what their sources say and virtual tests find."""
+"""Presets of fabrics and yarns, with the values of their sources and of virtual tests."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 class Measure:
     """One property of a fabric or a yarn.
 
-    unit      of all its values, as a scene may write it; "" for a ratio
-    given     what the source says, None where it says nothing
-    measured  what virtual tests find on a mesh, by the test's name
+    unit      unit of all values, as in a scene; "" for a ratio
+    given     value of the source, or None
+    measured  results of virtual tests on a mesh, by the test's name
     """
 
     name: str
@@ -23,9 +23,9 @@ class Measure:
 
 @dataclass(frozen=True)
 class Preset:
-    """A fabric or a yarn that a scene can name. A model that knows some lists them by `presets()` and by `yarns()`.
+    """A preset of a fabric or a yarn. A model with presets lists them by `presets()` and by `yarns()`.
 
-    how  of each value, also of those that `measures` leaves out: `measured`, by the source, or `derived` or `assumed`
+    how  origin of each value, also of values not in `measures`: `measured`, by the source, or `derived` or `assumed`
          with a colon and the reason
     """
 
@@ -37,14 +37,14 @@ class Preset:
 
 @dataclass(frozen=True)
 class Imported:
-    """A fabric from a laboratory's sheet, of a model that reads some by `import_fabric(given, like, folder)`.
+    """A fabric from a laboratory's data sheet, as a model returns it from `import_fabric(given, like, folder)`.
 
     fabric    values in SI by their names in a scene's `fabric`
-    units     of all values
-    how       of each value, also of those that `fabric` leaves to it: `measured`, `derived` or `assumed` and the reason
-    unused    values of the sheet that nothing here is made of
-    measured  what virtual tests find of each on a mesh, where there is a test
-    drape     what was measured of its drape, for virtual ones to be held against: nothing is made of it
+    units     units of all values
+    how       origin of each value, also of values not in `fabric`: `measured`, `derived` or `assumed` and the reason
+    unused    values of the sheet without a use here
+    measured  results of virtual tests on a mesh, for values with a test
+    drape     measured drape, only for comparison with virtual drapes
     """
 
     fabric: Mapping[str, float]

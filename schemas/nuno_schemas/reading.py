@@ -1,4 +1,4 @@
-"""Files that other programs wrote."""
+"""Reading of files from other programs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ _COMMA = re.compile(r"(?<![^\s'\"])[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![^\s'\"])")
 
 
 def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int) -> Found:
-    """What a reader finds in a file. Raises BadInput for one that is larger than so many bytes, or cannot be read."""
+    """Return the result of `read` for a file's bytes. Raises BadInput for an unreadable file, or one of more than
+    `largest` bytes.
+    """
     size = path.stat().st_size
     if size > largest:
         raise BadInput(f"too large for {kind}", str(path), field="file", value=size, limit=f"{largest} bytes")
@@ -28,14 +30,14 @@ def read_as(path: Path, kind: str, read: Callable[[bytes], Found], largest: int)
         raise replace(error, file=str(path)) from None
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, struct.error) as error:
         line = None
-        if comma := _COMMA.search(str(error)):  # it stands outside of comments
-            found = re.search(rb"(?m)^(?!\s*comment).*?(?<!\S)%b(?!\S)" % re.escape(comma[0].encode()), data)
-            line = data.count(b"\n", 0, found.end()) + 1 if found else None
+        if comma := _COMMA.search(str(error)):  # the number is not in a comment
+            match = re.search(rb"(?m)^(?!\s*comment).*?(?<!\S)%b(?!\S)" % re.escape(comma[0].encode()), data)
+            line = data.count(b"\n", 0, match.end()) + 1 if match else None
         remedy = with_point(str(error)) or f"is it cut off, or not {kind}? Export it anew from where it comes from"
         raise BadInput(f"cannot be read as {kind}: {error}", str(path), line, "file", remedy=remedy) from None
 
 
 def with_point(words: str) -> str | None:
-    """A remedy for the first number with a decimal comma among words, such as those of an error; None without one."""
+    """Return a remedy for the first number with a decimal comma in a text, such as an error's; None without one."""
     comma = _COMMA.search(words)
     return f"{decimal_point(comma[0])}: numbers have a decimal point" if comma else None

@@ -1,4 +1,4 @@
-"""A scene: what to simulate, written in YAML, validated before anything starts. SI inside."""
+"""A scene: the description of a simulation, written in YAML, validated before anything starts. SI inside."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Object(Part):
 
 
 class Body(Part):
-    """Something the cloth meets."""
+    """Something that the cloth collides with."""
 
     name: Name = Field(description="of the body; no other has it")
     collider: Choice = Field(description="its shape: a plugin and its fields")
@@ -51,7 +51,7 @@ class Body(Part):
 
 
 class Applied(Choice):
-    """An operation that changes a piece of cloth while the scene goes on, or arranges all of it before."""
+    """An operation that changes a piece of cloth during the scene, or arranges all cloth before its start."""
 
     at: Moment = Field(default=0.0, description="when [s]; the frame nearest to it is the last without")
     object: Name | None = Field(
@@ -60,7 +60,7 @@ class Applied(Choice):
 
 
 class ClothContact(Choice):
-    """What cloth does to cloth; `cloth_contact: NAME` is short for `cloth_contact: {plugin: NAME}`."""
+    """Contact between cloth and cloth; `cloth_contact: NAME` is short for `cloth_contact: {plugin: NAME}`."""
 
     allow: list[tuple[Name, Name]] = Field(
         default_factory=list, description="objects that may pass through each other, in pairs; one through itself, too"
@@ -81,14 +81,14 @@ class ClothContact(Choice):
 CHECKPOINT_FRAMES = 60
 """Frames from one checkpoint to the next, unless the scene says otherwise.
 
-A checkpoint of cloth has 76 bytes a vertex, and a frame 12: these add about a tenth to a recording, and a run that is
-killed loses at most so many frames. Their times are the scene's, not the clock's, so that cloth and its dye keep the
+A checkpoint of cloth has 76 bytes a vertex, and a frame 12: checkpoints add about a tenth to a recording, and a killed
+run loses at most this many frames. They are taken by scene time, not by the clock, so that cloth and its dye have the
 same ones, and equal runs make equal recordings.
 """
 
 
 class Record(Part):
-    """What goes into the recording."""
+    """The content of the recording."""
 
     checkpoint_every: Interval | None = Field(
         default=None,
@@ -106,7 +106,7 @@ class Record(Part):
 
 
 MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "rest_speed", "cloth_contact")
-"""Fields of a scene of moving cloth, which a scene of dye alone has not."""
+"""Fields of scenes with moving cloth, which a scene of dye alone must not set."""
 
 
 class Fading(Part):
@@ -117,7 +117,7 @@ class Fading(Part):
     last: Damping = Field(default=0.0, description="what it fades to [1/s]")
 
     def mean(self, start: float, end: float) -> float:
-        """Its mean from `start` to `end` [s]. A rational law has the same bits on every machine, an exponential not."""
+        """Return the mean from `start` to `end` [s]. A rational law, unlike exp, has the same bits on every machine."""
         return self.last + (self.first - self.last) / ((1.0 + start / self.over) * (1.0 + end / self.over))
 
 
@@ -211,16 +211,16 @@ class Scene(Part):
         return self
 
     def _check_met(self, names: list[str]) -> None:
-        """That bodies which cloth meets as it meets cloth are there, each once, and without a contact of their own."""
-        known = {body.name: body for body in self.bodies}
+        """Check that bodies in `cloth_contact` exist, are listed once, and have no contact of their own."""
+        bodies = {body.name: body for body in self.bodies}
         for i, name in enumerate(names):
             place = ("cloth_contact", "bodies", i)
-            if name not in known:
-                context = {"known": nearest(name, list(known)), "inside": place}
+            if name not in bodies:
+                context = {"known": nearest(name, list(bodies)), "inside": place}
                 raise PydanticCustomError("no_body", "no body has this name; {known}", context)
             if name in names[:i]:
                 raise PydanticCustomError("same_body", "this body is named twice", {"inside": place})
-            if known[name].contact is not None:
+            if bodies[name].contact is not None:
                 problem = "this body has a contact of its own; leave that out, or the body out here"
                 raise PydanticCustomError("two_contacts", problem, {"inside": place})
 
@@ -268,42 +268,42 @@ class Scene(Part):
 
     @property
     def moves(self) -> bool:
-        """Whether there is cloth to simulate: in every scene but one of dye alone."""
+        """Whether the scene has moving cloth: all scenes do, except those of dye alone."""
         return self.dye is None or self.dye.object is not None
 
     @property
     def meets(self) -> bool:
-        """Whether cloth meets cloth."""
+        """Whether cloth collides with cloth."""
         return self.moves and self.cloth_contact != "none"
 
     def meet(self) -> NDArray[np.bool_]:
-        """(o, o) which objects meet each other, and themselves."""
+        """Return which objects collide with each other and with themselves, shape (o, o)."""
         names = [part.name for part in self.objects]
-        found = np.full((len(names), len(names)), self.meets)
+        collide = np.full((len(names), len(names)), self.meets)
         for one, other in self.cloth_contact.allow if isinstance(self.cloth_contact, ClothContact) else ():
             a, b = names.index(one), names.index(other)
-            found[a, b] = found[b, a] = False
-        return found
+            collide[a, b] = collide[b, a] = False
+        return collide
 
     @property
     def met_bodies(self) -> list[int]:
-        """Numbers of the bodies that cloth meets as it meets cloth."""
+        """Numbers of the bodies that the cloth contact treats as cloth."""
         names = self.cloth_contact.bodies if self.meets and isinstance(self.cloth_contact, ClothContact) else ()
         return [i for i, body in enumerate(self.bodies) if body.name in names]
 
     @property
     def step_undecided(self) -> bool:
-        """Whether the solver of moving cloth, or its step, is still to be chosen."""
+        """Whether the solver of moving cloth, or its step, has yet to be chosen."""
         return self.moves and (self.solver.plugin == AUTO or self.accuracy is not None)
 
     @property
     def undecided(self) -> bool:
-        """Whether a solver or its step is still to be chosen."""
+        """Whether any solver or its step has yet to be chosen."""
         return self.step_undecided or (self.dye is not None and self.dye.solver.plugin == AUTO)
 
     @property
     def frames(self) -> int:
-        """Whole frames in the duration, at least one."""
+        """Number of whole frames in the duration, at least one."""
         return self.in_frames(self.duration)
 
     @property
@@ -313,5 +313,5 @@ class Scene(Part):
         return CHECKPOINT_FRAMES if every is None else self.in_frames(every)
 
     def in_frames(self, seconds: float) -> int:
-        """The whole number of frames, at least one, that is taken for a time [s]."""
+        """Return a time [s] as a whole number of frames, at least one."""
         return max(1, round(float(seconds * self.frame_rate)))

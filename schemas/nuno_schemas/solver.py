@@ -1,4 +1,4 @@
-"""The solver of a scene's cloth or dye, and the step that it takes."""
+"""The solver of a scene's cloth or dye, and its step."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pydantic_core import PydanticCustomError
 from nuno_schemas.parts import Choice, Interval
 
 AUTO = "auto"
-"""The solver that is chosen for the scene, with its step."""
+"""Name of the choice that leaves solver and step to nuno."""
 
 Accuracy = Literal["preview", "normal", "reference"]
 
 
 class Solver(Choice):
-    """What steps the cloth, or spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
+    """The solver of the cloth or the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
     dt: Interval | Literal["auto"] = Field(
         default="auto",
@@ -31,9 +31,9 @@ class Solver(Choice):
 
     @model_validator(mode="after")
     def _auto_alone(self) -> Solver:
-        given = [*self.config, *(name for name in self.model_fields_set if name != "plugin")]
-        beside = next((name for name in given if getattr(self, name) != "auto"), None)
-        if self.plugin == AUTO and beside is not None:
+        names = [*self.config, *(name for name in self.model_fields_set if name != "plugin")]
+        extra = next((name for name in names if getattr(self, name) != "auto"), None)
+        if self.plugin == AUTO and extra is not None:
             problem = "auto chooses this as well; leave it out, or name a solver"
-            raise PydanticCustomError("beside_auto", problem, {"inside": (beside,)})
+            raise PydanticCustomError("beside_auto", problem, {"inside": (extra,)})
         return self

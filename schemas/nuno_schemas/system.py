@@ -1,4 +1,4 @@
-"""What acts on a fabric, and what a solver says of its steps."""
+"""The forces on a fabric, and a solver's reports of its steps."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ class Term:
 
     `data` is a tuple of typed terms, each a NamedTuple of arrays whose type has compiled kernels
     (nuno_kernels.terms): they are fused into the compiled step. Or it is a function f(x, v, t, out) in plain
-    Python, which adds newtons to `out` (n, 3) and is called at every evaluation, with x and v (n, 3) that are its own.
+    Python, called at every evaluation with copies of x and v (n, 3), which adds its forces [N] to `out` (n, 3).
     """
 
     name: str
     data: tuple[Any, ...] | Callable[[Float, Float, float, Float], None]
     omega_squared: Annotated[float, Bounds(0.0)] = 0.0
-    """Most this term can add to the squared angular frequency [1/s^2] where it is not active
+    """Most this term can add to the squared angular frequency [1/s^2] if it is not active
     at the start (contact); terms active at the start leave 0 and are measured."""
     damping_rate: Annotated[float, Bounds(0.0)] = 0.0
-    """Most this term can add to the damping rate c/m [1/s] where it is not active at the start."""
+    """Most this term can add to the damping rate c/m [1/s] if it is not active at the start."""
     facts: Mapping[str, float] = field(default_factory=dict)
-    """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
-    than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
+    """Numbers for the report: of contact its depth at rest, m g / k ("rest_depth", [m]), and by how much the speed of a
+    vertex that starts to slide exceeds that by Coulomb's law ("slip_speed", [m/s])."""
     bodies: tuple[str, ...] = ()
-    """Names of those that it is contact with, by the numbers that they have in it."""
+    """Names of the bodies of a contact, by their numbers in the term."""
 
     @property
     def in_python(self) -> bool:
-        """Whether it is called from Python at every evaluation."""
+        """Whether it is a Python function, called at every evaluation."""
         return callable(self.data)
 
 
 @dataclass(frozen=True)
 class Carried:
-    """Pinned vertices (b,) that move rigidly with frames of bodies: where each is in its frame, local (b, 3) [m], and
-    the frame's number, frame (b,). Or with a skin, which has b vertices: local is where each is as that is bound, and
-    frame (b,) the first of its frames.
+    """Pinned vertices (b,) that move rigidly with frames of bodies: their positions in the frames, local (b, 3) [m],
+    and the frames' numbers, frame (b,). Or vertices that move with a skin of b vertices: local is then their positions
+    in the bind pose, and frame (b,) the first frame of the skin.
     """
 
     vertices: NDArray[Any]
@@ -70,16 +70,16 @@ class System:
     """Most threads a kernel may use; the result is the same to the last bit."""
     carried: tuple[Carried, ...] = ()
     leave: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64), compare=False)
-    """(1,) Not 0: steps are to be left at once, wherever they are. Another thread may write it at any time."""
+    """(1,) Not 0: the solver must abandon its steps at once. Another thread may write it at any time."""
 
 
 @dataclass(frozen=True)
 class StepLimit:
-    """How far a step may go.
+    """Limits of a stable step.
 
-    dt [s], inf where nothing limits it; omega [1/s] largest angular frequency;
-    damping [1/s] largest rate of velocity damping; resolved [s] up to which a method that solves
-    its steps only in part reaches the accuracy that it is configured for, inf for any other.
+    dt [s] largest step, inf without a limit; omega [1/s] largest angular frequency;
+    damping [1/s] largest rate of velocity damping; resolved [s] largest step at which a method that solves
+    its steps only in part reaches its configured accuracy, inf for other methods.
     """
 
     dt: Annotated[float, Bounds(above=0.0, finite=False)]
@@ -90,48 +90,48 @@ class StepLimit:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What an integrator did in a frame."""
+    """An integrator's report of a frame."""
 
     status: Literal["ok", "diverged", "unconverged", "left"]
-    """left: System.leave was written, and the state is as it was before; memory is not to be used again"""
+    """left: System.leave was written; the state is unchanged, and memory must not be used again"""
     steps: Annotated[int, Bounds(0)]
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""
+    """Wall time per part [s], e.g. {"forces": .., "contact": ..}, if measured separately."""
     counts: Mapping[str, int] = field(default_factory=dict)
-    """The state at the end: skipped zero-length springs, contacts."""
+    """Counts of the state at the end: skipped zero-length springs, contacts."""
     energy: Mapping[str, float] = field(default_factory=dict)
     """Energy at the end by kind [J]: kinetic, gravitational, springs, hinges."""
     stretch: float = 0.0
     """Largest |d| / rest - 1 over the springs at the end."""
     totals: Mapping[str, int] = field(default_factory=dict)
-    """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
+    """Counts that add up over a run: rejected steps, evaluations, iterations of a solver."""
     unbalance: float = math.inf
-    """How far the vertex farthest from rest is from it, of a scene until balance; see Integrator.unbalance."""
+    """Largest `Integrator.unbalance` of a vertex, in a scene until balance."""
     unsettled: int = 0
-    """Vertices farther from rest than a scene until balance allows."""
+    """Number of vertices farther from rest than a scene until balance allows."""
 
 
 @dataclass(frozen=True)
 class Touched:
-    """What bodies do to a fabric in one state, and all that acts on it, both in newtons."""
+    """Forces of bodies on a fabric in one state, and its total forces, both in newtons."""
 
     by: Mapping[str, Float]
-    """(n, 3) of each body's contact, by its name; as in `Forces`"""
+    """(n, 3) contact force of each body, by its name; as in `Forces`"""
     total: Float
-    """(n, 3) of everything; on vertices that are carried along it is what they pull at what carries them"""
+    """(n, 3) sum of all forces; for carried vertices, the force with which they pull at their carrier"""
 
 
 @dataclass(frozen=True)
 class Forces:
-    """What acts on a fabric in one state, by the laws of its scene, whatever the solver makes of them in a step."""
+    """Forces on a fabric in one state, by the laws of its scene, however the solver treats them in a step."""
 
     parts: Mapping[str, Float]
-    """(n, 3) [N] by kind, as far as there is any: gravity, damping (of the scene), springs (with their own damping),
-    hinges, yarns (tension that passes along them), wind, particle_wind, python, contact. All act on vertices that are
-    held or carried, too, which do not follow them. Sliding contact is no law of force: what it says is what surfaces
-    and friction hold against the other forces, as on a vertex at rest."""
+    """(n, 3) [N] by kind, only those present: gravity, damping (of the scene), springs (with their own damping),
+    hinges, yarns (tension passed along them), wind, particle_wind, python, contact. All also act on held or carried
+    vertices, which do not follow them. Sliding contact is not a law of force: its value is the reaction of surfaces
+    and friction to the other forces, as on a vertex at rest."""
     acceleration: Float
-    """(n, 3) [m/s^2] the sum of all over the mass; 0 for vertices that are held or carried"""
+    """(n, 3) [m/s^2] sum of all forces over the mass; 0 for held or carried vertices"""
     tension: Float
-    """(s,) [N] along each spring, with what it takes over along its yarn, without damping; > 0 pulls"""
+    """(s,) [N] along each spring, including tension passed along its yarn, without damping; > 0 pulls"""

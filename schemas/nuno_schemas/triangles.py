@@ -1,4 +1,4 @@
-"""What triangles of a measured fabric have, whatever the mesh: a membrane, bending and friction of what bends."""
+"""Elasticity of triangle meshes of a measured fabric, independent of the mesh: membrane, bending, bending friction."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Membrane:
     across   (t, 2)        a, b of F_f [1/m]
     area     (t,)          A, at rest [m^2]
     moduli   (4, t)        C_w, C_f, C_wf and G [N/m]; C_wf^2 <= C_w C_f
-    damping  (3, t)        of the rates of e_w, e_f and g [N s/m]
+    damping  (3, t)        damping of e_w, e_f and g [N s/m]
     """
 
     faces: Annotated[NDArray[np.int32], "t", 3, Bounds(0, below="n")]
@@ -41,22 +41,22 @@ class Membrane:
         return int(self.faces.shape[0])
 
     def shares(self) -> Float:
-        """(2, t, 3) how far F_w and F_f move with each corner [1/m]."""
+        """Return the derivatives of F_w and F_f by each corner, shape (2, t, 3) [1/m]."""
         yarns = np.stack([self.along, self.across])
         return np.concatenate([-yarns.sum(axis=2, keepdims=True), yarns], axis=2)
 
     def stiffness(self) -> Float:
-        """(t, 3) how stiffly each corner is held by its triangle alone, at most [N/m]."""
+        """Return the largest stiffness of each corner within its triangle alone, shape (t, 3) [N/m]."""
         (warp, weft), (c_w, c_f, _, g) = np.square(self.shares()), self.moduli[..., None]
         return np.asarray(self.area[:, None] * ((c_w + g) * warp + (c_f + g) * weft))
 
     def sides(self) -> Float:
-        """(t, 3) lengths at rest of x0 x1, x1 x2 and x2 x0 [m]."""
+        """Return the rest lengths of x0 x1, x1 x2 and x2 x0, shape (t, 3) [m]."""
         first, second = np.linalg.inv(np.stack([self.along, self.across], axis=2)).transpose(2, 0, 1)
         return np.asarray(np.linalg.norm(np.stack([first, second - first, second], axis=1), axis=2))
 
     def edges(self) -> tuple[Int, Float]:
-        """(e, 2) vertices of every side, each once, and (e,) its length at rest [m]."""
+        """Return the vertices (e, 2) of every edge, each once, and its rest length (e,) [m]."""
         ends = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
         pairs, first = np.unique(ends, axis=0, return_index=True)
         return pairs, self.sides().reshape(-1)[first]
@@ -67,8 +67,7 @@ class Bending:
     """Bending as a quadratic form of the positions: energy sum of weight |x_j - x_i|^2 / 2 over pairs.
 
     pairs    (p, 2) int32  vertices i < j, each pair once
-    weight   (p,)          [N/m], of either sign; the form is never negative, and 0 for what is moved, turned, strained
-                           and sheared the same everywhere
+    weight   (p,)          [N/m], of either sign; the form is never negative, and 0 for every affine motion
     """
 
     pairs: Annotated[NDArray[np.int32], "p", 2, Bounds(0, below="n")]
@@ -81,14 +80,14 @@ class Bending:
 
 @dataclass(frozen=True)
 class BendingFriction:
-    """Friction that bending has to overcome, in patches of vertices; see nuno_kernels.forces.bending_friction.
+    """Internal friction against bending, in patches of vertices; nuno_kernels.forces.bending_friction computes it.
 
-    vertices (b, k) int32  patches, each filled up by its first vertex
-    shares   (b, 5, k)     how the tangents along warp and weft [1/m], and the second derivatives along warp, weft and
-                           between them [1/m^2], move with each vertex; rows sum to 0
-    area     (b,)          [m^2]
-    limit    (2, b)        moment per width at which it slips, of warp and weft [N]
-    slip     (b,)          change of curvature that it holds until then [1/m]
+    vertices (b, k) int32  patches, each padded with its first vertex
+    shares   (b, 5, k)     derivatives of the tangents along warp and weft [1/m], and of the second derivatives along
+                           warp, weft and between them [1/m^2], by each vertex; rows sum to 0
+    area     (b,)          area of the patch [m^2]
+    limit    (2, b)        moment per width at which friction slips, of warp and weft [N]
+    slip     (b,)          change of curvature at which friction slips [1/m]
     """
 
     vertices: Annotated[NDArray[np.int32], "b", "k", Bounds(0, below="n")]
@@ -103,7 +102,7 @@ class BendingFriction:
 
     @staticmethod
     def join(parts: list[BendingFriction]) -> BendingFriction:
-        """One of several (at least one), whose patches are filled up to the largest."""
+        """Join several (at least one) into one, with patches padded to the largest."""
         most = max(part.vertices.shape[1] for part in parts)
         vertices = [
             np.concatenate([p.vertices, np.repeat(p.vertices[:, :1], most - p.vertices.shape[1], axis=1)], axis=1)

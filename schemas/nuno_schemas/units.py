@@ -1,4 +1,4 @@
-"""Quantities with units, converted to SI once, where a scene is read.
+"""Quantities with units, converted to SI once, when a scene is read.
 
 A bare number is SI already. Text such as `"1 ms"` or `"27 N/m"` goes through pint, which is
 imported only then: it takes longer to load than a small scene takes to run.
@@ -26,14 +26,14 @@ def _registry() -> Any:
     registry = functools.partial(pint.UnitRegistry, autoconvert_offset_to_baseunit=True)
     try:
         return registry(cache_folder=":auto:")
-    except Exception:  # a folder that cannot be written, or a file in it that was cut short: read the units anew
+    except Exception:  # the folder is not writable, or a file in it is truncated: read the units anew
         return registry(cache_folder=None)
 
 
 def to_si(value: object, unit: str) -> float:
     """Convert a number or a text with a unit to a float in the SI `unit`.
 
-    Raises ValueError for text that is no quantity, an unknown unit or a wrong dimension.
+    Raises ValueError for text that is not a quantity, an unknown unit or a wrong dimension.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError(f"must be a quantity; {_example(unit)}")
@@ -51,20 +51,20 @@ def to_si(value: object, unit: str) -> float:
 _POWER = r"(?:\*\*|\^)\s*\(?\s*[+-]?\d{1,2}\s*\)?\s*"
 _NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
 _FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
-"""As steps are named: 1/240 s."""
+"""A fraction, as common for steps: 1/240 s."""
 _DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)((?:[^\d.,][^,]*)?)")
 _MARKS = "_*/().%‰°·⋅×"
-"""What stands in units beside letters and blanks."""
-_DOUBTFUL = {"gr": "g for gram, or grain", "grad": "deg for degree, or gon", "Grad": "deg", "qm": "m^2"}
-"""What is written for another unit than pint takes it for, and what to write."""
+"""Characters of units besides letters and blanks."""
+_AMBIGUOUS = {"gr": "g for gram, or grain", "grad": "deg for degree, or gon", "Grad": "deg", "qm": "m^2"}
+"""Symbols that people and pint read as different units, and their unambiguous replacements."""
 
 
 def _is_plain(text: str) -> bool:
-    """Whether a text is one number and units.
+    """Return whether a text is one number and units.
 
-    pint evaluates whole expressions: of "9**9**9**9 m" no computer would see the end. After the
-    number, digits may only stand in powers of units, and "1" in "1/s"; pint would take "2 1 s" for a product,
-    "5² m" for 25 m, and leave out commas, fractions such as "½", and any other character that it does not know.
+    pint evaluates whole expressions: "9**9**9**9 m" would never end. After the number, digits
+    are allowed only in powers of units, and "1" in "1/s"; pint would read "2 1 s" as a product,
+    "5² m" as 25 m, and drop commas, fractions such as "½", and any other unknown character.
     """
     number = _NUMBER.match(text)
     if number is None:
@@ -76,7 +76,7 @@ def _is_plain(text: str) -> bool:
 
 
 def decimal_point(text: str) -> str:
-    """What to write for a number with a decimal comma, in words; empty for any other text."""
+    """Return a remedy for a number with a decimal comma; empty for any other text."""
     if not (comma := _DECIMAL_COMMA.fullmatch(text)):
         return ""
     sign, whole, decimals, units = comma.groups()
@@ -97,8 +97,8 @@ def _parse(text: str, unit: str) -> float:
         return float(text)
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
-    if doubtful := _DOUBTFUL.keys() & set(re.findall(r"[^\W\d]+", text)):
-        raise ValueError(f"{min(doubtful)} is of two meanings; write {_DOUBTFUL[min(doubtful)]}")
+    if ambiguous := _AMBIGUOUS.keys() & set(re.findall(r"[^\W\d]+", text)):
+        raise ValueError(f"{min(ambiguous)} is of two meanings; write {_AMBIGUOUS[min(ambiguous)]}")
     registry = _registry()
     try:
         return float(registry.Quantity(text).to(unit or "dimensionless").magnitude)
@@ -109,7 +109,7 @@ def _parse(text: str, unit: str) -> float:
         raise ValueError(
             f"{error.units1} cannot be converted to {unit or 'a plain number'}; {_example(unit)}"
         ) from None
-    except Exception:  # whatever else pint says of a text that it cannot read; its units are read already
+    except Exception:  # any other error of pint for the text: the unit definitions are loaded already
         raise ValueError(f"not a quantity; {_example(unit)}") from None
 
 
@@ -119,15 +119,15 @@ def _example(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Plausible:
-    """Which bare numbers of a quantity are taken without a word: 0, and magnitudes from `low` to `high` in `unit`.
+    """Bare numbers of a quantity that are accepted without a warning: 0, and magnitudes from `low` to `high` in `unit`.
 
-    Others are warned of. A value with a unit is meant as it is written.
+    A value with a unit is never warned of.
     """
 
     low: float
     high: float
     meant: tuple[str, ...] = ()
-    """Units that a number beyond may have been meant in."""
+    """Probable units of a number outside these bounds."""
     source: str = ""
     unit: str = ""
 
@@ -139,13 +139,13 @@ PLAUSIBLE = {
     "m/s^2": Plausible(0.0, 100.0, ("cm/s^2", "mm/s^2")),
     "m^2/s": Plausible(1e-14, 1e-6, ("mm^2/h", "mm^2/s")),
 }
-"""What is plausible in a unit unless a type says otherwise: for things as large as people, in metres and seconds."""
+"""Default plausible range of each unit: for objects of the size of people, in metres and seconds."""
 ANY = Plausible(0.0, math.inf)
 
 
 @dataclass(frozen=True)
 class Quantity(Plausible):
-    """What pydantic reads a quantity by, as one item of an `Annotated[float, ...]`; `limits` as in `quantity`."""
+    """Metadata by which pydantic reads a quantity, an item of an `Annotated[float, ...]`; `limits` as in `quantity`."""
 
     limits: tuple[tuple[str, Any], ...] = ()
     __is_annotated_types_grouped_metadata__: ClassVar[bool] = True
@@ -158,9 +158,9 @@ class Quantity(Plausible):
 
 
 def quantity(unit: str, plausible: Plausible | None = None, **limits: Any) -> Quantity:
-    """What makes a quantity in the SI `unit` of a float: `Length = Annotated[float, quantity("m", gt=0)]`.
+    """Return metadata that makes a float a quantity in the SI `unit`: `Length = Annotated[float, quantity("m", gt=0)]`.
 
-    `limits` are those of `pydantic.Field`, beyond which nothing is taken.
+    `limits` are those of `pydantic.Field`, outside of which values are refused.
     """
     usual = plausible or PLAUSIBLE.get(unit, ANY)
     return Quantity(usual.low, usual.high, usual.meant, usual.source, unit, tuple(limits.items()))

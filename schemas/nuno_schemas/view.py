@@ -1,4 +1,4 @@
-"""How a scene wants to be looked at."""
+"""The part of a scene that describes its pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Pixels = Annotated[int, Field(ge=16, le=8192)]
 
 
 class View(Part):
-    """How pictures are taken; what is left out is fitted to the scene."""
+    """Camera and colours of pictures; omitted fields are fitted to the scene."""
 
     azimuth: Angle = Field(default=0.6, description="[rad] round the vertical, 0 looks along -z")
     elevation: Angle = Field(default=0.2, description="[rad] of the eye above the horizon")

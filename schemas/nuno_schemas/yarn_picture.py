@@ -1,4 +1,4 @@
-"""What pictures of knits on bodies are drawn from, and plugins that draw them."""
+"""Pictures of knits on bodies: the data that they show, and the plugins that draw them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Plugin
 
 Progress = Callable[[int, int], None]
-"""Called with the rows drawn and all rows."""
+"""Called with the number of drawn rows and of all rows."""
 
 
 @dataclass(frozen=True)
 class SurfaceValues:
-    """Numbers to be shown as colours on bodies.
+    """Numbers shown as colours on bodies.
 
-    values (n,)  of the points that are worn, of the vertices, or of the faces of all bodies in their order; NaN: none
-    label        what they are, with their unit
+    values (n,)  values of the worn points, or of the vertices or faces of all bodies in their order; NaN: no value
+    label        name of the quantity, with its unit
     """
 
     on: Literal["points", "vertices", "faces"]
@@ -33,11 +33,11 @@ class SurfaceValues:
 class Worn:
     """Knits and the bodies that wear them, z up.
 
-    bodies          closed where they are one-sided; one that brings no colours is skin
-    points (n, 3)   where yarns cross, the paper's mass points [m]
-    links  (l, 2)   int32, points that a piece of yarn joins
-    yarns           as curves; None for a plugin that draws none
-    values          None for a plugin that shows none
+    bodies          meshes, closed if they are one-sided; a body without colours has the colour of skin
+    points (n, 3)   crossings of yarns, the paper's mass points [m]
+    links  (l, 2)   int32, end points of each link of yarn
+    yarns           yarns as curves; None for a plugin that draws none
+    values          values to show; None for a plugin that shows none
     """
 
     bodies: tuple[Mesh, ...]
@@ -51,13 +51,13 @@ class YarnPicture(Plugin, Protocol):
     """Draws knits on bodies."""
 
     curves: ClassVar[bool]
-    """Whether it draws yarns as curves; to make them takes time."""
+    """Whether it draws yarns as curves, which are slow to make."""
     shows: ClassVar[bool]
-    """Whether it shows values that its caller brings: of knits in recordings, their pressure."""
+    """Whether it shows values from the caller: for knits in recordings, their pressure."""
 
     def draw(self, config: Any, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
-        """(height, width, 3) uint8 sRGB picture, the same bytes however many threads draw it.
+        """Return a picture (height, width, 3) uint8 sRGB, the same bytes for any number of threads.
 
-        Raises BadInput for what cannot be drawn: an eye inside a body, yarns without thickness, nothing to draw.
+        Raises BadInput if the eye is inside a body, yarns have no thickness, or there is nothing to draw.
         """
         ...

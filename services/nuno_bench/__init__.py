@@ -1,1 +1,1 @@
-"""Measures the rest of the project: a folder for each measurement, a file where one is enough, and what they share."""
+"""Benchmarks of the project: a folder or a file for each measurement, and shared tools."""

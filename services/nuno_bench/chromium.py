@@ -27,32 +27,32 @@ FLAGS = (
 
 
 def find_browser() -> str | None:
-    """A browser that is installed here."""
+    """Return the path of an installed browser, or None."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
 class Page:
-    """One page of a browser of its own."""
+    """A page in a separate browser."""
 
     def __init__(self, folder: Path, width: int = 960, height: int = 600, flags: str = "") -> None:
         browser = find_browser()
         assert browser is not None
-        theirs_in, ours_out = os.pipe()
-        ours_in, theirs_out = os.pipe()
+        browser_in, page_out = os.pipe()
+        page_in, browser_out = os.pipe()
         command = f"{shlex.quote(browser)} {FLAGS} {flags} --user-data-dir={shlex.quote(str(folder))}"
         self._process = subprocess.Popen(
-            ["bash", "-c", f"exec {command} 3<&{theirs_in} 4>&{theirs_out}"],
-            pass_fds=(theirs_in, theirs_out),
+            ["bash", "-c", f"exec {command} 3<&{browser_in} 4>&{browser_out}"],
+            pass_fds=(browser_in, browser_out),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        os.close(theirs_in)
-        os.close(theirs_out)
-        self._in, self._out, self._buffer = ours_in, ours_out, bytearray()
+        os.close(browser_in)
+        os.close(browser_out)
+        self._in, self._out, self._buffer = page_in, page_out, bytearray()
         self._numbers, self._session = itertools.count(1), ""
         self.said: list[str] = []
-        """Errors of the page's scripts, and what was refused to it."""
+        """Errors of the page's scripts, and refused requests."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
@@ -74,7 +74,7 @@ class Page:
         self._process.wait()
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """Ask the browser for something; its answer."""
+        """Call a method of the DevTools protocol, and return its result."""
         number = next(self._numbers)
         session = {"sessionId": self._session} if self._session else {}
         os.write(self._out, json.dumps({"id": number, "method": method, "params": params} | session).encode() + b"\0")
@@ -107,19 +107,19 @@ class Page:
         self.call("Page.navigate", url=address)
 
     def value(self, expression: str) -> Any:
-        """What an expression of JavaScript gives in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def wait(self, expression: str, patience: float = 30.0) -> Any:
-        """What an expression gives once that counts as true."""
+        """Return the value of an expression once it is true."""
         end = time.monotonic() + patience
-        while not (found := self.value(expression)):
+        while not (value := self.value(expression)):
             assert time.monotonic() < end, f"not within {patience} s: {expression}; {self.said}"
             time.sleep(0.02)
-        return found
+        return value
 
     def click(self, name: str) -> None:
-        """Press the button with an id."""
+        """Click the button with an id."""
         self.value(f"document.getElementById({json.dumps(name)}).click()")

@@ -1,4 +1,4 @@
-"""`nuno bench`: one module per kind of measurement, imported only when it is asked for."""
+"""`nuno bench`: one module per kind of measurement, imported only when it is used."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run one measurement; the exit code is 1 where one could not be taken."""
+    """Run one measurement; the exit code is 1 if it could not be taken."""
     module, parser = parser_of(args.kind)
     return int(module.main(parser.parse_args(args.arguments)))
 
 
 def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
-    """The module of a measurement, one of COMMANDS, and what reads its arguments."""
+    """Return the module of a measurement, one of COMMANDS, and the parser of its arguments."""
     path, summary = COMMANDS[kind]
     module = importlib.import_module(path)
     parser = argparse.ArgumentParser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")

@@ -1,4 +1,4 @@
-"""What a figure was measured on: without it a figure says nothing."""
+"""Description of the machine on which a figure was measured: without it a figure means nothing."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ import psutil
 from nuno.scene.provenance import processor
 
 DISTURBED = 0.05
-"""Share of the machine from which on others are said to disturb the times."""
+"""Share of the machine in use by other processes above which times count as disturbed."""
 PACKAGES = ("nuno", "numpy", "numba", "eclipse-zenoh", "mcap")
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Others:
-    """How much of the machine other processes took while something was measured."""
+    """Measures the share of the machine that other processes used during a measurement."""
 
     besides = 0.0
-    """Processor time [s] of processes that this one started and that are not its to wait for, such as a browser's."""
+    """Processor time [s] of own processes that are not waited for, such as a browser's children."""
 
     def __init__(self) -> None:
         self.started = time.perf_counter()
         self.before = self._seconds()
 
     def _seconds(self) -> float:
-        """Processor time of everything but this process and those it has waited for [s]."""
+        """Return the processor time of all but this process and those it has waited for [s]."""
         all_times, own = psutil.cpu_times(), psutil.Process().cpu_times()
         idle = all_times.idle + getattr(all_times, "iowait", 0.0)
         # Guests are counted within user and nice.
@@ -43,26 +43,26 @@ class Others:
         return float(sum(all_times) - guests - idle - sum(own[:4])) - Others.besides
 
     def share(self) -> float:
-        """Share of all cores since the start, 0 to 1."""
+        """Return the share of all cores since the start, 0 to 1."""
         wall = (time.perf_counter() - self.started) * (os.cpu_count() or 1)
         return min(1.0, max(0.0, (self._seconds() - self.before) / wall))
 
 
 def describe_load(share: float) -> str:
-    """What is to say of a share of the machine that others took."""
+    """Describe the share of the machine that other processes used."""
     text = f"other processes took {share:.0%} of the machine meanwhile"
     return f"{text}: TIMES ARE DISTURBED" if share > DISTURBED else text
 
 
 def command() -> str:
-    """The command line that makes these figures again."""
+    """Return the command line that reproduces the figures."""
     return "nuno " + shlex.join(sys.argv[1:])
 
 
 def about(others: Others, **more: str) -> dict[str, str]:
-    """What a report says of how it was made, as text by name: the command, `more`, machine, versions, what else ran.
+    """Return the circumstances of a report, as text by name: command, `more`, machine, versions, other load.
 
-    Call it after the kernels have run: numba names its threading layer only then.
+    Call it after the kernels have run: numba knows its threading layer only then.
     """
     try:
         layer = f"threading layer {numba.threading_layer()}"

@@ -1,4 +1,4 @@
-"""Options that several measurements have, and the checks of what is given for them and of what is installed."""
+"""Options shared by several measurements, and checks of their values and of installed packages."""
 
 from __future__ import annotations
 
@@ -26,58 +26,58 @@ SHARED: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 INSTALL = {"matplotlib": "nuno[bench]"}
 INSTALL |= dict.fromkeys(("mujoco", "newton", "ipctk", "rtree", "igl"), "nuno[peers]")
-"""What pip takes for packages that measurements use beside those of nuno itself, where it is not their own name."""
+"""Requirements for pip of packages that only measurements use, if they differ from the package's name."""
 
 
 def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
-    """Options of these names, alike for all measurements."""
+    """Add shared options by name."""
     for name in names:
         parser.add_argument(name, **SHARED[name])
 
 
 def add_count(parser: argparse.ArgumentParser, name: str, what: str, default: int | None = None) -> None:
-    """An option that takes a number of at least 1."""
+    """Add an option for a number of at least 1."""
 
     def count(text: str) -> int:
-        if (given := int(text)) < 1:
-            raise BadInput("at least one is needed", field=name, value=given)
-        return given
+        if (number := int(text)) < 1:
+            raise BadInput("at least one is needed", field=name, value=number)
+        return number
 
     parser.add_argument(name, type=count, default=default, metavar="N", help=what)
 
 
 def add_seconds(parser: argparse.ArgumentParser, name: str, default: float, what: str) -> None:
-    """An option that takes a wall time [s] in which something can be done."""
+    """Add an option for a positive wall time [s]."""
 
     def seconds(text: str) -> float:
-        if not 0.0 < (given := float(text)) < math.inf:
-            raise BadInput("some time is needed", field=name, value=given, limit="more than 0 s")
-        return given
+        if not 0.0 < (number := float(text)) < math.inf:
+            raise BadInput("some time is needed", field=name, value=number, limit="more than 0 s")
+        return number
 
     what = f"{what} (default: %(default)g)"
     parser.add_argument(name, type=seconds, default=default, metavar="SECONDS", help=what)
 
 
-def names_of(given: str | None) -> list[str]:
-    """Names that are separated by commas."""
-    return [name for name in (given or "").split(",") if name]
+def names_of(text: str | None) -> list[str]:
+    """Split names at commas."""
+    return [name for name in (text or "").split(",") if name]
 
 
 def require_known(names: Sequence[str], known: Collection[str], what: str, field: str) -> None:
-    """Raises BadInput for a name that is not known, with the nearest that is."""
+    """Raise BadInput for an unknown name, with the nearest known one."""
     for name in names:
         if name not in known:
             raise BadInput(f"no such {what}", field=field, value=name, remedy=nearest(name, known))
 
 
 def missing_package(package: str) -> str:
-    """That it is not installed, and how it is; empty where it is."""
-    there = importlib.util.find_spec(package) is not None
-    return "" if there else f"{package} is not installed (pip install '{INSTALL.get(package, package)}')"
+    """Return an error with the way to install a package; empty if it is installed."""
+    installed = importlib.util.find_spec(package) is not None
+    return "" if installed else f"{package} is not installed (pip install '{INSTALL.get(package, package)}')"
 
 
 def require_package(what: str, package: str, field: str | None = None) -> None:
-    """Raises BadInput where `what`, in words, needs a package that is not installed."""
+    """Raise BadInput, that begins with `what`, if a package is not installed."""
     if missing_package(package):
         remedy = f"pip install '{INSTALL.get(package, package)}'"
         raise BadInput(f"{what} {package}, which is not installed", field=field, remedy=remedy)

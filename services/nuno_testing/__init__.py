@@ -1,11 +1,11 @@
-"""What every plugin owes, as tests for pytest: nuno's own plugins are held to it, and those of other packages.
+"""The contract of every kind of plugin as tests for pytest, for nuno's own plugins and those of other packages.
 
     from nuno_testing import contract
 
     test_forces = contract("nuno.forces", magnet={"stiffness": 0.02})
 
-The checks of each kind are here, and what they need; laws that one plugin alone stands for belong to its own tests.
-pytest loads this module at its start: nothing of nuno is imported before a test asks for it.
+This package has the checks of each kind; laws of a single plugin belong to its own tests. pytest loads this module at
+its start: nothing of nuno is imported before a test needs it.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import pytest
 
 @pytest.fixture
 def nuno_folder(request: pytest.FixtureRequest) -> Path:
-    """The folder of files that a contract's configurations name, the test's own; a test module may give another."""
+    """Folder of the files that a contract's configurations name: the test's own, unless a test module overrides it."""
     return request.path.parent
 
 
 def contract(group: str, **plugins: Mapping[str, Any]) -> Callable[..., None]:
-    """A test of everything that plugins of a kind owe, a case for each plugin and check.
+    """Return a test of the whole contract of a kind of plugin, with a case for each plugin and check.
 
     `group` is the kind's entry-point group, such as "nuno.forces"; `plugins` are names of installed plugins, each with
-    the fields of a configuration to try it with, as a scene would give them.
+    the fields of a configuration to test, as in a scene.
     """
     from nuno_testing.checks import checks_of
     from nuno_testing.subject import make_subject

@@ -1,4 +1,4 @@
-"""What colliders and motions owe."""
+"""The contract of colliders and motions."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ PERSON: dict[str, tuple[str, tuple[float, float, float]]] = {
         ("arm", "chest", 0.2, 0.1), ("forearm", "{}_arm", 0.3, 0.0), ("hand", "{}_forearm", 0.25, 0.0),
         ("thigh", "hips", 0.1, -0.05), ("shin", "{}_thigh", 0.0, -0.4), ("foot", "{}_shin", 0.0, -0.4))},
 }  # fmt: skip
-"""Joints of a person in a T-pose: what carries each, and the way there from it [m]."""
+"""Joints of a person in a T-pose: the parent of each, and the offset from it [m]."""
 
 
-def standing(joints: Sequence[str], parents: Sequence[int], offsets: Float) -> Mover:
-    """A motion that stands still."""
+def still_mover(joints: Sequence[str], parents: Sequence[int], offsets: Float) -> Mover:
+    """Return a motion that stands still."""
     places = offsets.copy()
     for joint, parent in enumerate(parents):
         places[joint] += places[parent] if parent >= 0 else 0.0
@@ -37,16 +37,16 @@ def standing(joints: Sequence[str], parents: Sequence[int], offsets: Float) -> M
 
 
 def movers() -> list[Mover]:
-    """One of two joints, and one of a person's."""
+    """Return a motion of two joints, and one of a person's."""
     names = list(PERSON)
     parents = [names.index(parent) if parent else -1 for parent, _ in PERSON.values()]
-    person = standing(names, parents, np.array([offset for _, offset in PERSON.values()]))
-    return [standing(("hips", "spine"), (-1, 0), PLACES), person]
+    person = still_mover(names, parents, np.array([offset for _, offset in PERSON.values()]))
+    return [still_mover(("hips", "spine"), (-1, 0), PLACES), person]
 
 
-def shape_of(subject: Subject, moves: bool) -> BodyShape | None:
-    """The shape on two joints that stand still, or on a person's if it needs these, or by itself: None for one that
-    needs a motion.
+def build_shape(subject: Subject, moves: bool) -> BodyShape | None:
+    """Return the shape on two joints that stand still, or on a person's if it needs them; with `moves` false the shape
+    without a motion, None if it needs one.
     """
     for mover in movers() if moves else [None]:
         try:
@@ -60,8 +60,8 @@ def shape_of(subject: Subject, moves: bool) -> BodyShape | None:
 
 
 class Distance:
-    """Signed distances [m] of points (n, 3) to a shape whose frames are all at the origin, or where its skin is bound:
-    by its distance fields, or, where `exact`, by the triangles that those were made of.
+    """Signed distances [m] of points (n, 3) from a shape with all frames at the origin, or in the bind pose of its
+    skin: by its distance fields, or, with `exact`, by the triangles from which the fields were made.
     """
 
     def __init__(self, shape: BodyShape, exact: bool) -> None:
@@ -80,17 +80,17 @@ class Distance:
 
 
 def it_stands_on_the_joints_of_its_motion(subject: Subject) -> None:
-    """Or by itself in the world; built twice, it is the same."""
-    moved, alone = shape_of(subject, True), shape_of(subject, False)
+    """The shape's frames are its motion's joints, or the world without a motion; built twice, it is the same."""
+    moved, alone = build_shape(subject, True), build_shape(subject, False)
     assert moved is not None
     assert alone is None or alone.frames == ("world",)
 
 
 def distances_are_those_to_points_of_its_surface(subject: Subject) -> None:
-    """From anywhere outside, the way back along the distance's slope ends on the surface, and no sampled point of that
-    is nearer.
+    """From any point outside, the step back along the distance's gradient ends on the surface, and no other sampled
+    point of the surface is nearer.
     """
-    shape = shape_of(subject, False) or shape_of(subject, True)
+    shape = build_shape(subject, False) or build_shape(subject, True)
     assert shape is not None
     distance = Distance(shape, exact=True)
     reach = np.abs(np.concatenate([shape.a, shape.b])).max() + shape.radius.max() + 0.1
@@ -100,15 +100,15 @@ def distances_are_those_to_points_of_its_surface(subject: Subject) -> None:
     slope = np.stack([distance(points + step) - distance(points - step) for step in small * np.eye(3)], 1) / (2 * small)
     feet = points - far[:, None] * slope
     on_it = np.abs(distance(feet)) < 1e-5 * reach
-    assert on_it.mean() > 0.95  # but where two points of it are equally near
+    assert on_it.mean() > 0.95  # except for points with two equally near points of the surface
     assert (np.linalg.norm(points[:, None] - feet[on_it], axis=2) >= far[:, None] - 1e-5 * reach).all()
 
 
 def triangles_face_outwards_within_their_bounds(subject: Subject) -> None:
-    """Beyond the middle of a triangle it is outside, and before it inside; `a` and `b` hold all of a mesh; and a
-    distance field is there what the triangles say, to its tolerance.
+    """A point in front of a triangle's middle is outside, one behind it inside; `a` and `b` bound the whole mesh; a
+    distance field agrees with the triangles to its tolerance.
     """
-    shape = shape_of(subject, False) or shape_of(subject, True)
+    shape = build_shape(subject, False) or build_shape(subject, True)
     assert shape is not None
     tolerance = max((field.tolerance for field in shape.fields), default=0.0)
     exact, read, depth = Distance(shape, exact=True), Distance(shape, exact=False), DEPTH + 4.0 * tolerance
@@ -133,20 +133,19 @@ COLLIDERS = (
 
 
 def poses_depend_on_the_time_alone(subject: Subject) -> None:
-    """Asked of another mover, and in another order, they are the same."""
+    """Another mover, asked for the same times in another order, returns the same poses."""
 
-    def ask(order: int) -> list[tuple[Float, Float]]:
+    def sample(order: int) -> list[tuple[Float, Float]]:
         pose = subject.plugin.prepare(subject.config, subject.files).pose
         return [pose(t) for t in np.linspace(0.0, 3.0, 13)[::order].tolist()][::order]
 
-    forth = made_twice(lambda: ask(1))
-    assert all(
-        np.array_equal(a, b) for one, other in zip(forth, ask(-1), strict=True) for a, b in zip(one, other, strict=True)
-    )
+    forward = made_twice(lambda: sample(1))
+    pairs = zip(forward, sample(-1), strict=True)
+    assert all(np.array_equal(a, b) for one, other in pairs for a, b in zip(one, other, strict=True))
 
 
 def it_moves_without_jumps(subject: Subject) -> None:
-    """What joints move and turn in a span of time shrinks with the span, wherever that begins."""
+    """The translation and rotation of joints within a span of time shrink with the span, wherever it begins."""
     mover = subject.plugin.prepare(subject.config, subject.files)
     poses = [mover.pose(0.005 * k) for k in range(805)]
 
@@ -161,7 +160,7 @@ def it_moves_without_jumps(subject: Subject) -> None:
 
 
 def joints_are_where_their_parents_turn_them(subject: Subject) -> None:
-    """A child's place is its parent's, and its offset turned as the parent is: bones keep their length."""
+    """A child's position is its parent's plus its offset in the parent's rotation: bones keep their length."""
     mover = subject.plugin.prepare(subject.config, subject.files)
     child = np.flatnonzero(mover.parents >= 0)
     parent, offset = mover.parents[child], mover.offsets[child]

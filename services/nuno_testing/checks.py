@@ -1,4 +1,4 @@
-"""The checks of each kind of plugin, by entry-point group: those of all, and its own."""
+"""The checks of each kind of plugin, by entry-point group: those of all kinds, and its own."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from nuno_schemas.system import System, Term
 from nuno_testing import bodies, dye, forces, integrators, rides
 from nuno_testing.subject import Subject, made_twice
 
-# What renderers owe.
+# The contract of renderers.
 
 FACES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], np.int32)
 
 
 def scene() -> list[Mesh]:
-    """A tent over a block, in two meshes."""
+    """Return a tent over a block, as two meshes."""
     tent = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1]])
     colours = np.linspace(0, 1, 15).reshape(5, 3)
     return [Mesh(tent, FACES, colours=colours), Mesh(tent * 0.5, FACES, two_sided=False)]
 
 
 def a_picture_has_the_size_asked_for(subject: Subject) -> None:
-    """Down to a single pixel."""
+    """A picture has the size of the camera, down to a single pixel."""
     for size in ((64, 48), (31, 57), (1, 1)):
         picture = subject.plugin.render(subject.config, scene(), frame(scene(), size=size))
         assert picture.shape == (size[1], size[0], 3)
 
 
 def the_same_scene_is_drawn_alike(subject: Subject) -> None:
-    """And is left alone; there is more to see than a single colour."""
+    """Drawn twice, meshes give the same picture of more than one colour, and are not changed."""
     meshes = scene()
     camera = frame(meshes, size=(64, 48))
     picture = made_twice(lambda: subject.plugin.render(subject.config, meshes, camera), meshes, camera)
@@ -51,14 +51,14 @@ def the_same_scene_is_drawn_alike(subject: Subject) -> None:
 
 
 def nothing_to_draw_is_a_picture_too(subject: Subject) -> None:
-    """No meshes, or one without triangles."""
-    camera, hollow = frame(scene(), size=(64, 48)), Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    empty, bare = (subject.plugin.render(subject.config, meshes, camera) for meshes in ([], [hollow]))
+    """Without meshes, or with one without triangles, the picture is the empty background."""
+    camera, no_triangles = frame(scene(), size=(64, 48)), Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    empty, bare = (subject.plugin.render(subject.config, meshes, camera) for meshes in ([], [no_triangles]))
     assert (empty == bare).all()
 
 
 def a_face_of_vertices_that_are_not_there_is_refused(subject: Subject) -> None:
-    """By the name of its mesh."""
+    """The error names the mesh of the face."""
     tent = scene()[0]
     for index in (-1, 5):
         bad = Mesh(tent.vertices, np.array([[0, 1, index]], np.int32))
@@ -74,7 +74,7 @@ RENDERERS = (
 )
 
 
-# What contacts owe: measured on single grains that fall on a block.
+# The contract of contacts, tested with single grains that fall on a block.
 
 GRAVITY, STEP = np.array([0.0, -9.81, 0.0]), 2e-4
 BOX_MESH = box((6.0, 1.0, 6.0))
@@ -82,7 +82,7 @@ CORNERS, SIDES = np.asarray(BOX_MESH.vertices) - [0.0, 0.5, 0.0], np.asarray(BOX
 
 
 def block(kind: int, friction: float) -> Geometry:
-    """A body whose top is at height 0: a box, or its triangles."""
+    """Return a body with its top at height 0: a box, or its triangles."""
     low, high = CORNERS.min(axis=0)[None], CORNERS.max(axis=0)[None]
     a, b = (0.5 * (low + high), 0.5 * (high - low)) if kind == BOX else (low, high)
     zero, one = np.zeros(1, np.int32), np.ones(1)
@@ -93,19 +93,19 @@ def block(kind: int, friction: float) -> Geometry:
     )  # fmt: skip
 
 
-def term_of(subject: Subject, grains: Fabric, friction: float) -> Term:
-    """The contact's term, with the kind of block that it can meet."""
+def contact_term(subject: Subject, grains: Fabric, friction: float) -> Term:
+    """Return the contact's term with a block of a kind that the contact supports."""
     try:
-        found: Term = subject.plugin.prepare(subject.config, grains, block(BOX, friction), GRAVITY)
+        term: Term = subject.plugin.prepare(subject.config, grains, block(BOX, friction), GRAVITY)
     except BadInput:
-        found = subject.plugin.prepare(subject.config, grains, block(MESH, friction), GRAVITY)
-    return found
+        term = subject.plugin.prepare(subject.config, grains, block(MESH, friction), GRAVITY)
+    return term
 
 
-def thrown(subject: Subject, x: Float, v: Float, friction: float, seconds: float) -> State:
-    """Where grains of a gram end up that start at x, v (n, 3)."""
+def throw_grains(subject: Subject, x: Float, v: Float, friction: float, seconds: float) -> State:
+    """Return the state, after some seconds, of grains of one gram that start at x, v (n, 3)."""
     grains = Fabric("grains", x, v, np.full(len(x), 1e-3), np.zeros(len(x), bool), no_rows(np.int32, 3))
-    system, state = System(grains, GRAVITY, 0.0, (term_of(subject, grains, friction),)), State(x.copy(), v.copy())
+    system, state = System(grains, GRAVITY, 0.0, (contact_term(subject, grains, friction),)), State(x.copy(), v.copy())
     solver, pose = registry.load("nuno.integrators", "symplectic_euler"), Poses(0.0, np.eye(4)[:1], np.zeros((1, 3)))
     memory = solver.prepare(solver.Config(), system, state)
     assert solver.advance(system, state, memory, (pose, pose), round(seconds / STEP), STEP).status == "ok"
@@ -114,9 +114,9 @@ def thrown(subject: Subject, x: Float, v: Float, friction: float, seconds: float
 
 
 def what_falls_on_a_body_comes_to_rest_on_it(subject: Subject) -> None:
-    """Within a millimetre; what is still in the air, or falls beside it, does as if there were none."""
+    """A grain rests on the surface to a millimetre; grains in the air or beside the body fall freely."""
     x = np.array([[0.0, 0.01, 0.0], [1.0, 1.0, 1.0], [4.0, 0.01, 0.0]])
-    end = made_twice(lambda: thrown(subject, x, 0.0 * x, 0.3, 0.4), x)
+    end = made_twice(lambda: throw_grains(subject, x, 0.0 * x, 0.3, 0.4), x)
     assert abs(end.x[0, 1]) < 1e-3
     assert np.abs(end.v[0]).max() < 1e-2
     assert np.abs(end.x[1:, 1] - (x[1:, 1] - 0.5 * 9.81 * 0.4**2)).max() < 1e-3
@@ -124,10 +124,10 @@ def what_falls_on_a_body_comes_to_rest_on_it(subject: Subject) -> None:
 
 
 def what_slides_is_slowed_as_coulomb_says(subject: Subject) -> None:
-    """By mu g, or not at all: no force is along the surface but friction."""
+    """Friction decelerates a sliding grain by mu g, and without friction there is no force along the surface."""
     x, v = np.array([[-1.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
     for friction in (0.0, 0.4):
-        end = thrown(subject, x, v, friction, 0.2)
+        end = throw_grains(subject, x, v, friction, 0.2)
         assert abs(end.v[0, 0] - (1.0 - friction * 9.81 * 0.2)) < 0.03 * friction + 1e-9
         assert abs(end.v[0, 2]) < 1e-9
 
@@ -135,18 +135,18 @@ def what_slides_is_slowed_as_coulomb_says(subject: Subject) -> None:
 CONTACTS = (what_falls_on_a_body_comes_to_rest_on_it, what_slides_is_slowed_as_coulomb_says)
 
 
-# What models and operations owe.
+# The contract of models and operations.
 
 
 def torso() -> tuple[Any, Any]:
-    """Vertices and faces of the body that comes with nuno, for models that are drawn over one."""
+    """Return vertices and faces of nuno's own body, for models that are drawn over a body."""
     collider = registry.load("nuno.colliders", "mesh")
     shape = collider.build(collider.Config(shape="torso", resolution=48), None, None)
     return shape.vertices, shape.faces
 
 
-def built(subject: Subject) -> Fabric:
-    """The fabric; of a model that is drawn over a body, over one that comes with nuno."""
+def build_fabric(subject: Subject) -> Fabric:
+    """Build the fabric; a model that is drawn over a body gets nuno's own."""
     model, over = subject.plugin, getattr(type(subject.plugin._plugin), "over", None)
     if over is None or model.over(subject.config) is None:
         fabric: Fabric = model.build(subject.config, subject.files, 0)
@@ -156,14 +156,14 @@ def built(subject: Subject) -> Fabric:
 
 
 def it_is_built_the_same_again(subject: Subject) -> None:
-    """With as many vertices as it says before it is built."""
-    fabric = made_twice(lambda: built(subject))
+    """Built twice, the fabric is the same, with the number of vertices that `count` returns."""
+    fabric = made_twice(lambda: build_fabric(subject))
     assert fabric.number == subject.plugin.count(subject.config, subject.files)
 
 
 def each_spring_and_hinge_is_there_once(subject: Subject) -> None:
     """No two springs join the same vertices, and no two hinges."""
-    fabric = built(subject)
+    fabric = build_fabric(subject)
     springs = [] if fabric.springs is None else [np.sort(fabric.springs.pairs(), axis=1)]
     hinges = [] if fabric.hinges is None else [np.sort(fabric.hinges.quads(), axis=1)]
     for corners in (*springs, *hinges):
@@ -171,8 +171,8 @@ def each_spring_and_hinge_is_there_once(subject: Subject) -> None:
 
 
 def triangles_face_one_way(subject: Subject) -> None:
-    """Each has an area, and neighbours run along their common edge in opposite directions."""
-    fabric = built(subject)
+    """Each triangle has an area, and neighbours run along their common edge in opposite directions."""
+    fabric = build_fabric(subject)
     x, faces = fabric.position, fabric.faces
     area = np.linalg.norm(np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]), axis=1)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -183,29 +183,29 @@ def triangles_face_one_way(subject: Subject) -> None:
 MODELS = (it_is_built_the_same_again, each_spring_and_hinge_is_there_once, triangles_face_one_way)
 
 
-def applied(subject: Subject, fabric: Fabric) -> Outcome:
-    """What is made of a fabric at rest, without bodies, or on the surface of the one that it is made beside."""
+def apply_operation(subject: Subject, fabric: Fabric) -> Outcome:
+    """Apply an operation to a fabric at rest, without bodies, or on the surface of a body if it needs one."""
     state = State(fabric.position.copy(), 0.0 * fabric.position)
 
     def make() -> Outcome:
         if not hasattr(subject.plugin, "apply_beside"):
             made: Outcome = subject.plugin.apply(subject.config, fabric, state, None)
             return made
-        still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, fabric.number))
-        beside: Outcome = subject.plugin.apply_beside(subject.config, fabric, state, Beside(("body",), *still))
-        return beside
+        pose = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, fabric.number))
+        on_body: Outcome = subject.plugin.apply_beside(subject.config, fabric, state, Beside(("body",), *pose))
+        return on_body
 
     made: Outcome = made_twice(make, fabric, state)
     return made
 
 
 def it_makes_the_same_again_and_leaves_its_arguments_alone(subject: Subject) -> None:
-    """Of a knitted tube, or else of a sheet of triangles; numbers are finite, and curves hold together."""
+    """Applied twice to a knitted tube or a sheet of triangles, it makes the same finite numbers and sound curves."""
     knit, sheet = (registry.load("nuno.models", name) for name in ("knit", "sheet"))
     try:
-        made = applied(subject, knit.build(knit.Config(form="tube", wales=8, courses=15), None, 0))
+        made = apply_operation(subject, knit.build(knit.Config(form="tube", wales=8, courses=15), None, 0))
     except BadInput:
-        made = applied(subject, sheet.build(sheet.Config(cells="triangles", pin=("top-left",)), None, 0))
+        made = apply_operation(subject, sheet.build(sheet.Config(cells="triangles", pin=("top-left",)), None, 0))
     assert np.isfinite(list(made.facts.values())).all()
     if (curves := made.curves) is None:
         return
@@ -222,14 +222,14 @@ OPERATIONS = (it_makes_the_same_again_and_leaves_its_arguments_alone,)
 
 
 def answers_to_its_entry_point(subject: Subject) -> None:
-    """It has the name under which it is installed, and holds no state of its own."""
+    """The plugin has the name under which it is installed, and holds no state."""
     plugin = registry.installed(subject.group)[subject.name].load()()
     assert plugin.name == subject.name
     assert vars(plugin) == {}
 
 
 def refuses_unknown_fields_by_name(subject: Subject) -> None:
-    """A mistyped field is not passed over in silence; what it takes has a JSON Schema, and can be written."""
+    """An unknown field is refused by its name; the configuration has a JSON Schema, and can be written as JSON."""
     config = subject.plugin.Config
     with pytest.raises(ValidationError, match="no_such_field"):
         config.model_validate(subject.config.model_dump(exclude_unset=True) | {"no_such_field": 1})
@@ -252,9 +252,9 @@ OWN: Mapping[str, tuple[Callable[[Subject], None], ...]] = {
     "nuno.dye_solvers": dye.SOLVERS,
     "nuno.isotherms": dye.ISOTHERMS,
 }
-"""Of other kinds only what holds for all is looked at."""
+"""Checks of each kind; other kinds have only those of all kinds."""
 
 
 def checks_of(group: str) -> tuple[Callable[[Subject], None], ...]:
-    """The checks that a kind of plugin goes through."""
+    """Return the checks of a kind of plugin."""
     return ALL + OWN.get(group, ())

@@ -1,4 +1,4 @@
-"""What integrators owe: measured on an oscillator, whose motion is known in closed form."""
+"""The contract of integrators, tested on an oscillator against its closed form."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OMEGA, DAMPING = 3.0, 0.6
 
 
 def oscillator() -> System:
-    """Two free particles on springs of rest length 0 to a pinned one: x'' = -omega^2 x - damping x'."""
+    """Return two free particles on springs of rest length 0 to a pinned one: x'' = -omega^2 x - damping x'."""
     x = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, -0.3], [-0.5, 0.4, 0.9]])
     pairs = np.array([[0, 1], [0, 2]], np.int32)
     springs = Springs.from_pairs(pairs, np.full(2, 2.0 * OMEGA**2), np.zeros(2), np.zeros(2))
@@ -26,31 +26,31 @@ def oscillator() -> System:
 
 
 def solution(system: System, t: float) -> Float:
-    """x(t) of the damped oscillator in closed form."""
+    """Return x(t) of the damped oscillator in closed form."""
     x, v = system.fabric.position, system.fabric.velocity
     half, rate = 0.5 * DAMPING, np.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
-    found: Float = np.exp(-half * t) * (x * np.cos(rate * t) + (v + half * x) / rate * np.sin(rate * t))
-    return found
+    position: Float = np.exp(-half * t) * (x * np.cos(rate * t) + (v + half * x) / rate * np.sin(rate * t))
+    return position
 
 
-def exactly(subject: Subject) -> Any:
-    """A configuration under which every step has the given length and is solved to rounding."""
+def exact_config(subject: Subject) -> Any:
+    """Return a configuration with which every step has the given length and is solved to rounding."""
     exact = {"tolerance": 1.0, "residual": 1e-12}
     return subject.config.model_copy(update={n: x for n, x in exact.items() if n in type(subject.config).model_fields})
 
 
 def run(subject: Subject, system: System, dt: float, *frames: int) -> State:
-    """The state after frames of so many steps, each frame begun with memory of its own."""
+    """Return the state after frames of these numbers of steps, with new memory for each frame."""
     state = State(system.fabric.position.copy(), system.fabric.velocity.copy())
     for steps in frames:
-        memory = subject.plugin.prepare(exactly(subject), system, state)
+        memory = subject.plugin.prepare(exact_config(subject), system, state)
         assert subject.plugin.advance(system, state, memory, None, steps, dt).status == "ok"
         check_kept(memory, memory.arrays)
     return state
 
 
 def one_step_is_the_stated_matrix(subject: Subject) -> None:
-    """`amplification`, from which the largest stable step follows, is what a step does."""
+    """One step equals `amplification`, the matrix that gives the largest stable step."""
     system, dt = oscillator(), 0.13
     state = run(subject, system, dt, 1)
     start = np.stack([system.fabric.position, system.fabric.velocity])
@@ -60,7 +60,7 @@ def one_step_is_the_stated_matrix(subject: Subject) -> None:
 
 
 def the_error_falls_with_the_stated_order(subject: Subject) -> None:
-    """Against the closed form, as steps become shorter."""
+    """The error against the closed form falls with the step by the integrator's `order`."""
     system, order = oscillator(), subject.plugin.order
     counts = np.array([8, 11, 16, 22] if order > 5 else [40, 80, 160, 320]) * (40 if order == 1 else 1)
     errors = [np.abs(run(subject, system, 1.0 / n, int(n)).x - solution(system, 1.0)).max() for n in counts]
@@ -68,26 +68,26 @@ def the_error_falls_with_the_stated_order(subject: Subject) -> None:
 
 
 def equal_runs_give_equal_bytes(subject: Subject) -> None:
-    """And leave the fabric alone, and pinned vertices where they are."""
+    """A repeated run ends in the same bytes, without changing the fabric or moving pinned vertices."""
     system = oscillator()
     state = made_twice(lambda: run(subject, system, 0.01, 100), system.fabric)
     assert state.x[0].tobytes() == system.fabric.position[0].tobytes()
 
 
 def frames_cut_anywhere_end_in_the_same_bytes(subject: Subject) -> None:
-    """All that a step needs of those before it is in the state and in the memory's arrays."""
+    """The state and the memory's arrays hold everything that a step needs from earlier steps."""
     system = oscillator()
     whole, cut = run(subject, system, 0.01, 12), run(subject, system, 0.01, 5, 0, 7)
     assert (whole.x.tobytes(), whole.v.tobytes()) == (cut.x.tobytes(), cut.v.tobytes())
 
 
 def a_vertex_that_nothing_acts_on_stays_where_it_is(subject: Subject) -> None:
-    """Off the origin. By vertices or by axes, one vertex is the same in memory: no layout of it may be a view."""
+    """A free vertex off the origin does not move. Its layouts by vertex and axis are equal: none may be a view."""
     place, one = np.array([[1.0, 2.0, 3.0]]), np.ones(1)
     fabric = Fabric("one", place.copy(), np.zeros((1, 3)), one, one == 0.0, np.zeros((0, 3), np.int32))
     system, state = System(fabric, np.zeros(3)), State(place.copy(), np.zeros((1, 3)))
-    subject.plugin.limit(exactly(subject), system, state)
-    memory = subject.plugin.prepare(exactly(subject), system, state)
+    subject.plugin.limit(exact_config(subject), system, state)
+    memory = subject.plugin.prepare(exact_config(subject), system, state)
     assert subject.plugin.advance(system, state, memory, None, 2, 0.1).status == "ok"
     assert state.x.tolist() == fabric.position.tolist() == place.tolist()
 

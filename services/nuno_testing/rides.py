@@ -1,4 +1,4 @@
-"""What integrators owe of cloth that lies on a moving body: measured on a tray, by laws that hold for any method."""
+"""The contract of integrators for cloth on a moving body, tested on a tray by laws that hold for any method."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from nuno import registry
 from nuno_schemas.bodies import BOX, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import Carried, System
-from nuno_testing.integrators import exactly
+from nuno_testing.integrators import exact_config
 from nuno_testing.subject import Subject, made_twice
 
 SLOPE, WEIGHT, FRICTION = 3.0, 10.0, 0.5
-"""Gravity along the tray, and onto it [m/s^2], and the coefficient, which is more than their ratio."""
+"""Gravity along the tray and onto it [m/s^2], and the friction coefficient, which is larger than their ratio."""
 STIFF, DEPTH = 100.0, 1e-3
-"""Largest angular frequency of contact [1/s], and how deep what it bears has sunk at rest [m]."""
+"""Largest angular frequency of contact [1/s], and depth of the cloth at rest [m]."""
 FEW, MANY = 3, 66
-"""Vertices along the cloth; of many of them a solver uses several threads."""
+"""Vertices along a side of the cloth; with MANY a solver uses several threads."""
 FRAME = 0.05
 """Length of a frame [s]."""
 
 
 def tray(side: int, threads: int = 1) -> System:
-    """Cloth of side x side vertices, 1 m wide, on the top of a box, at height 0, which slopes; and beside it a vertex
+    """Return cloth of side x side vertices, 1 m wide, on the sloping top of a box at height 0, and next to it a vertex
     that the box carries.
     """
     gravity = np.array([SLOPE, 0.0, -WEIGHT])
-    place = np.linspace(0.0, 1.0, side)
-    x = np.stack([*np.meshgrid(place, place, indexing="ij"), np.full((side, side), -DEPTH)], axis=-1).reshape(-1, 3)
+    axis = np.linspace(0.0, 1.0, side)
+    x = np.stack([*np.meshgrid(axis, axis, indexing="ij"), np.full((side, side), -DEPTH)], axis=-1).reshape(-1, 3)
     x, number = np.concatenate([x, [[1.5, 0.5, 0.2]]]), np.arange(side * side, dtype=np.int32).reshape(side, side)
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in
                             ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))])  # fmt: skip
@@ -48,11 +48,11 @@ def tray(side: int, threads: int = 1) -> System:
 
 
 def ride(subject: Subject, system: System, v: Float, along: Float, steps: int, frames: int = 2) -> State:
-    """The state after some frames of so many steps on a tray that moves evenly at `along` (3,) [m/s]; v (n, 3) [m/s]
-    are the velocities at the start relative to it.
+    """Return the state after some frames of `steps` steps on a tray that moves at constant velocity `along` (3,) [m/s];
+    v (n, 3) [m/s] are the initial velocities relative to it.
     """
     state = State(system.fabric.position.copy(), v + along)
-    memory = subject.plugin.prepare(exactly(subject), system, state)
+    memory = subject.plugin.prepare(exact_config(subject), system, state)
     for frame in range(frames):
         state.t = frame * FRAME
         poses = tuple(Poses(t, np.eye(4)[:1], along[None] * t) for t in (state.t, state.t + FRAME))
@@ -61,19 +61,19 @@ def ride(subject: Subject, system: System, v: Float, along: Float, steps: int, f
     return state
 
 
-def thrown(system: System) -> Float:
-    """Velocities in disorder (n, 3) [m/s], downwards in the mean, of all that is not carried."""
+def random_velocities(system: System) -> Float:
+    """Return random velocities (n, 3) [m/s], downwards in the mean, 0 for carried vertices."""
     v = 0.3 * np.random.default_rng(2).standard_normal(system.fabric.position.shape) - [0.0, 0.0, 0.1]
     v[system.fabric.pinned] = 0.0
     return v
 
 
 def all_is_the_same_on_a_body_that_moves_evenly(subject: Subject) -> None:
-    """Galilei's law: beside a body that moves at a constant velocity cloth does as beside one that stands still. So
-    each evaluation and each commit has bodies where they are at that time, and what is carried ends a frame with them.
+    """Galilei's law: cloth moves on a body at constant velocity as on a still one. It fails unless each evaluation and
+    each commit uses the bodies' poses at its time, and carried vertices end a frame with their bodies.
     """
     system, along = tray(FEW), np.array([0.7, -0.4, 1.1])
-    still, moved = (ride(subject, system, thrown(system), v, 50) for v in (0.0 * along, along))
+    still, moved = (ride(subject, system, random_velocities(system), v, 50) for v in (0.0 * along, along))
     shift, carried = 2.0 * FRAME * along, system.fabric.pinned
     assert np.abs(still.x[~carried] - system.fabric.position[~carried]).max() > 1e-3
     assert np.abs(moved.x - still.x - shift).max() < 1e-9
@@ -82,24 +82,24 @@ def all_is_the_same_on_a_body_that_moves_evenly(subject: Subject) -> None:
 
 
 def friction_slows_what_slides_and_holds_what_stands(subject: Subject) -> None:
-    """Coulomb's law: cloth that slides down a slope at v stops within v^2 / (2 (mu g_n - g_t)), and does not creep on
-    from there. Contact remembers from step to step, by their commits, where each vertex is held.
+    """Coulomb's law: cloth that slides down a slope at v stops within v^2 / (2 (mu g_n - g_t)), and then does not
+    creep. It fails unless steps commit the friction anchor of each vertex.
     """
     system, speed = tray(FEW), 0.2
-    free, way = ~system.fabric.pinned, speed**2 / (2.0 * (FRICTION * WEIGHT - SLOPE))
+    free, distance = ~system.fabric.pinned, speed**2 / (2.0 * (FRICTION * WEIGHT - SLOPE))
     state = ride(subject, system, np.where(free[:, None], [speed, 0.0, 0.0], 0.0), np.zeros(3), 100, 4)
-    gone = (state.x - system.fabric.position)[free]
-    assert gone[:, 0].min() > 0.0 and gone[:, 0].max() < 1.1 * way  # rk4_printed stops after half of it
-    assert np.abs(gone[:, 1:]).max() < 2.0 * DEPTH
+    shift = (state.x - system.fabric.position)[free]
+    assert shift[:, 0].min() > 0.0 and shift[:, 0].max() < 1.1 * distance  # rk4_printed stops after half of it
+    assert np.abs(shift[:, 1:]).max() < 2.0 * DEPTH
     assert np.abs(state.v[free]).max() < 0.05 * speed
 
 
 def any_number_of_threads_gives_the_same_bits(subject: Subject) -> None:
-    """On cloth large enough for two, on a moving body; run again, it is the same too."""
+    """One and two threads, and a repeated run, give the same bits for cloth large enough for two on a moving body."""
     one, two = tray(MANY), tray(MANY, threads=2)
     if not subject.plugin.about(two).startswith("2 threads"):
         pytest.skip("one thread is all there is")
-    v, along = thrown(one), np.array([0.7, -0.4, 1.1])
+    v, along = random_velocities(one), np.array([0.7, -0.4, 1.1])
     first, second = (made_twice(partial(ride, subject, s, v, along, 10, 1), s.fabric) for s in (one, two))
     assert (first.x.tobytes(), first.v.tobytes()) == (second.x.tobytes(), second.v.tobytes())
 

@@ -1,4 +1,4 @@
-"""A plugin that is tried, and what all checks need: the content of what it made, and the same made again."""
+"""The plugin under test, and tools for all checks: comparing results to the last bit, and making them twice."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nuno_schemas.plugin import Files
 
 @dataclass(frozen=True)
 class Subject:
-    """A plugin with a configuration. It is guarded: what its methods give is held against the layout of their kind."""
+    """A plugin with a configuration. It is guarded: the results of its methods are checked against their layout."""
 
     group: str
     name: str
@@ -28,16 +28,16 @@ class Subject:
     files: Files
 
 
-def make_subject(group: str, name: str, given: Mapping[str, Any], folder: Path) -> Subject:
-    """The installed plugin of a name. Raises BadInput for an unknown one, ValidationError for wrong fields."""
+def make_subject(group: str, name: str, config: Mapping[str, Any], folder: Path) -> Subject:
+    """Return the installed plugin of a name. Raises BadInput for an unknown one, ValidationError for wrong fields."""
     plugin = registry.load(group, name)
     if not isinstance(plugin, Foreign):
         plugin = Foreign(plugin, group, name, registry.package_version(group, name))
-    return Subject(group, name, plugin, plugin.Config.model_validate(given), SceneFiles(folder))
+    return Subject(group, name, plugin, plugin.Config.model_validate(config), SceneFiles(folder))
 
 
 def content(value: Any) -> Any:
-    """What == compares to the last bit: bytes of arrays, parts of dataclasses and mappings; functions are left out."""
+    """Return a value for == to the last bit: bytes of arrays, fields of dataclasses and mappings, without functions."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if is_dataclass(value):
@@ -49,12 +49,12 @@ def content(value: Any) -> Any:
     return None if callable(value) else value
 
 
-def made_twice(make: Callable[[], Any], *given: Any) -> Any:
-    """What `make` gives, having given the same to the last bit on another thread, and left `given` as it was."""
-    before = content(given)
+def made_twice(make: Callable[[], Any], *arguments: Any) -> Any:
+    """Return the result of `make`, if it is the same to the last bit on another thread, and `arguments` not changed."""
+    before = content(arguments)
     first = make()
     with ThreadPoolExecutor(1) as other:
         again = other.submit(make).result()
     assert content(first) == content(again), "the same arguments gave something else on another thread"
-    assert content(given) == before, "an argument was changed"
+    assert content(arguments) == before, "an argument was changed"
     return first

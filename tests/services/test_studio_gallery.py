@@ -25,7 +25,7 @@ def test_all_that_the_page_can_load_is_light(served: tuple[Desk, Server]) -> Non
     desk, server = served
     files = {name: len(body) for name, (_, body) in page_files("nuno.studio").items() if name not in VIEWER}
     listed = desk.act({"do": "scenes"})
-    told = {"schema": len(server.told["schema"]({})[1]), "scenes": len(json.dumps(listed))}
+    told = {"schema": len(server.resources["schema"]({})[1]), "scenes": len(json.dumps(listed))}
     drawn = [one["name"] for one in listed["scenes"] if one["drawn"]]
     pictures = {name: desk.scenes.picture_of(name).stat().st_size for name in drawn}
     assert len(pictures) > 80 and {"main.js", "page.css", "form.js"} <= files.keys()

@@ -90,8 +90,8 @@ def test_an_interrupted_sweep_goes_on_where_it_was(roots: list[Path], tmp_path: 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, told=stop)
-    found = nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, told=heard.append)
+        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, progress=stop)
+    found = nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, progress=heard.append)
     assert [text.partition(":")[0] for text in heard] == ["1 of 3", "2 of 3", "3 of 3"]
     assert [row["simulated_seconds"] for row in found.rows] == pytest.approx([0.04, 0.06, 0.08])
     with (out / "sweep.csv").open(newline="") as stream:

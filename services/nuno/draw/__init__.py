@@ -1,1 +1,1 @@
-"""Ridge and valley lines drawn on cloth by hand: what they are in scenes, runs and files."""
+"""Ridge and valley lines drawn on cloth by hand, for scenes, runs and files."""

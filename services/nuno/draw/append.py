@@ -1,4 +1,4 @@
-"""A scene's file: its text as it is, items added to a list of it, and the file replaced by one that is whole."""
+"""A scene's file: reading its exact text, adding items to its lists, and replacing it atomically."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from nuno.scene.edit import put
 from nuno_schemas.errors import BadInput
 
 MARK = "\ufeff"
-"""A byte order mark, which some editors begin a file with."""
+"""A byte order mark, which some editors write at the start of a file."""
 
 
 def read_text(path: Path) -> str:
-    """A file's text as it is, line ends and byte order mark too. Raises BadInput."""
+    """Return a file's exact text, with line ends and byte order mark. Raises BadInput."""
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
@@ -28,19 +28,19 @@ def read_text(path: Path) -> str:
 
 
 def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
-    """A scene's text with `items` at the end of the list `field`, made where there is none. Raises BadInput."""
-    there = yaml_lines.parse(text, file)[0].get(field)
-    if there is not None and not isinstance(there, list):
+    """Return a scene's text with `items` at the end of the list `field`, which may be missing. Raises BadInput."""
+    present = yaml_lines.parse(text, file)[0].get(field)
+    if present is not None and not isinstance(present, list):
         raise BadInput("this is no list that lines can be added to", file, field=field, remedy="write it as a list")
-    for number, item in enumerate(items, len(there or ())):
+    for number, item in enumerate(items, len(present or ())):
         text = put(text, (field, number), item, file)
     return text
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Replace a file by one that is whole, or leave it as it is. Raises BadInput.
+    """Replace a file's text completely, or leave it unchanged. Raises BadInput.
 
-    The text is written beside it, flushed to the disk, and renamed; rights stay, and a link is followed.
+    The text is written to a file next to it, flushed to the disk, and renamed; permissions are kept, links followed.
     """
     path = path.resolve()
     part = part_of(path)

@@ -1,4 +1,4 @@
-"""Lines kept: as items for a run that goes on, and in a scene's text."""
+"""Drawn lines as items for a run, and in a scene's text."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from nuno_schemas.fabric import Fabric
 
 LIST, OPERATION = "operations", "wrinkle"
 Lines = Mapping[str, list[dict[str, Any]]]
-"""Lines as a scene has them, by the object that they are on."""
+"""Lines in the form of a scene, by object."""
 
 
 class Settings(BaseModel):
-    """What the page says of all lines."""
+    """Settings of the page for all lines."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
     passes: int = Field(default=8, ge=0, le=1000)
@@ -34,27 +34,27 @@ class Settings(BaseModel):
 
 
 def as_operations(lines: Lines, settings: object) -> list[dict[str, Any]]:
-    """An operation for each object. Raises BadInput."""
+    """Return an operation for each object. Raises BadInput."""
     try:
         chosen = Settings.model_validate(settings or {})
     except ValidationError:
         raise BadInput("these are no settings of lines", field="settings", remedy="load the page again") from None
     smoothing: dict[str, Any] = {"passes": chosen.passes} | ({"hierarchical": True} if chosen.hierarchical else {})
     more: dict[str, Any] = {"smoothing": smoothing} | ({"keep": True} if chosen.keep else {})
-    return [{"plugin": OPERATION, "object": name, **more, "lines": own} for name, own in lines.items()]
+    return [{"plugin": OPERATION, "object": name, **more, "lines": rows} for name, rows in lines.items()]
 
 
 def as_items(lines: Lines, settings: object) -> list[str]:
-    """What a run is asked to add, one for each object. Raises BadInput."""
-    found = []
+    """Return the items to add to a run, one for each object. Raises BadInput."""
+    items = []
     for operation in as_operations(lines, settings):
         plugin = operation.pop("plugin")
-        found.append(f"{plugin}: {json.dumps(operation)}")
-    return found
+        items.append(f"{plugin}: {json.dumps(operation)}")
+    return items
 
 
 class Trial:
-    """The cloth of a scene's objects at the start, on which lines are tried before they are kept."""
+    """The cloth of a scene's objects at the start, for checks of lines before they are kept."""
 
     def __init__(self, loaded: Loaded, fabrics: Sequence[Fabric]) -> None:
         names = [spec.name for spec in loaded.scene.objects]
@@ -62,20 +62,20 @@ class Trial:
         self._plugin = registry.load("nuno.operations", OPERATION)
 
     def apply(self, operation: dict[str, Any]) -> None:
-        """Try an operation, as a scene has it; nothing is kept. Raises BadInput."""
+        """Apply an operation of a scene and discard the result. Raises BadInput."""
         fabric = self._fabrics[operation["object"]]
-        beside = ("plugin", "object")
-        config = self._plugin.Config.model_validate({k: v for k, v in operation.items() if k not in beside})
+        others = ("plugin", "object")
+        config = self._plugin.Config.model_validate({k: v for k, v in operation.items() if k not in others})
         self._plugin.apply(config, fabric, build.start_state(fabric), None)
 
 
 def with_lines(
     text: str, file: str, base: Sight, lines: Mapping[bool, Lines], settings: object, load: Callable[[str], Loaded]
 ) -> str:
-    """A scene's text with lines in it, and all else as it was written. Raises BadInput.
+    """Return a scene's text with lines added to it, and everything else unchanged. Raises BadInput.
 
-    Lines are about the triangles of `base`, and given by them (`lines[True]`) where they are the first to change
-    the cloth; behind other operations, by places on the cloth as the scene begins (`lines[False]`).
+    Lines that are the first operation are given by triangles of `base` (`lines[True]`); after other operations, by
+    positions on the cloth at the start (`lines[False]`).
     """
     first = not yaml_lines.parse(text, file)[0].get(LIST)
     operations = as_operations(lines[first], settings)

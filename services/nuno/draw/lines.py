@@ -1,4 +1,4 @@
-"""Lines as the page sends them, and as scenes, runs and files have them."""
+"""Conversion of lines from the page to the forms of scenes, runs and files."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from nuno_schemas.fabric import Float, Int
 
 MOST_LINES, MOST_POINTS = 500, 20_000
 DIGITS = 5
-"""Of a barycentric coordinate: a hundred-thousandth of a triangle."""
+"""Digits of a barycentric coordinate: a hundred-thousandth of a triangle."""
 MICRON = 6
 """Digits of a length in metres, after the point."""
 Face = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class Stroke(BaseModel):
-    """A line of the page: rows of a triangle's number and its place there, two barycentric coordinates.
+    """A line of the page: rows of a triangle's number and two barycentric coordinates.
 
-    The triangle counts among all of the cloth; the coordinates are those of its second and third corner.
+    Triangles are numbered over the whole cloth; the coordinates are those of the second and third corner.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
     points: list[tuple[Face, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
     height: float = Field(allow_inf_nan=False)
     closed: bool = False
-    """Whether it goes on from its last point to its first."""
+    """Whether the last point is joined to the first."""
 
 
-def read_strokes(given: object, sight: Sight) -> list[Stroke]:
-    """The page's lines. Raises BadInput, whose field begins with lines[i], for one that cannot be."""
-    if not isinstance(given, list) or not 1 <= len(given) <= MOST_LINES:
+def read_strokes(data: object, sight: Sight) -> list[Stroke]:
+    """Validate the page's lines. Raises BadInput, with a field that begins with lines[i], for an invalid line."""
+    if not isinstance(data, list) or not 1 <= len(data) <= MOST_LINES:
         raise BadInput("draw a line first", field="lines", limit=f"1 to {MOST_LINES}")
     strokes = []
-    for i, one in enumerate(given):
+    for i, one in enumerate(data):
         try:
-            # Points are rows of JSON, which knows no tuples.
+            # Points are rows of JSON, which has no tuples.
             rows = [tuple(row) for row in one["points"]]
             stroke = Stroke.model_validate(one | {"points": rows})
         except (ValidationError, TypeError, KeyError):
@@ -64,58 +64,58 @@ def _check(stroke: Stroke, i: int, sight: Sight) -> None:
 
 
 def places(stroke: Stroke) -> tuple[Int, Float]:
-    """Triangles (p,) and barycentric coordinates (p, 3) of a line's points."""
+    """Return triangles (p,) and barycentric coordinates (p, 3) of a line's points."""
     face = np.array([row[0] for row in stroke.points], np.int64)
     second = np.array([row[1:] for row in stroke.points], np.float64)
     return face.astype(np.int32), np.column_stack([1.0 - second.sum(axis=1), second])
 
 
 def positions(stroke: Stroke, sight: Sight) -> Float:
-    """(p, 3) where a line's points are [m]."""
+    """Return the positions (p, 3) of a line's points [m]."""
     face, at = places(stroke)
     return np.asarray(np.einsum("pc,pck->pk", at, sight.x[sight.faces[face]]))
 
 
 def piece_of(sight: Sight, vertex: int) -> Piece:
-    """The piece that a vertex belongs to."""
+    """Return the piece of a vertex."""
     return next(piece for piece in sight.pieces if piece.start <= vertex < piece.stop)
 
 
 def faces_of(piece: Piece, sight: Sight) -> Int:
-    """Numbers of a piece's triangles among all, in their order."""
+    """Return the numbers of a piece's triangles in the whole cloth, ascending."""
     first = sight.faces[:, 0]
     return np.flatnonzero((first >= piece.start) & (first < piece.stop)).astype(np.int32)
 
 
 def line_at(strokes: Sequence[Stroke], piece: Piece, triangle: int, sight: Sight) -> int:
-    """The last of the lines, on one piece, that come near the middle of its triangle of this number."""
+    """Return the number of the last line, of those on a piece, that comes near the centre of one of its triangles."""
     corners = sight.x[sight.faces[faces_of(piece, sight)[triangle]]]
     middle, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
-    far = np.concatenate([distance_to(middle[None], positions(stroke, sight)) for stroke in strokes])
-    return int(np.flatnonzero(far <= max(size, float(far.min())))[-1])
+    distances = np.concatenate([distance_to(middle[None], positions(stroke, sight)) for stroke in strokes])
+    return int(np.flatnonzero(distances <= max(size, float(distances.min())))[-1])
 
 
-def distance_to(places: Float, line: Float) -> Float:
-    """(n,) distance of places (n, 3) to a polyline (k, 3) [m]."""
+def distance_to(points: Float, line: Float) -> Float:
+    """Return the distance (n,) of points (n, 3) from a polyline (k, 3) [m]."""
     start, side = line[:-1], np.diff(line, axis=0)
-    way = places[:, None] - start
+    way = points[:, None] - start
     share = np.clip((way * side).sum(axis=2) / np.maximum((side * side).sum(axis=1), 1e-30), 0.0, 1.0)
     return np.asarray(np.linalg.norm(way - share[..., None] * side, axis=2).min(axis=1))
 
 
 def pieces_of(strokes: Sequence[Stroke], sight: Sight) -> dict[str, list[int]]:
-    """Which of the lines are on each object."""
-    found: dict[str, list[int]] = {}
+    """Return the numbers of the lines on each object."""
+    numbers: dict[str, list[int]] = {}
     for i, stroke in enumerate(strokes):
         piece = piece_of(sight, int(sight.faces[stroke.points[0][0], 0]))
-        found.setdefault(piece.name, []).append(i)
-    return found
+        numbers.setdefault(piece.name, []).append(i)
+    return numbers
 
 
 def by_object(strokes: Sequence[Stroke], sight: Sight, exact: bool = True) -> dict[str, list[dict[str, Any]]]:
-    """Lines as a scene has them, by the object that they are on, whose triangles count from 0.
+    """Return lines in the form of a scene, by object, with triangles of each object numbered from 0.
 
-    Where not `exact`, by their places in the world, which stay good where triangles change.
+    If not `exact`, lines are given by positions in the world, which stay valid when triangles change.
     """
     pieces = {piece.name: piece for piece in sight.pieces}
     return {
@@ -125,28 +125,28 @@ def by_object(strokes: Sequence[Stroke], sight: Sight, exact: bool = True) -> di
 
 
 def _as_points(stroke: Stroke, sight: Sight) -> dict[str, Any]:
-    return {"points": np.round(positions(stroke, sight), MICRON).tolist(), **_said(stroke)}
+    return {"points": np.round(positions(stroke, sight), MICRON).tolist(), **_properties(stroke)}
 
 
 def _as_line(stroke: Stroke, piece: Piece, sight: Sight) -> dict[str, Any]:
     face, at = places(stroke)
     rows = zip(np.searchsorted(faces_of(piece, sight), face), at, strict=True)
-    return {"on_faces": [_on_face(f, row) for f, row in rows], **_said(stroke)}
+    return {"on_faces": [_on_face(f, row) for f, row in rows], **_properties(stroke)}
 
 
-def _said(stroke: Stroke) -> dict[str, Any]:
+def _properties(stroke: Stroke) -> dict[str, Any]:
     return {"height": round(stroke.height, MICRON)} | ({"closed": True} if stroke.closed else {})
 
 
 def _on_face(face: int, at: Float) -> dict[str, Any]:
-    """A point of a line, coordinates rounded so that they still add up to 1."""
+    """Return a point of a line, with rounded coordinates that still add up to 1."""
     b, c = (min(max(round(float(value), DIGITS), 0.0), 1.0) for value in at[1:])
     c = min(c, round(1.0 - b, DIGITS))
     return {"face": int(face), "at": [round(1.0 - b - c, DIGITS), b, c]}
 
 
 def to_obj(strokes: Sequence[Stroke], sight: Sight) -> str:
-    """An OBJ file of the lines as polylines, where they are on the cloth now [m]; heights stand in their names."""
+    """Return the text of an OBJ file of the lines as polylines on the present cloth [m], named by height."""
     rows, start = ["# ridges and valleys, in metres"], 1
     for i, stroke in enumerate(strokes):
         points = positions(stroke, sight)

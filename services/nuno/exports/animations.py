@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0, 4.0, 2.5, 2.0, 1.0)
 """Pictures a second that a GIF's hundredths of a second give exactly."""
 SIZE, DYED_SIDE = (640, 480), 500
-"""Of a moving cloth's pictures, and the longer side that a dyed cloth's come near to."""
+"""Size of a moving cloth's pictures, and approximate longer side of a dyed cloth's pictures."""
 DYED_SECONDS = 5.0
-"""How long all of a dyeing is watched [s]."""
+"""Length of an animation of a whole dyeing [s]."""
 PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
 
 
@@ -45,16 +45,16 @@ def export_animation(
     turn: float | None = None,
     frame: int | None = None,
 ) -> Path:
-    """Draw a recording as .gif or .mp4, from `start` to `end` [s]: moving cloth in real time, at RATE pictures a second
-    unless `fps` says otherwise; and of a cloth that is dyed alone, which takes hours, one picture a frame, so many a
-    second that all take DYED_SECONDS, but no more than RATE.
+    """Draw a recording as .gif or .mp4, from `start` to `end` [s]. Moving cloth is shown in real time, at `fps` or else
+    RATE pictures a second. A dyeing without motion, which takes hours, has one picture per frame, at a rate at which
+    all take DYED_SECONDS, but no more than RATE.
 
-    With `turn` the camera goes once round one `frame`, by default the last, in so many seconds instead.
+    With `turn` the camera instead goes once round one `frame`, by default the last, in this time [s].
 
-    Moving cloth is painted as `colour` says (pictures.py), and both as the scene says but for the changes. A GIF's rate
-    is the nearest of GIF_RATES; an MP4's sides are rounded down to even. Raises
-    BadInput for a name that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
-    imageio-ffmpeg is not installed; RunFailed where the encoder fails.
+    Moving cloth is painted by `colour` (pictures.py); all else follows the scene and the changes. A GIF's rate is the
+    nearest of GIF_RATES; an MP4's sides are rounded down to even. Raises BadInput for another ending, a size, rate or
+    colour out of range, nothing to show, or (MP4) if imageio-ffmpeg is not installed; RunFailed if the encoder
+    fails.
     """
     encoder = check_animation(path, fps, size)
     check_colour(colour)
@@ -76,37 +76,37 @@ def export_animation(
             else:
                 frames = list(range(max(1, round(turn * rate))))
                 draw = _turning(recording, frame, shown, colour, changes)
-        # Some of the frames, evenly, choose a GIF's palette.
-        some = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
+        # Evenly spaced frames determine a GIF's palette.
+        samples = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
         if encoder is not None:
             with writing(path, ".mp4") as new:
                 _write_mp4(encoder, new, draw(frames, progress=progress), rate)
         else:
-            palette = _choose_palette(draw(some))
+            palette = _choose_palette(draw(samples))
             with writing(path, ".gif") as new:
                 _write_gif(new, draw(frames, progress=progress), rate, palette)
     return path
 
 
 def _rate(encoder: Any, fps: float) -> float:
-    """Pictures a second that a file can have: any of an MP4, a few of a GIF."""
-    return fps if encoder is not None else min(GIF_RATES, key=lambda known: abs(known - fps))
+    """Return the rate of a file [pictures/s]: `fps` for an MP4, the nearest possible for a GIF."""
+    return fps if encoder is not None else min(GIF_RATES, key=lambda rate: abs(rate - fps))
 
 
 def _turning(
     recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None
 ) -> Callable[..., Iterator[Picture]]:
-    """What draws as many pictures of a turn as there are numbers. Raises BadInput for a frame that is none."""
-    found = read_frame(recording, frame)
+    """Return a function that draws a turn in as many pictures as there are numbers. Raises BadInput for no frame."""
+    shown = read_frame(recording, frame)
 
     def draw(numbers: list[int], progress: Progress | None = None) -> Iterator[Picture]:
-        return draw_turn(recording, found, len(numbers), size, progress, colour, changes)
+        return draw_turn(recording, shown, len(numbers), size, progress, colour, changes)
 
     return draw
 
 
 def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None = None) -> Any:
-    """The MP4 encoder, None for a GIF. Raises BadInput."""
+    """Return the MP4 encoder, None for a GIF. Raises BadInput."""
     check_sides(size)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
@@ -121,24 +121,24 @@ def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None 
 
 
 def _choose_palette(pictures: Iterator[Picture]) -> Image.Image:
-    """256 colours for all pictures of a GIF, from some of them: with a palette each, still areas flicker.
+    """Return 256 colours for all pictures of a GIF, from some of them: with a palette for each, still areas flicker.
 
-    Colours (to 6 bits) count by a power of their area. By the area itself a plain background takes
-    most entries and cloth is left with bands; counted once each, the shades of the cloth take them,
-    and the background turns to noise. From the first picture alone, cloth that is not stretched yet
-    has no colour for later. Mean error of a sheet on a sphere, dither averaged out, of 255: 3.5 from
-    the first picture, 3.7 with each colour once, 0.7 so.
+    Colours (to 6 bits) are weighted by a power of their area. Weighted by area, a plain background
+    takes most entries and cloth shows bands; with equal weights, the shades of the cloth take them,
+    and the background turns to noise. The first picture alone lacks the colours of later stretch.
+    Mean error of a sheet on a sphere, dither averaged out, of 255: 3.5 from the first picture, 3.7
+    with equal weights, 0.7 with this power.
     """
     from PIL import Image
 
-    found: Counter[int] = Counter()
+    weights: Counter[int] = Counter()
     for picture in pictures:
         every = max(1, round(np.sqrt(picture.shape[0] * picture.shape[1] / PALETTE_PIXELS)))
         red, green, blue = np.moveaxis(picture[::every, ::every].astype(np.int32) & 0xFC, 2, 0)
         codes, areas = np.unique(red << 16 | green << 8 | blue, return_counts=True)
-        found.update(dict(zip(codes.tolist(), areas.tolist(), strict=True)))
-    counted = np.repeat(list(found.keys()), [math.ceil(area**PALETTE_POWER) for area in found.values()])
-    sample = np.stack([counted >> 16, counted >> 8 & 255, counted & 255], axis=-1).astype(np.uint8)
+        weights.update(dict(zip(codes.tolist(), areas.tolist(), strict=True)))
+    weighted = np.repeat(list(weights.keys()), [math.ceil(area**PALETTE_POWER) for area in weights.values()])
+    sample = np.stack([weighted >> 16, weighted >> 8 & 255, weighted & 255], axis=-1).astype(np.uint8)
     return Image.fromarray(sample[None]).quantize(256, Image.Quantize.MEDIANCUT)
 
 
@@ -149,12 +149,12 @@ def _write_gif(path: Path, pictures: Iterator[Picture], rate: float, palette: Im
         return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
 
     first, rest = indexed(next(pictures)), map(indexed, pictures)
-    # Pillow joins equal pictures into one that lasts longer, so that the timing stays.
+    # Pillow joins equal pictures into one of longer duration, so that the timing is kept.
     first.save(path, save_all=True, append_images=rest, duration=round(1000.0 / rate), loop=0)
 
 
 def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    """Sides of an MP4 are even: an odd one gets a line of paper more."""
+    """Write an MP4; an odd side gets one more line of background, since sides must be even."""
     pictures = map(_even, pictures)
     first = next(pictures)
     size = first.shape[1], first.shape[0]

@@ -23,7 +23,7 @@ from nuno_schemas.view import View
 
 
 def z_up(points: Float) -> Float:
-    """Scenes have y up and look along -z; this turns y to z and -z to y."""
+    """Rotate points (n, 3) of a scene, with y up and a view along -z, to z up and a view along y."""
     return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
@@ -32,13 +32,13 @@ SIDES: dict[str, str] = {
     **{side: f"view.azimuth={angle}deg" for side, angle in (("front", 0), ("left", 90), ("back", 180), ("right", 270))},
     "close": "view.close=true",
 }
-"""What changes a view by a camera's name: the side of a body that it sees, which faces +z, or the cloth, near by."""
+"""Change of the view by a camera's name: the visible side of a body that faces +z, or the cloth alone."""
 CAMERA = re.compile(r"view\.(azimuth|elevation|target|distance|close|size)\b")
-"""Fields of a recorded scene that only change where it is looked at from."""
+"""Fields of a recorded scene that change only the camera."""
 
 
 def of_camera(recording: Recording, overrides: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Those of some overrides, key=value, that are the camera's, and others, of dye. Raises BadInput without dye."""
+    """Split overrides, key=value, into those of the camera and those of dye. Raises BadInput without dye."""
     camera = tuple(item for item in overrides if CAMERA.match(item))
     others = tuple(item for item in overrides if item not in camera)
     if others and recording.scene.get("dye") is None:
@@ -48,7 +48,7 @@ def of_camera(recording: Recording, overrides: Sequence[str]) -> tuple[tuple[str
 
 
 def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
-    """How the scene wants pictures taken, but for some key=value of it. Raises BadInput for what no view can be."""
+    """Return the scene's view with overrides, key=value. Raises BadInput for an invalid view."""
     data = {"view": copy.deepcopy(recording.scene.get("view", {}))}
     lines: dict[Path, int] = {}
     for item in overrides:
@@ -60,22 +60,22 @@ def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
 
 
 def turned(camera: Camera, angle: float) -> Camera:
-    """The eye gone round the vertical through its target, by an angle [rad]."""
+    """Rotate the eye about the vertical through its target, by an angle [rad]."""
     return replace(camera, eye=camera.target + turn(camera.eye - camera.target, angle))
 
 
 def turn(points: Float, angle: float) -> Float:
-    """Points (..., 3) turned about the vertical, z."""
+    """Rotate points (..., 3) about the vertical, z, by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.asarray(points @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
 
 
 MARGIN, NARROW = 0.08, 0.03
-"""Share of a picture that is left free on each side, and by a camera that is close."""
+"""Free margin of a picture on each side, as a share of it, and that of a close camera."""
 
 
 def place_camera(view: View, meshes: Iterable[Mesh], size: tuple[int, int], room: float = 0.0) -> Camera:
-    """Fitted to the meshes, with so much more `room` on each side; target and distance of the view win."""
+    """Fit a camera to the meshes, with additional `room` on each side, except for the view's target and distance."""
     fitted = fit_camera(meshes, view.azimuth, view.elevation, size, margin=(NARROW if view.close else MARGIN) + room)
     if view.target is None and view.distance is None:
         return fitted

@@ -1,4 +1,4 @@
-"""What a recording shows at one frame: pieces of cloth and bodies, as arrays."""
+"""Pieces of cloth and bodies at a frame of a recording, as arrays."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int, Panels
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
 
-# Texture coordinates of triangles' corners, and the panels that they are cut in, from a fabric message.
+# Texture coordinates per corner of a triangle, and panels, from a fabric message.
 
 
 def read_corners(arrays: Arrays, faces: Int, number: int, names: Sequence[str]) -> Corners | None:
-    """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the faces."""
+    """Return the corners of all objects, or None. Raises LookupError or ValueError if they do not match the faces."""
     if "corner_uv" not in arrays:
         return None
     points, vertex = np.asarray(arrays["corner_uv"], np.float32), arrays["corner_vertex"]
     vertex = read_indices("corner_vertex", vertex.reshape(-1, 1), 1, number)[:, 0]
-    own = read_indices("corner_faces", arrays["corner_faces"], 3, len(vertex))
-    if points.shape != (len(vertex), 2) or own.shape != faces.shape or (vertex[own] != faces).any():
+    corner_faces = read_indices("corner_faces", arrays["corner_faces"], 3, len(vertex))
+    if points.shape != (len(vertex), 2) or corner_faces.shape != faces.shape or (vertex[corner_faces] != faces).any():
         raise ValueError("texture coordinates of corners that are not those of the faces")
-    return Corners(points, vertex, own, _panels(arrays, tuple(map(str, names)), len(faces), len(points)))
+    return Corners(points, vertex, corner_faces, _panels(arrays, tuple(map(str, names)), len(faces), len(points)))
 
 
 def _panels(arrays: Arrays, names: tuple[str, ...], faces: int, points: int) -> Panels | None:
-    """Those of all objects, or None. Raises LookupError or ValueError for some that do not fit the corners."""
+    """Return the panels of all objects, or None. Raises LookupError or ValueError if they do not match the corners."""
     if "panel_of" not in arrays:
         return None
     of, seam = arrays["panel_of"], arrays["panel_seam"]
@@ -60,7 +60,7 @@ def _panels(arrays: Arrays, names: tuple[str, ...], faces: int, points: int) -> 
 
 
 def cut_corners(corners: Corners, own: NDArray[np.bool_], start: int, stop: int) -> Corners:
-    """Those of one object, by its triangles and vertices."""
+    """Return the corners of one object, given its triangles and the range of its vertices."""
     mine = (corners.vertex >= start) & (corners.vertex < stop)
     place = np.cumsum(mine, dtype=np.int32) - 1
     panels = None if corners.panels is None else _cut_panels(corners.panels, own, mine, place)
@@ -69,12 +69,12 @@ def cut_corners(corners: Corners, own: NDArray[np.bool_], start: int, stop: int)
 
 
 def _cut_panels(panels: Panels, own: NDArray[np.bool_], mine: NDArray[np.bool_], place: Int) -> Panels | None:
-    """Those of one object, by its triangles and corners, whose places among its own are given; None of one without."""
+    """Return the panels of one object, given its triangles, its corners and their new numbers; None without panels."""
     of, kept = panels.of[own], mine[panels.pairs].all(axis=1)
     used = np.unique(of[of >= 0])
     if not len(used):
         return None
-    number = np.full(len(panels.names) + 1, -1, np.int32)  # the last is what -1 takes
+    number = np.full(len(panels.names) + 1, -1, np.int32)  # the last entry is for index -1
     number[used] = np.arange(len(used))
     seam = np.unique(panels.seam[kept], return_inverse=True)[1].reshape(-1).astype(np.int32)
     names = tuple(panels.names[k] for k in used)
@@ -83,7 +83,7 @@ def _cut_panels(panels: Panels, own: NDArray[np.bool_], mine: NDArray[np.bool_],
 
 
 def read_indices(name: str, values: NDArray[Any], width: int, number: int) -> Int:
-    """Rows of so many numbers of vertices. Raises ValueError for others."""
+    """Return an array of `width` columns of vertex numbers as int32. Raises ValueError for any other array."""
     fits = values.ndim == 2 and values.shape[1] == width and values.dtype.kind in "iu"
     if not fits or (values.size and not 0 <= values.min() <= values.max() < number):
         raise ValueError(f"{name} of {values.dtype} and shape {values.shape} for {number} vertices")
@@ -91,7 +91,7 @@ def read_indices(name: str, values: NDArray[Any], width: int, number: int) -> In
 
 
 Pressures = Callable[[Float], Float]
-"""Pressure (n,) [Pa] of a knit at positions (n, 3) [m]."""
+"""Returns the pressure (n,) [Pa] of a knit at positions (n, 3) [m]."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ class ShownPiece:
     """One object of the scene: vertices start to stop of all; indices count from start.
 
     faces (f, 3), edges (e, 2) int32; rest (e,) [m]; uv (n, 2) with v up, or None;
-    image (h, w, 3) uint8 sRGB or None, and texture, the name it is to be read by; colour "#rrggbb" or None; yarns (e,)
-    which kind of yarn each edge is, -1 for none, or None where the cloth has no yarns; pinned (n,) what is held;
-    corners: texture coordinates instead of uv, where vertices have several, or None.
+    image (h, w, 3) uint8 sRGB or None, and texture, the name of its file; colour "#rrggbb" or None; yarns (e,) kind of
+    yarn of each edge, -1 for none, or None without yarns; pinned (n,) whether each vertex is held;
+    corners: texture coordinates instead of uv, if vertices have several, or None.
     """
 
     name: str
@@ -126,19 +126,19 @@ class ShownPiece:
 
     @property
     def laid_out(self) -> Corners | None:
-        """Its texture coordinates, and the vertices and triangles that a mesh with an image is made of; or None."""
+        """Texture coordinates with the vertices and triangles of a mesh with an image; or None."""
         if self.corners is not None or self.uv is None:
             return self.corners
         return Corners(self.uv, np.arange(self.stop - self.start, dtype=np.int32), self.faces)
 
     def link_stretch(self, x: Float) -> Float:
-        """(e,) |d| / rest - 1 of every spring, for x (n, 3) [m] of this piece."""
+        """Return |d| / rest - 1 of every spring, shape (e,), for x (n, 3) [m] of this piece."""
         start, end = np.take(x, self.edges.T, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.linalg.norm(end - start, axis=1) / self.rest - 1.0)
 
     def stretch(self, x: Float) -> Float:
-        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece; NaN where one is."""
+        """Return the largest link_stretch of each vertex's springs, (n,), for x (n, 3) [m]; NaN if any of them is."""
         value, most = self.link_stretch(x), np.full(len(x), -1.0)
         with np.errstate(invalid="ignore"):
             for end in (0, 1):
@@ -147,23 +147,23 @@ class ShownPiece:
 
 
 class Pieces:
-    """The cloth of a recording over time: operations may change it. Raises BadInput as `read_pieces`."""
+    """The cloth of a recording over time, with changes by operations. Raises BadInput as `read_pieces`."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._times = [message.t for message in recording.messages([FABRIC.name])]
-        self._known: dict[int, list[ShownPiece]] = {}
+        self._cache: dict[int, list[ShownPiece]] = {}
 
     def at(self, t: float) -> list[ShownPiece]:
-        """The pieces at t [s]."""
-        which = max(bisect_right(self._times, t) - 1, 0)
-        if which not in self._known:
-            self._known[which] = read_pieces(self._recording, self._times[which] if self._times else None)
-        return self._known[which]
+        """Return the pieces at t [s]."""
+        index = max(bisect_right(self._times, t) - 1, 0)
+        if index not in self._cache:
+            self._cache[index] = read_pieces(self._recording, self._times[index] if self._times else None)
+        return self._cache[index]
 
 
 def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece]:
-    """The cloth of a recording at t [s], or last. Raises BadInput where its description is missing or damaged."""
+    """Return the cloth of a recording at t [s], or at its end. Raises BadInput for a missing or damaged description."""
     try:
         by_stretch = dict(recording.scene.get("view") or {}).get("colour") == "stretch"
         pieces = cut_pieces(*recording.fabric(t), by_stretch)
@@ -173,10 +173,10 @@ def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece
 
 
 def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False) -> list[ShownPiece]:
-    """The objects of a fabric message, without images. Those of triangles that have no colour get one of CLOTHS, in
-    their order, unless they are painted by_stretch; nets show their links.
+    """Return the objects of a fabric message, without images. Objects of triangles without a colour get one of CLOTHS,
+    in their order, unless they are painted by_stretch; nets show their links.
 
-    Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for one that does not fit together.
+    Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for an inconsistent message.
     """
     number = int(text["vertices"])
     faces, edges = (read_indices(name, arrays[name], width, number) for name, width in (("faces", 3), ("edges", 2)))
@@ -206,7 +206,7 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
 
 
 def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[np.int8] | None:
-    """Those of one piece, None where it has no yarns."""
+    """Return the yarn kinds of one piece, None without yarns."""
     return None if yarns is None or (yarns[mine] < 0).all() else yarns[mine]
 
 
@@ -218,9 +218,9 @@ def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:
 
 
 def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8] | None:
-    """(h, w, 3) sRGB of an image that travels in the recording, or None.
+    """Return (h, w, 3) sRGB of an image attached to the recording, or None.
 
-    Only attachments are read: a path in a file from somewhere else must not pick files here.
+    Only attachments are read: a path in someone else's file must not select files here.
     """
     name = find_named(texture or "", recording.attachments)
     if name is None:
@@ -232,20 +232,20 @@ def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8]
 
 
 def find_named(path: str, names: Iterable[str]) -> str | None:
-    """The first of a scene's own files, by their names in it, in whose name a path on another disk ends."""
+    """Return the first of the names of a scene's files in which a path from another machine ends, or None."""
     parts = PurePath(path).parts
     return next((name for name in names if parts[-len(PurePath(name).parts) :] == PurePath(name).parts), None)
 
 
 @dataclass(frozen=True)
 class ShownBodies(Surfaces):
-    """Bodies without their level floors: `floor` is the height of the highest [m], or None."""
+    """Bodies without level floors; `floor` is the height of the highest floor [m], or None."""
 
     floor: float | None = None
 
 
 def read_bodies(recording: Recording) -> ShownBodies | None:
-    """The bodies of a recording, or None where it has none. Raises BadInput."""
+    """Return the bodies of a recording, or None. Raises BadInput."""
     message = recording.last(GEOMETRY.name)
     if message is None:
         return None
@@ -255,8 +255,8 @@ def read_bodies(recording: Recording) -> ShownBodies | None:
 
 
 def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
-    """Surfaces of bodies; `first` are their poses at the start, None where they are not known."""
-    # A floor that stands still: what the first poses say holds for the whole run.
+    """Return the surfaces of bodies; `first` are their poses at the start, None if unknown."""
+    # A floor stands still: its first pose is that of the whole run.
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
@@ -270,7 +270,7 @@ def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:
 
 
 def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) -> Float:
-    """(n, 3) [m] of the bodies at t [s]; empty where there are none."""
+    """Return the vertices of the bodies at t [s], shape (n, 3) [m]; empty without bodies."""
     message = recording.last(BODIES.name, t) if bodies is not None else None
     if message is None or bodies is None:
         return np.zeros((0, 3))
@@ -279,7 +279,7 @@ def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) ->
 
 
 def read_frame(recording: Recording, number: int | None = None) -> Frame:
-    """A frame by its number, or the last. Raises BadInput where it is not in the recording."""
+    """Return a frame by its number, or the last. Raises BadInput if it is not in the recording."""
     message, times = find_message(recording, STATE.name, number)
     if message is None:
         raise recording.no_frame(number, times)
@@ -288,7 +288,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
 
 
 def find_message(recording: Recording, topic: str, number: int | None) -> tuple[Recorded | None, dict[int, int]]:
-    """A topic's message of a frame by its number, or the last; and the log times [ns] of all frames."""
+    """Return a topic's message of a frame by its number, or the last; and the log times [ns] of all frames."""
     times = {frame: time for time, (frame, _) in recording.marks().items()}
     if number is None:
         return recording.last(topic), times
@@ -299,7 +299,7 @@ def find_message(recording: Recording, topic: str, number: int | None) -> tuple[
 
 
 def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame, finite: bool = False) -> None:
-    """Raises BadInput where a frame's points are not those of the cloth, or not `finite`."""
+    """Raise BadInput if a frame has too few points for the cloth, or, with `finite`, any that is not finite."""
     most = max((piece.stop for piece in pieces), default=0)
     if len(frame.x) < most:
         problem = f"frame {frame.number} has {len(frame.x)} points for {most} vertices"
@@ -310,7 +310,7 @@ def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame, fin
 
 
 def read_pressure(recording: Recording) -> Pressures | None:
-    """What finds the pressure of a recording's knit, its scene built again; None where it has none."""
+    """Return a function for the pressure of a recording's knit, after building its scene; None without a knit."""
     arrays, _ = recording.fabric()
     if "edge_yarn" not in arrays:
         return None

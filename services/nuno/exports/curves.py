@@ -33,10 +33,10 @@ KINDS = (".npz", ".obj")
 def make_yarns(
     recording: Recording, frame: Frame, form: Form = "smooth", settings: dict[str, Any] | None = None
 ) -> Outcome:
-    """The yarns of one frame of a recording; `settings` are those of the operation, by name.
+    """Return the yarns of one frame of a recording; `settings` are those of the operation, by name.
 
-    Raises BadInput for a recording whose cloth has no yarns, a frame that is not of it or not finite, and
-    for settings that are refused.
+    Raises BadInput for a recording without yarns, a frame of another scene or with infinite positions, and
+    invalid settings.
     """
     operation, config = find_operation(form, settings or {})
     path = str(recording.path)
@@ -57,13 +57,13 @@ def make_yarns(
 
 
 def apply(operation: Operation, config: BaseModel, loaded: Loaded, fabric: Fabric, frame: Frame) -> Outcome:
-    """What an operation makes of a frame, and of the bodies that are meshes then."""
+    """Apply an operation to a frame, with the mesh bodies at its time."""
     x = np.ascontiguousarray(frame.x, np.float64)
     return operation.apply(config, fabric, State(x, np.zeros_like(x), frame.t), _body_surface(loaded, frame.t))
 
 
 def _body_surface(loaded: Loaded, t: float) -> Surface | None:
-    """The bodies that are meshes at t [s], None where there is none."""
+    """Return the surface of the mesh bodies at t [s], or None."""
     if not loaded.scene.bodies:
         return None
     bodies = build_bodies(loaded)
@@ -73,7 +73,7 @@ def _body_surface(loaded: Loaded, t: float) -> Surface | None:
 
 
 def find_operation(form: Form, settings: dict[str, Any]) -> tuple[Operation, BaseModel]:
-    """The operation that makes yarns of a form, and its configuration. Raises BadInput for settings it refuses."""
+    """Return the operation that makes yarns of a form, and its configuration. Raises BadInput for invalid settings."""
     operation: Operation = registry.load("nuno.operations", OPERATIONS[form])
     try:
         return operation, operation.Config.model_validate(settings)
@@ -93,10 +93,10 @@ def export_yarns(
     form: Form = "smooth",
     settings: dict[str, Any] | None = None,
 ) -> Outcome:
-    """Write the yarns of one frame (default: the last) as curves; the name's ending says how.
+    """Write the yarns of one frame (default: the last) as curves, in the format of the name's ending.
 
-    .npz holds the arrays of YarnCurves, the operation's own of each point, and frame and t [s]; .obj polylines [m],
-    one object a kind of yarn. Returns what was made. Raises BadInput as make_yarns does, and for another ending.
+    .npz holds the arrays of YarnCurves, the operation's own arrays per point, and frame and t [s]; .obj polylines [m],
+    one object per kind of yarn. Returns the operation's outcome. Raises BadInput as make_yarns, and for other endings.
     """
     suffix = path.suffix.lower()
     if suffix not in KINDS:
@@ -117,7 +117,7 @@ def export_yarns(
 
 
 def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:
-    """As many digits as give every float64 back; points count from 1."""
+    """Write polylines with enough digits to restore every float64; points count from 1."""
     stream.write(f"# nuno yarns of frame {frame.number} at {frame.t!r} s\n".encode())
     number = 0
     for kind, name in enumerate(curves.names):

@@ -1,4 +1,4 @@
-"""A recording's dyed cloth: pictures of it, with name, time and a scale below, and the texture of an object."""
+"""Pictures of a recording's dyed cloth, with name, time and a scale below, and the texture of a dyed object."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from nuno_schemas.look import Crop, DyeView
 from nuno_schemas.messages import CLOTH, CONCENTRATION
 
 CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[][\w-]+\]?\.colour)\b")
-"""Fields of a recorded scene that only change how it is drawn."""
+"""Fields of a recorded scene that change only its pictures."""
 TEXTURE_SIDE = 1536
-"""Pixels of a texture's longer side that `scale: auto` aims at."""
+"""Approximate longer side of a texture with `scale: auto` [pixels]."""
 INK, PAPER = (58, 58, 62), (250, 249, 246)
 FONT, BAND = 15, 30
 """Heights of text and of the strip below a picture [pixels]."""
@@ -33,7 +33,7 @@ UNITS = ((1e-6, "um"), (1e-3, "mm"), (1.0, "m"))
 
 @dataclass(frozen=True)
 class Changes:
-    """What is to be drawn otherwise than the scene says: None for as it says; `overrides` are key=value."""
+    """Changes of a scene's pictures: None keeps the scene's value; `overrides` are key=value."""
 
     view: DyeView | None = None
     scale: int | None = None
@@ -42,7 +42,7 @@ class Changes:
 
 
 class DyedPictures:
-    """The cloth of a recording of dye as a painter draws it: by itself, or as the texture of an object `name`.
+    """Draws the dyed cloth of a recording: by itself, or as the texture of an object `name`.
 
     Raises BadInput for a recording that is damaged, or cannot be drawn.
     """
@@ -57,22 +57,22 @@ class DyedPictures:
             painter.take_cloth(cloth.payload)
 
     def picture(self, message: Recorded) -> Picture:
-        """(h, w, 3) sRGB picture of one frame's amounts."""
+        """Return a picture (h, w, 3) sRGB of one frame's amounts."""
         with self.recording.damage_reported(message):
             return self.painter.draw(message.payload)
 
     def draw(self, message: Recorded) -> Picture:
-        """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
+        """Return a picture (h, w, 3) sRGB of one frame's amounts, with a caption below if there is room for it."""
         picture, painter = self.picture(message), self.painter
         scene, view = self.recording.scene.get("name", ""), painter.look.view
         shown = "" if view == "all" else f"{view} dye   "
         return caption(picture, f"{scene}   {shown}t = {_time(painter.time)}", painter.pixel)
 
     def dress(self, pieces: list[ShownPiece], t: float) -> list[ShownPiece]:
-        """The pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput where amounts are damaged.
+        """Return the pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput for damaged amounts.
 
-        The cloth's cells cover the object's texture coordinates, x to the right being u and y down 1 - v: the picture
-        is an image as any other that is laid on cloth.
+        The cells cover the object's texture coordinates, with x to the right as u and y down as 1 - v: the picture is a
+        texture like any other.
         """
         return [
             replace(piece, image=self.texture(t), colour=None)
@@ -82,7 +82,7 @@ class DyedPictures:
         ]
 
     def texture(self, t: float) -> Picture | None:
-        """(h, w, 3) sRGB at t [s], or at the last time before it that was recorded; None before the first."""
+        """Return the texture (h, w, 3) sRGB at the last recorded time until t [s]; None before the first."""
         message = self.recording.last(CONCENTRATION.name, t)
         if message is None:
             return None
@@ -93,8 +93,8 @@ class DyedPictures:
 
 @contextmanager
 def changed_painter(recording: Recording, changes: Changes, side: int = PICTURE_SIDE) -> Iterator[DyePainter]:
-    """The painter of a recording's scene with some changes, while the scene's files are there. Raises BadInput."""
-    given = {"view": changes.view, "scale": changes.scale, "crop": changes.crop}
+    """Yield the painter of a recording's scene with changes, while the scene's files exist. Raises BadInput."""
+    values = {"view": changes.view, "scale": changes.scale, "crop": changes.crop}
     for item in changes.overrides:
         if not CHANGEABLE.match(item):
             problem, limit = "this field is no matter of pictures", "dye.picture and a dye's colour"
@@ -102,7 +102,7 @@ def changed_painter(recording: Recording, changes: Changes, side: int = PICTURE_
             raise BadInput(problem, "--set", value=item, limit=limit, remedy=remedy)
     with restored_scene(recording, changes.overrides) as loaded:
         painter = DyePainter(loaded, side)
-        painter.look = painter.look.model_copy(update={name: v for name, v in given.items() if v is not None})
+        painter.look = painter.look.model_copy(update={name: v for name, v in values.items() if v is not None})
         yield painter
 
 
@@ -110,13 +110,13 @@ def changed_painter(recording: Recording, changes: Changes, side: int = PICTURE_
 def dyed_pictures(
     recording: Recording, changes: Changes | None = None, side: int = PICTURE_SIDE
 ) -> Iterator[DyedPictures]:
-    """Pictures of a recording as its scene says, but for some changes. Raises BadInput."""
+    """Yield the pictures of a recording by its scene with changes. Raises BadInput."""
     with changed_painter(recording, changes or Changes(), side) as painter:
         yield DyedPictures(recording, painter)
 
 
 def read_dyed_object(recording: Recording, changes: Changes | None = None) -> DyedPictures | None:
-    """What is dyed of a recording's objects, None where nothing is. Raises BadInput."""
+    """Return the pictures of a recording's dyed object, or None. Raises BadInput."""
     dye = recording.scene.get("dye")
     name = dye.get("object") if isinstance(dye, dict) else None
     if name is None:
@@ -126,7 +126,7 @@ def read_dyed_object(recording: Recording, changes: Changes | None = None) -> Dy
 
 
 def find_amounts(recording: Recording, number: int | None) -> Recorded:
-    """The amounts of a frame by its number, or the last. Raises BadInput where they are not in the recording."""
+    """Return the amounts of a frame by its number, or the last. Raises BadInput if they are not in the recording."""
     message, times = find_message(recording, CONCENTRATION.name, number)
     if message is None and number in times:
         shown = [recording.marks()[at][0] for at in _recorded(recording)]
@@ -139,14 +139,14 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
 
 
 def _recorded(recording: Recording) -> list[int]:
-    """Log times [ns] of the frames whose amounts are in the recording, which may be fewer than all."""
+    """Return the log times [ns] of the frames with recorded amounts, which may be fewer than all."""
     if recording.counts.get(CONCENTRATION.name, 0) == len(recording.marks()):
         return sorted(recording.marks())
     return [message.log_time for message in recording.messages([CONCENTRATION.name])]
 
 
 def choose_amounts(recording: Recording, start: float | None, end: float | None) -> list[float]:
-    """Times of the recorded amounts from `start` to `end` [s]. Raises BadInput where there is none."""
+    """Return the times of the recorded amounts from `start` to `end` [s]. Raises BadInput if there are none."""
     times = [time / 1e9 for time in _recorded(recording)]
     first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
     chosen = [time for time in times if first <= time <= last]
@@ -158,7 +158,7 @@ def choose_amounts(recording: Recording, start: float | None, end: float | None)
 
 
 def draw_amounts(pictures: DyedPictures, times: list[float], progress: Progress | None = None) -> Iterator[Picture]:
-    """The frames at chosen times [s], in order; a time that comes twice gives one picture."""
+    """Draw the frames at chosen times [s], in order; a repeated time gives one picture."""
     wanted = {round(time * 1e9) for time in times}
     messages = pictures.recording.messages([CONCENTRATION.name], times[0], times[-1] + 1e-9)
     shown = (message for message in messages if message.log_time in wanted)
@@ -166,10 +166,10 @@ def draw_amounts(pictures: DyedPictures, times: list[float], progress: Progress 
 
 
 def caption(picture: Picture, text: str, pixel: float | None) -> Picture:
-    """The picture on a strip with a text, and a bar as long as its label says; what has no room is left out.
+    """Add a strip with a text and a scale bar below a picture, each only if there is room for it.
 
-    `pixel` is the side of a pixel [m], None where there is no scale. Text is Pillow's own font, so that it looks the
-    same on every machine.
+    `pixel` is the side of a pixel [m], None without a scale. The font is Pillow's own, which is the same on every
+    machine.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -194,7 +194,9 @@ def caption(picture: Picture, text: str, pixel: float | None) -> Picture:
 
 
 def _bar(pixel: float, width: int) -> tuple[int, str]:
-    """Pixels of the longest bar of 1, 2 or 5 times a power of ten that takes a fifth of the width, and its label."""
+    """Return the length [pixels] and label of the longest bar of 1, 2 or 5 times a power of ten within a fifth of the
+    width.
+    """
     most = 0.2 * width * pixel
     power = 10.0 ** np.floor(np.log10(most))
     length = max(step * power for step in (1, 2, 5) if step * power <= most * (1.0 + 1e-9))

@@ -1,4 +1,4 @@
-"""A recording as an MCAP file that Foxglove and Lichtblick show: meshes, bodies, curves and log, and its layout."""
+"""Export of a recording as an MCAP file for Foxglove and Lichtblick: meshes, bodies, curves and log, with a layout."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from nuno_schemas.messages import BODIES, EVENT, PENETRATION, STATE, STATUS, Eve
 
 
 class Topics(NamedTuple):
-    """What the 3-D panel shows, and the transforms it places that by."""
+    """Topics of the 3-D panel: shapes and transforms."""
 
     cloth: str = "scene/cloth"
     bodies: str = "scene/bodies"
@@ -40,23 +40,23 @@ class Topics(NamedTuple):
 
 SCENE, EVENTS = Topics(), "log"
 PANEL = (720, 720)
-"""The shape that the camera is fitted to: the scene is whole in any panel that is not higher than wide."""
+"""Panel size for the fitted camera: the whole scene is visible in any panel that is not higher than wide."""
 BACKGROUND, GRID = "#e2e6ea", "#b3bac2"
 CURVES = ("#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#d55e00", "#0072b2", "#808080")
-"""Told apart with the common colour-vision deficiencies (Okabe and Ito, 2008), and a grey."""
+"""Distinguishable with the common colour-vision deficiencies (Okabe and Ito, 2008), and a grey."""
 
 
 def arrange(
     recording: Recording, points: Sequence[Float], floor: float | None, frames: Sequence[str],
     topics: Collection[str], kinds: Mapping[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    """The layout, as both import it: the scene on the left, on the right curves of energy and penetration, and the log.
+    """Return the layout for both: the scene on the left, on the right curves of energy and penetration, and the log.
 
-    points  (n, 3) each [m]: what should be in view, by the scene's view
-    floor   where the grid is [m], the lowest point for None
-    frames  names of all frames, whose axes are not shown
-    topics  those that the file has; what it has not is left out
-    kinds   the JSON Schemas of some
+    points  (n, 3) each [m]: points that must be in view, by the scene's view
+    floor   height of the grid [m], None for the lowest point
+    frames  names of all frames, whose axes are hidden
+    topics  topics of the file; panels of other topics are left out
+    kinds   JSON Schemas of some topics
     """
     cloud = z_up(np.concatenate(points))
     camera = place_camera(read_view(recording), [Mesh(cloud, np.zeros((0, 3), np.int32))], PANEL)
@@ -68,23 +68,23 @@ def arrange(
         panels["Plot!energy"] = _plot("Energy [J]", {name: f"{STATUS.name}.energy.{name}" for name in energy})
     if PENETRATION.name in topics:
         depths = {"deepest": "depth", "mean of those inside": "mean"}
-        told = {label: f"{PENETRATION.name}.{field}" for label, field in depths.items()}
-        panels["Plot!depth"] = _plot("Penetration [m]", told)
+        curves = {label: f"{PENETRATION.name}.{field}" for label, field in depths.items()}
+        panels["Plot!depth"] = _plot("Penetration [m]", curves)
     if EVENTS in topics:
         panels["RosOut!log"] = {"topicToRender": EVENTS, "minLogLevel": 1, "searchTerms": []}
-    main, *beside = panels
-    # One that was changed in a viewer and saved from there begins otherwise: `target.MAGIC`.
+    main, *side = panels
+    # `target.MAGIC` relies on the first key: a layout saved by a viewer begins differently.
     return {
         "globalVariables": {"nuno": str(recording.scene.get("name", ""))},
         "configById": panels,
-        "layout": _split("row", 68.0, main, _stack(beside)) if beside else main,
+        "layout": _split("row", 68.0, main, _stack(side)) if side else main,
         "userNodes": {},
         "playbackConfig": {"speed": 1.0},
     }
 
 
 def _stack(panels: Sequence[str]) -> Any:
-    """Panels below each other, of one height."""
+    """Stack panels of equal height."""
     first, *others = panels
     return first if not others else _split("column", 100.0 / len(panels), first, _stack(others))
 
@@ -112,9 +112,9 @@ def _scene(camera: Camera, floor: float, frames: Sequence[str], topics: Sequence
 
 
 def camera_state(camera: Camera) -> dict[str, Any]:
-    """A camera, z up, as the 3-D panel has it.
+    """Return the 3-D panel's state of a camera, z up.
 
-    phi is the angle from the vertical, theta that round it: the panel puts its eye at the target and
+    phi is the angle from the vertical, theta the angle about it: the panel's eye is at the target plus
     d (sin phi sin theta, -sin phi cos theta, cos phi), where theta is minus `thetaOffset`.
     """
     x, y, z = (camera.eye - camera.target).tolist()
@@ -147,38 +147,38 @@ def _plot(title: str, curves: Mapping[str, str]) -> dict[str, Any]:
 
 SUFFIX, LAYOUT = ".mcap", ".layout.json"
 LIBRARY = "nuno export"
-"""In the file's header, by which it is told from a recording."""
+"""Library in the file's header, which distinguishes it from a recording."""
 LOOKS = 16
-"""Moments that the camera is fitted to."""
+"""Number of frames to which the camera is fitted."""
 LINE = 2.0
 """Width of a net's links [pixels]."""
 LEVELS = {"error": messages.LogLevel.Error, "warning": messages.LogLevel.Warning}
-"""Of events, by their kind; of the others Info."""
+"""Log levels of events by kind; other kinds have Info."""
 
 
 def export_foxglove(source: Recording | Path | str, path: Path, progress: Progress | None = None) -> list[Path]:
-    """Write a whole recording, .mcap, and beside it the layout that shows it, .layout.json; both paths.
+    """Write a whole recording, .mcap, and next to it its layout, .layout.json; return both paths.
 
-    scene/cloth is a foxglove.SceneUpdate a frame, one entity an object, whose name it has; scene/bodies the rigid
-    bodies, once, in their frames, which scene/frames moves; scene/skins those that bend, each frame. Log times are
-    times of the scene. Every JSON topic of the recording is there under its own name, message by message, and events
-    are in `log`, too. Raises BadInput for another ending, what would be lost, a recording of dye alone, positions that
-    are not finite, and damage.
+    scene/cloth has a foxglove.SceneUpdate per frame, with one entity per object, by its name; scene/bodies the rigid
+    bodies, once, in their frames, which scene/frames moves; scene/skins the bending bodies, each frame. Log times are
+    times of the scene. Every JSON topic of the recording is copied under its name, and events are in `log`, too. Raises
+    BadInput for another ending, a file that would be lost, a recording of dye alone, positions that are not finite,
+    and damage.
     """
-    beside = check_foxglove(path)
-    with opened(source) as recording, writing(path, SUFFIX) as new, writing(beside, ".json") as layout:
+    layout_path = check_foxglove(path)
+    with opened(source) as recording, writing(path, SUFFIX) as new, writing(layout_path, ".json") as layout:
         with new.open("wb") as stream:
             export = _Export(recording, stream)
             export.write(progress)
         layout.write_text(json.dumps(export.layout(), indent=1) + "\n", encoding="utf-8")
-    return [path, beside]
+    return [path, layout_path]
 
 
 def check_foxglove(path: Path) -> Path:
-    """The place of the layout. Raises BadInput for another ending, and what would be lost."""
+    """Return the path of the layout. Raises BadInput for another ending, and a file that would be lost."""
     check_target(path, SUFFIX)
-    check_target(beside := path.with_suffix(LAYOUT), ".json")
-    return beside
+    check_target(layout := path.with_suffix(LAYOUT), ".json")
+    return layout
 
 
 class _Export:
@@ -189,12 +189,12 @@ class _Export:
         self.json = [name for name in recording.counts if (topic := topic_of(name)) and topic.encoding == "json"]
         self.kinds = describe_topics(recording, self.json)
         self.points: list[Float] = []
-        """What the camera is fitted to (n, 3) [m]."""
+        """Points to which the camera is fitted, (n, 3) each [m]."""
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._channels: dict[str, int] = {}
 
     def write(self, progress: Progress | None) -> None:
-        """Write all of it. Raises BadInput."""
+        """Write the whole recording. Raises BadInput."""
         self._writer.start(profile="", library=LIBRARY)
         start = next(self.recording.messages([STATE.name])).log_time
         self._put(SCENE.fixed, "foxglove.FrameTransforms", start, encode_turns(self.show.fixed, start))
@@ -222,12 +222,12 @@ class _Export:
         self._writer.finish()
 
     def layout(self) -> dict[str, Any]:
-        """What shows the file as it was written."""
+        """Return the layout of the written file."""
         frames = [turn.child for turn in self.show.fixed] + self.show.frames
         return arrange(self.recording, self.points, self.show.floor, frames, set(self._channels), self.kinds)
 
     def _pass_on(self, message: Recorded) -> None:
-        """A message of a JSON topic as it is, and an event as a line of the log, too."""
+        """Copy a message of a JSON topic, and write an event to the log as well."""
         kind = topic_of(message.topic)
         schema = kind.schema if kind else message.topic
         self._put(message.topic, schema, message.log_time, message.payload, message.seq, self.kinds[message.topic])
@@ -246,20 +246,20 @@ class _Export:
 
 
 def describe_topics(recording: Recording, topics: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """A JSON Schema of what each topic's messages hold.
+    """Return a JSON Schema of the content of each topic's messages.
 
-    Those of the recording itself say what could be in a message, and have alternatives and mappings with any keys.
-    Lichtblick's reader (mcap-support/src/parseJsonSchema.ts, from Foxglove Studio) refuses a topic whose schema does.
+    The recording's own schemas describe every possible message, with alternatives and mappings with any keys, which
+    Lichtblick's reader (mcap-support/src/parseJsonSchema.ts, from Foxglove Studio) refuses.
     """
-    found: dict[str, list[Any]] = defaultdict(list)
+    contents: dict[str, list[Any]] = defaultdict(list)
     for message in recording.messages(topics):
-        found[message.topic].append(recording.json(message.payload))
-    return {name: describe(found[name]) or {"type": "object", "properties": {}} for name in topics}
+        contents[message.topic].append(recording.json(message.payload))
+    return {name: describe(contents[name]) or {"type": "object", "properties": {}} for name in topics}
 
 
 def describe(values: Sequence[Any]) -> dict[str, Any] | None:
-    """A JSON Schema of values: of objects with the properties that any has, of arrays of one kind of item. None where
-    they are of several kinds, of none, or arrays in arrays.
+    """Return a JSON Schema of values: of objects with the properties of any of them, of arrays of one kind of item.
+    None for values of several kinds, for no values, and for nested arrays.
     """
     values = [value for value in values if value is not None]
     kinds = {"number" if type(value) in (int, float) else type(value).__name__ for value in values}
@@ -277,27 +277,27 @@ def describe(values: Sequence[Any]) -> dict[str, Any] | None:
 
 
 def encode_shapes(shapes: Sequence[Shape], at: int) -> bytes:
-    """A foxglove.SceneUpdate of shapes in the frame CLOTH, at a time [ns]: each replaces the last of its name."""
+    """Encode a foxglove.SceneUpdate of shapes in the frame CLOTH at a time [ns]: each replaces the last of its name."""
     encoded: bytes = messages.SceneUpdate(entities=[entity(shape, CLOTH, at) for shape in shapes]).encode()
     return encoded
 
 
 def entity(shape: Shape, frame: str, at: int) -> messages.SceneEntity:
-    """A shape that goes with a frame."""
+    """Return the entity of a shape that moves with a frame."""
     tints = [messages.Color(r=r, g=g, b=b, a=1.0) for r, g, b in shape.colours.tolist()]
     colour = {"color": tints[0]} if len(tints) == 1 else {"colors": tints}
     points = [messages.Point3(x=x, y=y, z=z) for x, y, z in shape.x.astype(np.float32).tolist()]
-    own = {"points": points, "indices": shape.indices.reshape(-1).tolist(), "pose": _pose(), **colour}
+    fields = {"points": points, "indices": shape.indices.reshape(-1).tolist(), "pose": _pose(), **colour}
     if shape.indices.shape[1] == 3:
-        drawn = {"triangles": [messages.TriangleListPrimitive(**own)]}
+        parts = {"triangles": [messages.TriangleListPrimitive(**fields)]}
     else:
         kind = messages.LinePrimitiveLineType.LineList
-        drawn = {"lines": [messages.LinePrimitive(type=kind, thickness=LINE, scale_invariant=True, **own)]}
-    return messages.SceneEntity(timestamp=_stamp(at), frame_id=frame, id=shape.name, frame_locked=True, **drawn)
+        parts = {"lines": [messages.LinePrimitive(type=kind, thickness=LINE, scale_invariant=True, **fields)]}
+    return messages.SceneEntity(timestamp=_stamp(at), frame_id=frame, id=shape.name, frame_locked=True, **parts)
 
 
 def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
-    """A foxglove.FrameTransforms at a time [ns]."""
+    """Encode a foxglove.FrameTransforms at a time [ns]."""
     transforms = []
     for turn in turns:
         w, x, y, z = turn.rotation
@@ -313,7 +313,7 @@ def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
 
 
 def encode_event(recording: Recording, message: Recorded) -> bytes:
-    """A foxglove.Log. Raises BadInput for a message that is no event."""
+    """Encode an event as a foxglove.Log. Raises BadInput for a message that is not an event."""
     event = Event.model_validate(recording.said(message))
     level = LEVELS.get(event.kind, messages.LogLevel.Info)
     encoded: bytes = messages.Log(
@@ -328,6 +328,6 @@ def _stamp(at: int) -> messages.Timestamp:
 
 
 def _pose() -> messages.Pose:
-    """That of the frame itself."""
+    """Return the identity pose."""
     still = messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
     return messages.Pose(position=messages.Vector3(x=0.0, y=0.0, z=0.0), orientation=still)

@@ -1,4 +1,4 @@
-"""Frames as OBJ, PLY and glTF files."""
+"""Export of frames as OBJ, PLY and glTF files."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int
 
 MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-"""Of glTF's materials."""
+"""Properties of glTF's materials."""
 
 
 def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
-    """Write one frame (default: the last) of the cloth; the name's ending says how.
+    """Write one frame (default: the last) of the cloth, in the format of the name's ending.
 
     .obj and .ply hold the cloth: positions [m] with all their digits, faces, texture coordinates. .glb also
-    holds the bodies, the texture images and colours; its positions, float32 by the format, are about an origin that
-    its nodes are moved to. Raises BadInput for another ending, a frame that is not there or not finite, or where the
-    file cannot be written.
+    holds the bodies, the texture images and colours; its positions, float32 by the format, are about an origin to
+    which its nodes are moved. Raises BadInput for another ending, a missing frame or one that is not finite, or a file
+    that cannot be written.
     """
     suffix = _known(path.suffix.lower(), path)
     with opened(source) as recording:
@@ -45,7 +45,7 @@ def export_meshes(
 ) -> list[Path]:
     """Write every frame into a folder, made if it is missing: frame_00000.obj, and so on.
 
-    Raises as `export_mesh`.
+    Raises the errors of `export_mesh`.
     """
     _known(suffix, folder)
     written = []
@@ -81,7 +81,7 @@ def _write(
 
 
 def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
-    """One object per piece, and one group per panel. As many digits as give every float64 back.
+    """Write one object per piece, and one group per panel, with enough digits to restore every float64.
 
     OBJ counts from 1 over all pieces.
     """
@@ -105,7 +105,7 @@ def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None
 
 
 def panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
-    """Triangles in a row that are of one panel: its name, the first, and the one after the last; "" is of none."""
+    """Return the runs of triangles of one panel: its name, the first, and the end; "" for no panel."""
     panels = None if piece.corners is None else piece.corners.panels
     if panels is None:
         return [("", 0, len(piece.faces))]
@@ -115,9 +115,9 @@ def panel_runs(piece: ShownPiece) -> list[tuple[str, int, int]]:
 
 
 def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
-    """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t.
+    """Write binary PLY, all pieces as one mesh, positions as double, texture coordinates as s and t.
 
-    Where vertices have several, along seams, those are lists of the faces' corners, so that seams stay closed.
+    If vertices have several, along seams, these are lists per face, so that seams stay closed.
     """
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
     uvs = [piece.uv for piece in pieces if piece.uv is not None and not piece.seamed]
@@ -144,7 +144,7 @@ def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None
 
 
 def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
-    """glTF is y up and right-handed, as the scene is."""
+    """Return a binary glTF file, which is y up and right-handed like the scene."""
     import trimesh
 
     scene, place = trimesh.Scene(), np.eye(4)
@@ -168,9 +168,9 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
 
 
 def _trimesh(x: Float, faces: Int, visual: Any, split: Corners | None = None) -> Any:
-    """A mesh with its vertices' normals: trimesh would find them with scipy, which takes a second to import.
+    """Return a mesh with vertex normals: trimesh would compute them with scipy, which takes a second to import.
 
-    Where vertices are split along seams, each part has the normal of the whole: seams are shaded smoothly.
+    Vertices that are split along seams keep the normal of the whole vertex: seams are shaded smoothly.
     """
     import trimesh
 
@@ -182,7 +182,7 @@ def _trimesh(x: Float, faces: Int, visual: Any, split: Corners | None = None) ->
 
 
 def _visual(piece: ShownPiece, x: Float) -> Any:
-    """The texture where there is one, else the colour, else stretch."""
+    """Return the texture if there is one, else the colour, else colours by stretch."""
     from PIL import Image
     from trimesh.visual import ColorVisuals, TextureVisuals
     from trimesh.visual.material import PBRMaterial

@@ -1,4 +1,4 @@
-"""Colours of cloth and bodies in pictures and mesh files, and nets as tubes, which renderers of triangles can show."""
+"""Colours of cloth and bodies in pictures and mesh files, and nets as tubes for renderers of triangles."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ THICKNESS = 0.004
 INSET = 0.002
 """Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 CLOTHS = ("#5f84ad", "#c4795c", "#84a06c", "#cfa75b", "#95749f", "#5a9590")
-"""Of objects without a colour of their own, in their order: of dyed cloth, soft, and told apart."""
+"""Colours of objects without one of their own, in their order: soft dye colours that are easy to distinguish."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"
 YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
-"""Of kinds of yarn in the order of their names, over again where there are more."""
+"""Colours of kinds of yarn in the order of their names, repeated if there are more kinds."""
 
 
-def colour_of(place: int) -> str:
-    """Of the object at a place in the scene, where it has no colour of its own."""
-    return CLOTHS[place % len(CLOTHS)]
+def colour_of(index: int) -> str:
+    """Return the colour of an object without one of its own, by its index in the scene."""
+    return CLOTHS[index % len(CLOTHS)]
 
 
 def as_png(picture: NDArray[np.uint8]) -> bytes:
-    """The file of a picture (h, w, 3), made quickly rather than small."""
+    """Encode a picture (h, w, 3) as PNG, fast rather than small."""
     from PIL import Image
 
     out = io.BytesIO()
@@ -41,28 +41,28 @@ def as_png(picture: NDArray[np.uint8]) -> bytes:
 
 
 def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:
-    """(e, 3) linear light of links by their kind of yarn; -1, no yarn, is plain."""
+    """Return the linear light (e, 3) of links by their kind of yarn; -1, no yarn, is plain."""
     table = np.stack([parse_hex(colour) for colour in (*YARNS, PLAIN)])
     return np.asarray(table[np.where(kinds < 0, len(YARNS), kinds % len(YARNS))])
 
 
 def paint_pressure(pressure: Float, high: float) -> NDArray[np.float64]:
-    """(n, 3) linear light of n pressures [Pa] from 0 to `high`; below 0 as 0, NaN grey."""
+    """Return the linear light (n, 3) of n pressures [Pa] from 0 to `high`; below 0 as 0, NaN grey."""
     return colours(np.maximum(pressure, 0.0), 0.0, high)
 
 
 def paint_stretch(stretch: Float) -> NDArray[np.float64]:
-    """(n, 3) linear light of n stretches; NaN is grey."""
+    """Return the linear light (n, 3) of n stretches; NaN is grey."""
     low, high = (math.log10(end) for end in STRETCH)
     with np.errstate(invalid="ignore"):
         return colours(np.log10(np.maximum(stretch, STRETCH[0])), low, high)
 
 
 def tubes(x: Float, edges: Int) -> tuple[Float, Int, NDArray[np.int64]]:
-    """Open tubes along edges (e, 2) between points x (n, 3) [m].
+    """Make open tubes along edges (e, 2) between points x (n, 3) [m].
 
     Returns vertices (12 e, 3), faces (12 e, 3) counter-clockwise seen from outside, and the
-    point (12 e,) whose colour each vertex takes.
+    point (12 e,) that gives each vertex its colour.
     """
     finite = x[np.isfinite(x).all(axis=1)]
     extent = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0

@@ -1,4 +1,4 @@
-"""The flat pattern of sewn garments as a drawing at true size: SVG, 1 unit = 1 mm, or PDF made of it."""
+"""Export of the flat pattern of sewn garments as a drawing at true size: SVG, 1 unit = 1 mm, or a PDF made from it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from nuno_schemas.fabric import Corners, Float, Int, Panels
 # Words, numbers and scales on the drawing of a flat pattern.
 
 STRIPES = 50
-"""Of the bar of strains."""
+"""Number of stripes of the bar of strains."""
 INK, SEAM = "#1d2430", "#b5523b"
 
 
 def scale() -> list[str]:
-    """10 cm to check a print by."""
+    """Return a scale of 10 cm for checking prints."""
     return [
         f'<path class="scale" d="M0,-3V3M0,0H100M100,-3V3" fill="none" stroke="{INK}" stroke-width="0.6"/>',
         text("10 cm", 50, -2.5, 6, INK, "middle"), text("1:1, in mm. Arrows run along the warp.", 0, 12, 5),
@@ -36,8 +36,8 @@ def scale() -> list[str]:
 
 
 def legend(words: str) -> list[str]:
-    """A bar of 100 mm, beside the scale, with the strains at decades."""
-    # Of stripes: what makes a PDF of the drawing knows no gradients. Each reaches under the next, so that no gap shows.
+    """Return a colour bar of 100 mm next to the scale, with the strains at decades."""
+    # Stripes, since the PDF converter supports no gradients. Each extends under the next, so that no gap is visible.
     shades = to_srgb(colours(np.arange(STRIPES), 0.0, STRIPES - 1.0))
     inks = ["#" + bytes(np.rint(255.0 * shade).astype(np.uint8).tolist()).hex() for shade in shades]
     wide = 100.0 / STRIPES
@@ -57,7 +57,7 @@ def points(rows: Float) -> str:
 
 def text(text: str, x: float, y: float, size: float, ink: str = INK, anchor: str = "start") -> str:
     place = f'x="{x:.3f}" y="{y:.3f}" font-size="{size:.3g}" fill="{ink}" text-anchor="{anchor}"'
-    # A white rim first: labels are to be read on any colour, and not all programs know paint-order.
+    # A white outline first: labels must be readable on any colour, and not all programs support paint-order.
     return f'<text {place} stroke="#ffffff" stroke-width="{0.2 * size:.3g}">{escape(text)}</text>' + (
         f"<text {place}>{escape(text)}</text>"
     )
@@ -65,20 +65,19 @@ def text(text: str, x: float, y: float, size: float, ink: str = INK, anchor: str
 
 MM, PLAIN = 1e3, "#d9d4c8"
 GAP, MARGIN, HEAD, FOOT = 30.0, 20.0, 14.0, 40.0
-"""Between panels, round the drawing, for a garment's name above it, for scale and legend below it [mm]."""
+"""Space between panels, around the drawing, for a garment's name above it, for scale and legend below it [mm]."""
 NOTCH, INSIDE = 5.0, 10.0
-"""How long a notch is, and how far inside of the edge its label stands [mm]."""
+"""Length of a notch, and distance of its label from the edge [mm]."""
 WORDS = {"stretch": "largest strain", "warp": "strain along the warp", "weft": "strain along the weft"}
-"""What triangles can be painted by."""
+"""Quantities by which triangles can be painted, with their legends."""
 
 
 def export_pattern(source: Recording | Path | str, path: Path, frame: int | None = None, colour: str = "auto") -> Path:
-    """Draw the panels of all sewn garments, one garment beside the other, as .svg or .pdf at true size.
+    """Draw the panels of all sewn garments, garment next to garment, as .svg or .pdf at true size.
 
     colour "stretch", "warp" or "weft" paints triangles by the strain of a frame (default: the last), "cloth" shows the
-    print that panels are cut of, or the garment's colour; any other draws outlines. Raises BadInput for another ending,
-    a frame that is not there, a recording without a sewn garment, a .pdf of a print, and one where fpdf2 is not
-    installed.
+    print of the panels, or the garment's colour; any other draws outlines. Raises BadInput for another ending, a
+    missing frame, a recording without a sewn garment, a .pdf of a print, and a .pdf if fpdf2 is not installed.
     """
     suffix = ".pdf" if path.suffix.lower() == ".pdf" else ".svg"
     check_target(path, suffix)
@@ -96,19 +95,19 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
             )
             raise BadInput(problem, str(recording.path), field="--pattern", value=str(path), remedy=remedy)
         if suffix == ".pdf" and colour == "cloth" and any(piece.image is not None for piece, _, _ in garments):
-            # fpdf2 clips no images: each panel would show all of it.
+            # fpdf2 does not clip images: each panel would show the whole print.
             raise BadInput("a PDF cannot show a print within its panels", field="--pattern", value=str(path),
                            remedy="export an .svg, which browsers print at true size")  # fmt: skip
-        drawn, start, height = list[str](), MARGIN, 0.0
+        elements, start, height = list[str](), MARGIN, 0.0
         for piece, corners, panels in garments:
             flat, width = _lay(corners, panels)
             height = max(height, float(flat[:, 1].max()))
             painted = paint_triangles(piece, shown.x[piece.start : piece.stop], colour) if colour in WORDS else None
-            drawn.append(f'<g class="garment" transform="translate({start:.3f} 0)">')
-            drawn.append(text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
+            elements.append(f'<g class="garment" transform="translate({start:.3f} 0)">')
+            elements.append(text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
             cloth = _cloth(piece, flat, corners, panels) if colour == "cloth" else None
-            drawn += _garment(piece.name, corners, panels, flat * [1.0, -1.0], painted, cloth)
-            drawn.append("</g>")
+            elements += _garment(piece.name, corners, panels, flat * [1.0, -1.0], painted, cloth)
+            elements.append("</g>")
             start += width + 2.0 * GAP
         foot = [*scale(), *(legend(WORDS[colour]) if colour in WORDS else [])]
     width, top = max(start - 2.0 * GAP + MARGIN, 2.0 * MARGIN + 260.0), MARGIN + HEAD
@@ -117,7 +116,7 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
         f'<svg id="nuno-pattern" xmlns="http://www.w3.org/2000/svg" width="{size[0]}mm" height="{size[1]}mm" '
         f'viewBox="0 0 {size[0]} {size[1]}" font-family="sans-serif" stroke-linejoin="round">',
         '<rect width="100%" height="100%" fill="#ffffff"/>',
-        f'<g transform="translate(0 {top + height:.3f})">', *drawn, "</g>",
+        f'<g transform="translate(0 {top + height:.3f})">', *elements, "</g>",
         f'<g transform="translate({MARGIN} {top + height + 20.0:.3f})">', *foot, "</g>", "</svg>",
     ]  # fmt: skip
     with writing(path, suffix) as new:
@@ -133,7 +132,7 @@ def _fpdf() -> Any:
 
 
 def _write_pdf(svg: str, path: Path) -> None:
-    """One page as large as the drawing."""
+    """Write a PDF with one page of the size of the drawing."""
     fpdf = _fpdf()
     drawing = fpdf.svg.SVGObject(svg)
     page = fpdf.FPDF(unit="pt", format=(drawing.width, drawing.height))
@@ -144,27 +143,27 @@ def _write_pdf(svg: str, path: Path) -> None:
 
 
 def _cloth(piece: ShownPiece, flat: Float, corners: Corners, panels: Panels) -> list[str]:
-    """Of each panel what its outline is filled with: the print as an element, else the colour."""
+    """Return the fill of each panel's outline: the print as an SVG element, else the colour."""
     if piece.image is None:
         return [piece.colour or PLAIN] * len(panels.names)
     stream = io.BytesIO()
     Image.fromarray(piece.image).save(stream, "PNG")
     data = base64.b64encode(stream.getvalue()).decode()
-    found = []
+    fills = []
     for k, unit in enumerate(panels.unit.tolist()):
-        some = int(corners.faces[panels.of == k][0, 0])
+        corner = int(corners.faces[panels.of == k][0, 0])
         side = MM * unit
-        x, y = flat[some] - side * corners.points[some].astype(np.float64)
-        found.append(
+        x, y = flat[corner] - side * corners.points[corner].astype(np.float64)
+        fills.append(
             f'<image x="{x:.3f}" y="{-y - side:.3f}" width="{side:.3f}" height="{side:.3f}" preserveAspectRatio="none" '
             f'href="data:image/png;base64,{data}"/>'
         )
-    return found
+    return fills
 
 
 def strains(piece: ShownPiece, x: Float) -> dict[str, Float]:
-    """Of each triangle at x (n, 3) [m], by the names in WORDS: the largest strain, and those along warp and weft, as
-    `nuno fit` has them; NaN for triangles of no panel.
+    """Return the largest strain of each triangle at x (n, 3) [m], and those along warp and weft, by the names in WORDS,
+    as `nuno fit` measures them; NaN for triangles without a panel.
     """
     if piece.corners is None or piece.corners.panels is None:
         raise ValueError("strain is measured from panels")
@@ -181,26 +180,26 @@ def strains(piece: ShownPiece, x: Float) -> dict[str, Float]:
 
 
 def paint_triangles(piece: ShownPiece, x: Float, colour: str) -> list[str]:
-    """Of each triangle "#rrggbb", by the scale of pictures."""
+    """Return the colour "#rrggbb" of each triangle, by the colour scale of pictures."""
     linear = paint_stretch(strains(piece, x)[colour])
     return ["#" + bytes(row).hex() for row in np.round(255.0 * to_srgb(linear)).astype(np.uint8)]
 
 
 def _lay(corners: Corners, panels: Panels) -> tuple[Float, float]:
-    """(p, 2) the corners [mm], warp upwards, panels side by side with gaps on one line; and how wide it is."""
+    """Return the corners (p, 2) [mm] with the warp upwards and panels side by side, and the total width."""
     flat, start = np.zeros((len(corners.points), 2)), 0.0
     for k, unit in enumerate(panels.unit.tolist()):
-        own = np.unique(corners.faces[panels.of == k])
-        points = MM * unit * corners.points[own].astype(np.float64)
-        flat[own] = points - points.min(axis=0) + [start, 0.0]
-        start = float(flat[own, 0].max()) + GAP
+        used = np.unique(corners.faces[panels.of == k])
+        points = MM * unit * corners.points[used].astype(np.float64)
+        flat[used] = points - points.min(axis=0) + [start, 0.0]
+        start = float(flat[used, 0].max()) + GAP
     return flat, start - GAP
 
 
 def _garment(
     piece: str, corners: Corners, panels: Panels, flat: Float, painted: list[str] | None, cloth: list[str] | None
 ) -> list[str]:
-    """Elements of a garment whose corners are at flat (p, 2), y down."""
+    """Return the SVG elements of a garment with corners at flat (p, 2), y down."""
     lines = []
     for k, name in enumerate(panels.names):
         which = np.flatnonzero(panels.of == k)
@@ -214,17 +213,17 @@ def _garment(
             lines += _filled(cloth[k], path, f"cut-{piece}-{k}")
         lines += [f'<path class="outline" d="{path}" fill="none" stroke="{INK}" stroke-width="0.6"/>']
         lines += [*_grain(name, flat[faces]), "</g>"]
-    # Of a short side that was closed an end may be in no triangle.
-    there = np.isin(panels.pairs, corners.faces).all(axis=1)
+    # An end of a closed short side may be in no triangle.
+    used = np.isin(panels.pairs, corners.faces).all(axis=1)
     for number in np.unique(panels.seam).tolist():
-        pairs = panels.pairs[(panels.seam == number) & there]
+        pairs = panels.pairs[(panels.seam == number) & used]
         for side in pairs.T if len(pairs) > 1 else ():
             lines += _seam(panels.letters(number), flat, side, corners.faces)
     return lines
 
 
 def _filled(cloth: str, path: str, clip: str) -> list[str]:
-    """A panel's outline filled with a colour, or with an element, for which it is the clip of this name."""
+    """Return a panel's outline filled with a colour, or as the clip path of this name with an element."""
     if not cloth.startswith("<"):
         return [f'<path class="cloth" d="{path}" fill="{cloth}"/>']
     return [f'<clipPath id="{clip}"><path d="{path}"/></clipPath>', f'<g clip-path="url(#{clip})">{cloth}</g>']
@@ -235,8 +234,8 @@ def _triangle(corners: Float, colour: str) -> str:
 
 
 def _without_slits(loop: list[int], vertex: Int, pairs: Int) -> list[int]:
-    """An outline without the points between two that are one vertex, but for no seam: there a short side was closed,
-    and the triangle on it left out.
+    """Return an outline without points whose two neighbours are one vertex but not sewn: there a short side was closed,
+    and its triangle left out.
     """
     sewn = {frozenset(pair) for pair in pairs.tolist()}
 
@@ -248,13 +247,13 @@ def _without_slits(loop: list[int], vertex: Int, pairs: Int) -> list[int]:
 
 
 def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
-    """An edge that is sewn, with a notch at its middle and the letters that its partner has, too."""
+    """Return a sewn edge, with a notch at its middle and the letters of the seam."""
     run = flat[side]
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(run, axis=0), axis=1)))
     middle = np.array([np.interp(0.5 * along[-1], along, axis) for axis in run.T])
     at = min(int(np.searchsorted(along, 0.5 * along[-1], side="right")), len(run) - 1)
-    way = run[at] - run[at - 1]
-    inwards = np.array([-way[1], way[0]]) / np.linalg.norm(way)
+    direction = run[at] - run[at - 1]
+    inwards = np.array([-direction[1], direction[0]]) / np.linalg.norm(direction)
     touching = faces[(faces == side[at]).any(axis=1) | (faces == side[at - 1]).any(axis=1)]
     inwards *= np.sign((flat[touching].mean(axis=(0, 1)) - middle) @ inwards)
     tip, place = middle + NOTCH * inwards, middle + INSIDE * inwards
@@ -267,7 +266,7 @@ def _seam(letters: str, flat: Float, side: Int, faces: Int) -> list[str]:
 
 
 def _grain(name: str, corners: Float) -> list[str]:
-    """The arrow of the warp, in the triangle nearest to the panel's middle, and the panel's name along it."""
+    """Return the arrow of the warp, in the triangle nearest to the panel's centre, and the panel's name along it."""
     centres = corners.mean(axis=1)
     x, y = centres[np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1))]
     width, height = np.ptp(corners.reshape(-1, 2), axis=0)

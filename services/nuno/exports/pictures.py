@@ -39,23 +39,22 @@ from nuno_schemas.fabric import Float
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch", "pressure"]
-"""What cloth is painted with. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain;
-stretch: how far its threads are stretched; pressure: what a knit presses with; auto: as `view.colour` says, and
-links of nets by stretch."""
+"""Paint of cloth. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain; stretch: the
+stretch of its threads; pressure: the pressure of a knit; auto: by `view.colour`, and links of nets by stretch."""
 RENDERER = "raster"
 ROOM = 0.04
-"""Share of a picture that is left free on each side for a legend, more than without one."""
+"""Additional free margin on each side of a picture with a legend, as a share of it."""
 LOOKS = 16
-"""Frames that the camera of an animation is fitted to."""
+"""Number of frames to which the camera of an animation is fitted."""
 
 
 @dataclass
 class Painter:
     """Draws frames of one recording with one camera.
 
-    Pictures show cloth painted as `colour` says, bodies in grey, the scene's name and the time.
-    The scene's view chooses the camera, and what it leaves out is fitted to `shown`. Raises
-    BadInput for a recording without cloth, and for another `colour`.
+    Pictures show cloth painted by `colour`, bodies in grey, the scene's name and the time.
+    The scene's view chooses the camera, and its omitted fields are fitted to `shown`. Raises
+    BadInput for a recording without cloth, and for an unknown `colour`.
     """
 
     recording: Recording
@@ -65,7 +64,7 @@ class Painter:
     """Settings of the renderer, e.g. samples."""
     colour: Colour = "auto"
     changes: Changes | None = None
-    """What is drawn otherwise than the scene says: from where, and dye on an object."""
+    """Changes of the scene's camera, and of dye on an object."""
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
@@ -93,7 +92,7 @@ class Painter:
         self.camera = place_camera(self.view, fitted, size, ROOM if self.legend else 0.0)
 
     def stand_back(self, frame: Frame) -> None:
-        """Fit the camera so that the frame is in the picture from all around, whatever the view's target."""
+        """Fit the camera so that the frame is in the picture from every side, whatever the view's target."""
         meshes = self._fitted(frame)
         points = np.concatenate([mesh.vertices for mesh in meshes])
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) * [1.0, 1.0, 0.0]
@@ -103,7 +102,7 @@ class Painter:
         self.camera = place_camera(view, around, self.camera.size, ROOM if self.legend else 0.0)
 
     def draw(self, frame: Frame, angle: float = 0.0) -> Picture:
-        """(h, w, 3) uint8 sRGB; the eye gone round by an angle [rad]."""
+        """Draw a frame, (h, w, 3) uint8 sRGB, with the eye rotated about the vertical by an angle [rad]."""
         name = self.recording.metadata.get("run", {}).get("scene") or str(self.recording.scene.get("name", ""))
         caption = f"{name}   t = {frame.t:.2f} s"
         config: BaseModel = self.renderer.Config.model_validate(
@@ -113,15 +112,15 @@ class Painter:
         return picture
 
     def pieces(self, t: float) -> list[ShownPiece]:
-        """The cloth at t [s], as it is to be painted."""
+        """Return the cloth at t [s], ready for painting."""
         return [_coloured(piece, self.colour) for piece in self.cloth.at(t)]
 
     def meshes(self, frame: Frame) -> list[Mesh]:
-        """Everything at one frame, turned so that z is up, as renderer and camera have it."""
+        """Return all meshes of a frame, rotated to z up, for renderer and camera."""
         return [*self._cloth(frame), *self._bodies(frame)]
 
     def _fitted(self, frame: Frame) -> list[Mesh]:
-        """What the camera is fitted to."""
+        """Return the meshes to which the camera is fitted."""
         return self._cloth(frame) if self.view.close else self.meshes(frame)
 
     def _cloth(self, frame: Frame) -> list[Mesh]:
@@ -129,10 +128,10 @@ class Painter:
         check_size(self.recording, pieces, frame)
         pieces = pieces if self.dyed is None else self.dyed.dress(pieces, frame.t)
         painted = None if self.pressure is None else paint_pressure(self.pressure(frame.x), self.most)
-        own = [slice(piece.start, piece.stop) for piece in pieces]
+        parts = [slice(piece.start, piece.stop) for piece in pieces]
         meshes = [
-            _cloth_mesh(piece, frame.x[mine], None if painted is None else painted[mine])
-            for piece, mine in zip(pieces, own, strict=True)
+            _cloth_mesh(piece, frame.x[part], None if painted is None else painted[part])
+            for piece, part in zip(pieces, parts, strict=True)
         ]
         return [replace(mesh, vertices=z_up(mesh.vertices)) for mesh in meshes]
 
@@ -144,7 +143,7 @@ class Painter:
         return [Mesh(z_up(points), self.bodies.faces, grey, two_sided=False)]
 
     def _ground(self, meshes: list[Mesh]) -> float | str:
-        """Height of the scene's floor [m], else of the lowest point that any frame shows."""
+        """Return the height of the scene's floor [m], else of the lowest point in any frame."""
         if self.bodies is not None and self.bodies.floor is not None:
             return self.bodies.floor
         heights = np.concatenate([np.zeros(0), *(mesh.vertices[:, 2] for mesh in meshes)])
@@ -153,20 +152,20 @@ class Painter:
 
 
 def check_sides(size: tuple[int, int] | None) -> None:
-    """Raises BadInput for a picture's width and height beyond what a scene may ask for; None is fitted."""
+    """Raise BadInput for a picture's width or height outside the limits of a scene; None is fitted."""
     if size is not None and not all(16 <= side <= 8192 for side in size):
         raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
 
 
 def check_colour(colour: str) -> None:
-    """Raises BadInput for what is no Colour."""
+    """Raise BadInput for an unknown Colour."""
     if colour not in get_args(Colour):
         limit = ", ".join(get_args(Colour))
         raise BadInput("cloth cannot be painted by that", field="--colour", value=colour, limit=limit)
 
 
 def _coloured(piece: ShownPiece, colour: Colour) -> ShownPiece:
-    """The piece as it is to be painted: by its texture, else its colour, else its yarns, else its stretch."""
+    """Return the piece prepared for painting: by its texture, else its colour, else its yarns, else its stretch."""
     if colour in ("stretch", "pressure"):
         return replace(piece, image=None, colour=None, yarns=None)
     if colour == "auto" or piece.colour is not None or len(piece.faces):
@@ -182,8 +181,8 @@ def export_picture(
     colour: Colour = "auto",
     changes: Changes | None = None,
 ) -> Path:
-    """Draw one frame (default: the last) as PNG, of moving cloth or of one that is dyed alone, as the scene says but
-    for what is given. Raises BadInput for a frame that is not there, and for what cannot be drawn or written.
+    """Draw one frame (default: the last) as PNG, of moving cloth or of dye alone, by the scene and the arguments that
+    are not None. Raises BadInput for a missing frame, and for a picture that cannot be drawn or written.
     """
     check_target(path, ".png")
     check_sides(size)
@@ -203,8 +202,8 @@ def draw_frames(
     colour: Colour = "auto",
     changes: Changes | None = None,
 ) -> Iterator[Picture]:
-    """Draw chosen frames, in order, with one camera that holds them all; a number that comes
-    twice gives its picture twice. Raises BadInput.
+    """Draw chosen frames, in order, with one camera that is fitted to all; a repeated number
+    repeats its picture. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
@@ -223,56 +222,56 @@ def draw_turn(
     colour: Colour = "auto",
     changes: Changes | None = None,
 ) -> Iterator[Picture]:
-    """Draw a frame from all around, in so many pictures. Raises BadInput."""
+    """Draw a frame from all sides, in a turn of `number` pictures. Raises BadInput."""
     painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes)
     painter.stand_back(frame)
     return (painter.draw(frame, 2.0 * np.pi * k / number) for k in following(range(number), number, progress))
 
 
 def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:
-    """Numbers of the frames nearest to k / fps seconds from `start` to `end` [s].
+    """Return the numbers of the frames nearest to k / fps seconds from `start` to `end` [s].
 
-    A picture stands for 1 / fps seconds whatever the recording's rate, so time runs true.
-    Raises BadInput where there is nothing to show.
+    A picture lasts 1 / fps seconds whatever the recording's rate, so that time is real.
+    Raises BadInput if there is nothing to show.
     """
-    times = {time / 1e9: number for time, (number, _) in recording.marks().items()}
-    known = np.array(sorted(times))
-    if not len(known):
+    frames = {time / 1e9: number for time, (number, _) in recording.marks().items()}
+    times = np.array(sorted(frames))
+    if not len(times):
         raise BadInput("the recording holds no frames", str(recording.path))
-    first = known[0] if start is None else max(start, known[0])
-    last = known[-1] if end is None else min(end, known[-1])
+    first = times[0] if start is None else max(start, times[0])
+    last = times[-1] if end is None else min(end, times[-1])
     if not first <= last:
-        limit = f"{known[0]:g} to {known[-1]:g} s"
+        limit = f"{times[0]:g} to {times[-1]:g} s"
         raise BadInput("nothing to show between start and end", str(recording.path), value=(start, end), limit=limit)
     due = first + np.arange(math.floor((last - first) * fps + 1e-6) + 1) / fps
-    places = np.clip(np.searchsorted(known, due), 1, max(len(known) - 1, 1))
-    places -= due - known[places - 1] < known[np.minimum(places, len(known) - 1)] - due
-    return [times[known[place]] for place in np.minimum(places, len(known) - 1)]
+    nearest = np.clip(np.searchsorted(times, due), 1, max(len(times) - 1, 1))
+    nearest -= due - times[nearest - 1] < times[np.minimum(nearest, len(times) - 1)] - due
+    return [frames[times[i]] for i in np.minimum(nearest, len(times) - 1)]
 
 
 def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Mesh:
-    """A piece at its own points x (n, 3) as it is, or in colours (n, 3); a net as thin tubes along its springs."""
+    """Return the mesh of a piece at x (n, 3), in its own paint or colours (n, 3); of a net thin tubes along springs."""
     if not len(piece.faces):
         vertices, faces, owner = tubes(x, piece.edges)
         painted = np.repeat(paint_piece(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
         return Mesh(vertices, faces, painted, two_sided=False)
     if piece.image is not None and (laid := piece.laid_out) is not None:
-        # v points up on cloth and down in images. Vertices at one place share their normals where they are drawn.
+        # v points up on cloth and down in images. The renderer shares the normals of vertices at one position.
         uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
         return Mesh(x[laid.vertex], laid.faces, uv=uv, image=piece.image)
     return Mesh(x, piece.faces, paint_piece(piece, x) if colours is None else colours)
 
 
 def require_pressure(recording: Recording) -> Pressures:
-    """What finds the pressure of its knit. Raises BadInput where it has none."""
-    found = read_pressure(recording)
-    if found is None:
+    """Return a function for the pressure of a recording's knit. Raises BadInput for a recording without a knit."""
+    pressure = read_pressure(recording)
+    if pressure is None:
         problem, remedy = "the recording has no knit, which alone has a pressure", "leave --colour out"
         raise BadInput(problem, str(recording.path), field="--colour", value="pressure", remedy=remedy)
-    return found
+    return pressure
 
 
 def _most(pressure: Pressures, shown: list[Frame]) -> float:
-    """What 19 of 20 points are below in each of these frames [Pa]: edges and closed toes have many times more."""
-    found = [np.percentile(pressure(frame.x), 95.0) for frame in shown if np.isfinite(frame.x).all()]
-    return float(max(found, default=0.0)) or 1.0
+    """Return the largest 95th percentile of the pressure in these frames [Pa]: edges and closed toes have far more."""
+    percentiles = [np.percentile(pressure(frame.x), 95.0) for frame in shown if np.isfinite(frame.x).all()]
+    return float(max(percentiles, default=0.0)) or 1.0

@@ -1,4 +1,4 @@
-"""A recording as a bag of ROS 2, rosbag2 with MCAP inside: cloth and bodies as markers, points, transforms, numbers."""
+"""Export of a recording as a ROS 2 bag, rosbag2 with MCAP: cloth and bodies as markers, points, transforms, numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, STATE
 
 VERSION = 8
-"""Of metadata.yaml: the last that Humble reads; those after it read it, too."""
+"""Version of metadata.yaml: the last that Humble reads, and readable by later releases."""
 LINE = 0.002
 """Width of a net's links [m]."""
 MARKERS, POINTS, TRANSFORMS = (
@@ -26,18 +26,18 @@ MARKERS, POINTS, TRANSFORMS = (
 )
 NUMBER = "std_msgs/msg/Float64"
 LASTING = ("/tf_static", "/bodies")
-"""Topics of one message, which those who subscribe later get, too."""
+"""Topics of a single message, which late subscribers also get."""
 Sent = tuple[str, str, int, Any]
 """Topic, type, time [ns], message."""
 
 
 def export_ros2(source: Recording | Path | str, path: Path, progress: Progress | None = None) -> Path:
-    """Write a whole recording as a folder that is a bag: metadata.yaml, and beside it an MCAP file.
+    """Write a whole recording as a bag: a folder with metadata.yaml and an MCAP file.
 
-    /cloth is a MarkerArray a frame, one marker an object, /cloth_points a PointCloud2 of its vertices; /bodies the
-    rigid bodies, once, in their frames, which /tf moves; /skins those that bend, each frame; /series/NAME the columns
-    of `Recording.series` as Float64. Times are those of the scene. Raises BadInput where something is there already,
-    for a recording of dye alone, positions that are not finite, damage, and where rosbags is not installed.
+    /cloth has a MarkerArray per frame, with one marker per object, /cloth_points a PointCloud2 of its vertices; /bodies
+    the rigid bodies, once, in their frames, which /tf moves; /skins the bending bodies, each frame; /series/NAME the
+    columns of `Recording.series` as Float64. Times are those of the scene. Raises BadInput if the path exists, for a
+    recording of dye alone, positions that are not finite, damage, and if rosbags is not installed.
     """
     check_ros2(path)
     from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
@@ -58,13 +58,13 @@ def export_ros2(source: Recording | Path | str, path: Path, progress: Progress |
 
 
 def check_ros2(path: Path) -> None:
-    """Raises BadInput where something is there already, and where rosbags is not installed."""
+    """Raise BadInput if the path exists, and if rosbags is not installed."""
     check_folder(path)
     load_extra(("rosbags",), "ROS 2 bags need rosbags", "ros", "export for Foxglove, --foxglove out.mcap")
 
 
 def _lasting() -> Any:
-    """Quality of service: reliable, and kept for those who subscribe later."""
+    """Return the quality of service: reliable, and kept for late subscribers."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     never = QosTime(9223372036, 854775807)  # as rmw's RMW_DURATION_INFINITE
@@ -75,7 +75,7 @@ def _lasting() -> Any:
 
 
 class _Export:
-    """Makes a recording's messages, as ROS 2 has them since Humble."""
+    """Converts a recording's messages to those of ROS 2 since Humble."""
 
     def __init__(self, recording: Recording) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -83,7 +83,7 @@ class _Export:
         self.recording, self.show, self.store = recording, Show(recording), get_typestore(Stores.ROS2_HUMBLE)
 
     def messages(self, progress: Progress | None) -> Iterator[Sent]:
-        """All of them, in order. Raises BadInput."""
+        """Yield all messages, in order. Raises BadInput."""
         number, done = self.recording.counts[STATE.name], 0
         numbers = self._numbers()
         start = next(self.recording.messages([STATE.name])).log_time
@@ -108,16 +108,16 @@ class _Export:
                 progress(done, number)
 
     def _numbers(self) -> dict[int, dict[str, float]]:
-        """By log time [ns]: finite numbers of the recording's series, by topic, in whose names ROS has few signs."""
+        """Return the finite numbers of the recording's series by log time [ns] and topic, a valid ROS name."""
         series = self.recording.series()
         times = {number: at for at, (number, _) in self.recording.marks().items()}
-        found: dict[int, dict[str, float]] = {}
+        numbers: dict[int, dict[str, float]] = {}
         for name in series.keys() - {"frame", "t"}:
             topic = "/series/" + re.sub(r"\W", "_", name, flags=re.ASCII)
             for frame, value in zip(series["frame"].tolist(), series[name].tolist(), strict=True):
                 if frame in times and np.isfinite(value):
-                    found.setdefault(times[frame], {})[topic] = float(value)
-        return found
+                    numbers.setdefault(times[frame], {})[topic] = float(value)
+        return numbers
 
     def _new(self, kind: str, **fields: Any) -> Any:
         return self.store.types[kind](**fields)
@@ -132,24 +132,24 @@ class _Export:
     def _vector(self, kind: str, values: Sequence[float]) -> Any:
         return self._new(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", values, strict=True)))
 
-    def _turning(self, rotation: Sequence[float]) -> Any:
+    def _quaternion(self, rotation: Sequence[float]) -> Any:
         return self._new("geometry_msgs/msg/Quaternion", **dict(zip("wxyz", rotation, strict=True)))
 
     def _turns(self, turns: Sequence[Turn], at: int) -> Any:
         stamped = []
         for turn in turns:
             shift = self._vector("Vector3", turn.translation)
-            moved = self._new("geometry_msgs/msg/Transform", translation=shift, rotation=self._turning(turn.rotation))
+            pose = self._new("geometry_msgs/msg/Transform", translation=shift, rotation=self._quaternion(turn.rotation))
             header = self._header(at, turn.parent)
             kind = "geometry_msgs/msg/TransformStamped"
-            stamped.append(self._new(kind, header=header, child_frame_id=turn.child, transform=moved))
+            stamped.append(self._new(kind, header=header, child_frame_id=turn.child, transform=pose))
         return self._new(TRANSFORMS, transforms=stamped)
 
     def _markers(self, shapes: Sequence[tuple[str, Shape]], at: int) -> Any:
         return self._new(MARKERS, markers=[self._marker(shape, frame, at) for frame, shape in shapes])
 
     def _marker(self, shape: Shape, frame: str, at: int) -> Any:
-        """A shape that goes with a frame. A marker's triangles have corners of their own, three points each."""
+        """Return the marker of a shape in a frame. A marker's triangles have three points each and share none."""
         kind = "visualization_msgs/msg/Marker"
         marker, corners = self.store.types[kind], shape.indices.reshape(-1).tolist()
         points = [self._vector("Point", point) for point in shape.x.astype(np.float32).tolist()]
@@ -160,7 +160,7 @@ class _Export:
             header=self._header(at, frame), ns=shape.name, id=0, action=marker.ADD, frame_locked=True,
             type=marker.TRIANGLE_LIST if shape.indices.shape[1] == 3 else marker.LINE_LIST,
             pose=self._new("geometry_msgs/msg/Pose", position=self._vector("Point", (0.0, 0.0, 0.0)),
-                           orientation=self._turning((1.0, 0.0, 0.0, 0.0))),
+                           orientation=self._quaternion((1.0, 0.0, 0.0, 0.0))),
             scale=self._vector("Vector3", (1.0, 1.0, 1.0) if shape.indices.shape[1] == 3 else (LINE, 0.0, 0.0)),
             color=tints[0] if sole else self._new("std_msgs/msg/ColorRGBA", r=1.0, g=1.0, b=1.0, a=1.0),
             lifetime=self._new("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
@@ -171,7 +171,7 @@ class _Export:
         )  # fmt: skip
 
     def _points(self, x: Float, at: int) -> Any:
-        """(n, 3) [m] in the frame CLOTH, as float32."""
+        """Return a point cloud of x (n, 3) [m] in the frame CLOTH, as float32."""
         kind = self.store.types[field := "sensor_msgs/msg/PointField"].FLOAT32
         fields = [self._new(field, name=axis, offset=4 * k, datatype=kind, count=1) for k, axis in enumerate("xyz")]
         data = np.ascontiguousarray(x, np.float32).reshape(-1).view(np.uint8)

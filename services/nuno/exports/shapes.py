@@ -1,4 +1,4 @@
-"""What a recording shows, message by message, for viewers of robots' data: coloured shapes, and frames that move."""
+"""A recording, message by message, as coloured shapes and moving frames for robotics viewers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import STATE
 
 ROOT, WORLD, CLOTH = "map", "world", "cloth"
-"""Frames: z up, as these viewers have it; y up, as scenes have it; and about where the cloth is first."""
+"""Frames: z up, for these viewers; y up, as in scenes; and with its origin near the cloth's start."""
 UP = (float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
 """The quaternion w, x, y, z that turns y to z and z to -y."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Triangles (k, 3), or lines (k, 2), between points x (n, 3) [m], of a frame.
+    """Triangles (k, 3), or lines (k, 2), between points x (n, 3) [m], in a frame.
 
-    colours  (1, 3) of all, or (n, 3) of each point: sRGB in [0, 1]
+    colours  (1, 3) for all points, or (n, 3) for each: sRGB in [0, 1]
     """
 
     name: str
@@ -41,7 +41,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Turn:
-    """Where a frame is in its parent: translation (3,) [m], rotation a unit quaternion w, x, y, z."""
+    """Pose of a frame in its parent: translation (3,) [m], rotation a unit quaternion w, x, y, z."""
 
     parent: str
     child: str
@@ -52,13 +52,13 @@ class Turn:
 class Show:
     """A recording's cloth and bodies, for its messages in their order.
 
-    fixed   transforms that hold for the whole run
-    bodies  rigid ones: the name of each one's frame, and its shape there
+    fixed   transforms of the whole run
+    bodies  rigid bodies: the name of the frame of each, and its shape in it
     frames  names of the bodies' frames
-    floor   height of the level floor [m], None where there is none
+    floor   height of the level floor [m], or None
 
-    Cloth and skins are in the frame CLOTH, whose origin is near the cloth at first: viewers have float32. Raises
-    BadInput for a recording of dye alone, one without cloth, and one that is damaged.
+    Cloth and skins are in the frame CLOTH, with its origin near the cloth's start, since viewers use float32. Raises
+    BadInput for a recording of dye alone, one without cloth, and a damaged one.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -78,7 +78,7 @@ class Show:
         self.bodies = self._rigid()
 
     def cloth(self, message: Recorded) -> list[Shape]:
-        """The cloth in a message of `sim/state`. Raises BadInput where it is damaged or not finite."""
+        """Return the cloth in a message of `sim/state`. Raises BadInput if it is damaged or not finite."""
         x, t = self.recording.points(message), message.t
         number, digest = self.recording.marks().get(message.log_time, (message.seq, ""))
         pieces = self._pieces.at(t)
@@ -87,29 +87,29 @@ class Show:
         return [shape_piece(piece, x[piece.start : piece.stop] - self.origin) for piece in dressed]
 
     def poses(self, message: Recorded) -> Poses:
-        """Where the bodies are by a message of `collision/bodies`. Raises BadInput where it is damaged."""
+        """Return the bodies' poses in a message of `collision/bodies`. Raises BadInput if it is damaged."""
         with self.recording.damage_reported(message):
             return decode_poses(message.payload, len(self.frames))
 
     def turns(self, poses: Poses) -> list[Turn]:
-        """Where the bodies' frames are in the world."""
+        """Return the transforms of the bodies' frames in the world."""
         rows = zip(self.frames, poses.translation, poses.rotation, strict=True)
         return [Turn(WORLD, name, _row(shift), _row(turn)) for name, shift, turn in rows]
 
     def skins(self, poses: Poses) -> list[Shape]:
-        """The bodies that bend."""
+        """Return the shapes of the bending bodies."""
         if (bodies := self._bodies) is None:
             return []
         shapes = []
         for first, skin in bodies.skins:
-            own, joint = slice(first, first + len(skin.joint)), int(bodies.frame[first])
-            x = poses.bend(skin, joint, bodies.vertices[own]) - self.origin
-            faces = bodies.faces[(bodies.faces[:, 0] >= first) & (bodies.faces[:, 0] < own.stop)] - first
+            part, joint = slice(first, first + len(skin.joint)), int(bodies.frame[first])
+            x = poses.bend(skin, joint, bodies.vertices[part]) - self.origin
+            faces = bodies.faces[(bodies.faces[:, 0] >= first) & (bodies.faces[:, 0] < part.stop)] - first
             shapes.append(Shape(self.frames[joint].split("/")[0], x, faces, _sole(BODY)))
         return shapes
 
     def points(self, message: Recorded, poses: Poses | None) -> Float:
-        """(n, 3) of everything in the world at one moment [m]."""
+        """Return all points of cloth and bodies in the world, shape (n, 3) [m]."""
         bodies = np.zeros((0, 3)) if poses is None or self._bodies is None else self._bodies.at(poses)
         return np.concatenate([self.recording.points(message), bodies])
 
@@ -121,16 +121,16 @@ class Show:
             rigid[first : first + len(skin.joint)] = False
         shapes = []
         for number, name in enumerate(self.frames):
-            mine = rigid & (bodies.frame == number)
-            if mine.any():
-                faces = (np.cumsum(mine) - 1)[bodies.faces[mine[bodies.faces[:, 0]]]].astype(np.int32)
-                shapes.append((name, Shape(name, bodies.vertices[mine], faces, _sole(BODY))))
+            part = rigid & (bodies.frame == number)
+            if part.any():
+                faces = (np.cumsum(part) - 1)[bodies.faces[part[bodies.faces[:, 0]]]].astype(np.int32)
+                shapes.append((name, Shape(name, bodies.vertices[part], faces, _sole(BODY))))
         return shapes
 
 
 def shape_piece(piece: ShownPiece, x: Float) -> Shape:
-    """A piece at its own points x (n, 3) [m]: its triangles, or of a net its links, in its image's colours, else its
-    own, else those of its stretch. An image gives each vertex the colour of the pixel that lies on it.
+    """Return a piece at points x (n, 3) [m] as a shape: its triangles, or a net's links, in the colours of its image,
+    else its own, else by stretch. With an image each vertex has the colour of its pixel.
     """
     piece = replace(piece, yarns=None)
     if not len(piece.faces):
@@ -143,7 +143,7 @@ def shape_piece(piece: ShownPiece, x: Float) -> Shape:
 
 
 def paint_piece(piece: ShownPiece, x: Float) -> Float:
-    """Linear light of vertices (n, 3), or of a net's links (e, 3): of their yarns, the piece's own, else by stretch."""
+    """Return the linear light of vertices (n, 3), or of a net's links (e, 3): by yarn, the piece's, else by stretch."""
     net = not len(piece.faces)
     if net and piece.yarns is not None:
         return paint_yarns(piece.yarns)
@@ -153,7 +153,7 @@ def paint_piece(piece: ShownPiece, x: Float) -> Float:
 
 
 def sample(image: NDArray[np.uint8], uv: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(n, 3) the pixels of an image (h, w, 3) at texture coordinates (n, 2), v up; beyond its sides it repeats."""
+    """Return the pixels (n, 3) of an image (h, w, 3), which repeats, at texture coordinates (n, 2), v up."""
     height, width = image.shape[:2]
     u, v = (uv - np.floor(np.where(uv == 1.0, 0.0, uv))).T
     column, row = np.minimum(u * width, width - 1), np.minimum((1.0 - v) * height, height - 1)
@@ -165,7 +165,7 @@ def _sole(colour: str) -> Float:
 
 
 def _fewest(colours: Float) -> Float:
-    """One colour where all are the same."""
+    """Return a single colour if all are equal."""
     return colours[:1] if len(colours) and (colours == colours[0]).all() else colours
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints, frames and forces as NumPy arrays, the report's series as a table, and the scene as a text."""
+"""Export of checkpoints, frames and forces as NumPy arrays, of series as a table, and of the scene as text."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ UNITS = {
     "dt_limit": "s",
 }
 FAMILIES = {"energy_": "J", "wrinkles_": "m", "force_": "N", "pressure_": "Pa"}
-"""Of columns whose names begin so."""
+"""Units of columns by the start of their names."""
 
 
 def export_scene(source: Recording | Path | str, path: Path) -> Path:
-    """Write the scene as it was run, each field with what it does. Raises BadInput where the recording holds none, or
+    """Write the recorded scene, with a comment on each field. Raises BadInput for a recording without a scene, or with
     one that this version refuses.
     """
     with opened(source) as recording, restored_scene(recording) as loaded, writing(path, ".yaml") as new:
@@ -47,14 +47,14 @@ def export_scene(source: Recording | Path | str, path: Path) -> Path:
 
 
 def export_npz(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
-    """Write the last checkpoint: x, v (n, 3) and t, of a knit `pressure` (n,) [Pa], all float64.
+    """Write the state at the last checkpoint: x, v (n, 3) and t, for a knit `pressure` (n,) [Pa], all float64.
 
-    Or that of a frame by its number, which is simulated again where it is none of a checkpoint's. Of a cloth that is
-    dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, as in the file of the
-    cloth `cells`. Of a garment that is dyed all of these.
+    With `frame` write the state of that frame, which is simulated again unless it has a checkpoint. For dyed cloth the
+    arrays are phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, as in the file of
+    the cloth `cells`. A dyed garment has all of these.
 
-    Solver memory stays in the recording, from which a run is resumed. Raises BadInput where
-    there is no checkpoint or no such frame, or the file cannot be written.
+    The solver's memory is not written: runs are resumed from the recording. Raises BadInput without a checkpoint or
+    such a frame, or if the file cannot be written.
     """
     with opened(source) as recording:
         if frame is None:
@@ -72,17 +72,17 @@ def export_npz(source: Recording | Path | str, path: Path, frame: int | None = N
 
 
 def find_moment(recording: Recording, frame: int | None, forces: bool = False) -> FrameState:
-    """A frame (default: the last) as it was. Raises BadInput."""
+    """Return the state of a frame (default: the last). Raises BadInput."""
     numbers = [number for number, digest in recording.marks().values() if digest]
     return next(states(recording, [(numbers or [0])[-1] if frame is None else frame], forces))
 
 
 def export_forces(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
-    """Write what acts on cloth in a frame (default: the last), and the state it acts in, as float64 arrays.
+    """Write the forces on cloth in a frame (default: the last), and its state, as float64 arrays.
 
     x, v, acceleration and force_KIND (n, 3), mass and pinned (n,), spring_pairs (s, 2), spring_k, spring_rest,
-    spring_c and spring_tension (s,), frame and t: SI units; see nuno_schemas.system.Forces. Raises BadInput for a
-    recording of dye alone, a frame that is not in it, and where the file cannot be written.
+    spring_c and spring_tension (s,), frame and t: SI units, defined in nuno_schemas.system.Forces. Raises BadInput for
+    a recording of dye alone, a missing frame, and a file that cannot be written.
     """
     with opened(source) as recording:
         if recording.dyed_alone:
@@ -110,7 +110,7 @@ def _write(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def _state(recording: Recording, moment: FrameState) -> dict[str, NDArray[Any]]:
-    """Of cloth x, v and a knit's pressure, of dye phi and fixed."""
+    """Return x, v and a knit's pressure of cloth, and phi and fixed of dye."""
     arrays: dict[str, NDArray[Any]] = {"t": np.array(moment.t)}
     if moment.fabric is not None:
         arrays |= _with_pressure(recording, {"x": moment.x, "v": moment.v})
@@ -125,10 +125,10 @@ def _with_pressure(recording: Recording, arrays: dict[str, NDArray[Any]]) -> dic
 
 
 def export_csv(source: Recording | Path | str, path: Path) -> Path:
-    """Write one row a frame: time, energies, stretch, steps, penetration, amounts of dye; empty where unknown.
+    """Write one row per frame: time, energies, stretch, steps, penetration, amounts of dye; empty if unknown.
 
-    Columns are named as the recording's series, with the unit behind: `t [s]`, `energy_kinetic [J]`;
-    a number that only counts has none. Numbers are written with all their digits. Raises BadInput where there are none.
+    Columns are named as the recording's series, followed by the unit: `t [s]`, `energy_kinetic [J]`;
+    counts have no unit. Numbers are written with all their digits. Raises BadInput for a recording without series.
     """
     with opened(source) as recording:
         series = recording.series()
@@ -143,6 +143,6 @@ def export_csv(source: Recording | Path | str, path: Path) -> Path:
 
 
 def heading(name: str) -> str:
-    """A column's name with its unit, if it has one: `dt [s]`."""
+    """Return a column's name with its unit, if it has one: `dt [s]`."""
     unit = next((unit for start, unit in FAMILIES.items() if name.startswith(start)), UNITS.get(name))
     return name if unit is None else f"{name} [{unit}]"

@@ -1,4 +1,4 @@
-"""Output files and folders: written beside their place and moved there whole; only files of their kind are replaced."""
+"""Output files and folders: written next to their target, then moved there; only files of their kind are replaced."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from nuno_schemas.errors import BadInput
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
-"""Called with the steps done and all steps."""
+"""Called with the number of finished steps and of all steps."""
 
 RATE = 25.0
-"""Pictures a second of an animation, unless asked otherwise."""
+"""Default rate of an animation [pictures/s]."""
 MAGIC: dict[str, tuple[int, bytes]] = {
     ".npz": (0, b"PK\x03\x04"),
     ".csv": (0, b"frame,"),
@@ -40,11 +40,11 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".yaml": (0, b"# the scene of "),
     ".json": (0, b'{\n "globalVariables": {\n  "nuno"'),
 }
-"""How a file of each kind begins: offset and bytes."""
+"""First bytes of a file of each kind: offset and bytes."""
 
 
 def following(items: Iterable[T], number: int, progress: Progress | None) -> Iterator[T]:
-    """The same items, of which there are so many, and `progress` after each."""
+    """Yield `number` items, and call `progress` after each."""
     for done, item in enumerate(items, 1):
         yield item
         if progress is not None:
@@ -52,7 +52,7 @@ def following(items: Iterable[T], number: int, progress: Progress | None) -> Ite
 
 
 def load_extra(names: tuple[str, ...], needs: str, extra: str, instead: str) -> Any:
-    """The first of modules that come with an extra of nuno. Raises BadInput where they are not installed."""
+    """Import modules of an extra of nuno, and return the first. Raises BadInput if they are not installed."""
     try:
         first, *_ = [import_module(name) for name in names]
         return first
@@ -63,7 +63,7 @@ def load_extra(names: tuple[str, ...], needs: str, extra: str, instead: str) -> 
 
 @contextmanager
 def opened(source: Recording | Path | str) -> Iterator[Recording]:
-    """A recording that is open already, or the one at a path."""
+    """Yield a recording that is open already, or open the one at a path."""
     if isinstance(source, Recording):
         yield source
     else:
@@ -72,7 +72,7 @@ def opened(source: Recording | Path | str) -> Iterator[Recording]:
 
 
 def check_target(path: Path, suffix: str) -> None:
-    """Raises BadInput for a name of another kind, a missing folder, a file that is no such export."""
+    """Raise BadInput for a name of another kind, a missing folder, and an existing file that is not such an export."""
     if path.suffix.lower() != suffix:
         remedy = str(path.parent / f"{path.stem or 'out'}{suffix}")
         raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=remedy)
@@ -86,7 +86,7 @@ def check_target(path: Path, suffix: str) -> None:
 
 
 class _Together(ExitStack):
-    """Files that wait for others, by their places, and the folders that they wait in, by those of their places."""
+    """Finished files that wait for others, by their targets, and their temporary folders, by the targets' folders."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -94,7 +94,7 @@ class _Together(ExitStack):
         self._near: dict[Path, Path] = {}
 
     def near(self, folder: Path) -> Path:
-        """Where what is to lie in a folder waits. Raises OSError."""
+        """Return the temporary folder for files of a folder. Raises OSError."""
         if folder not in self._near:
             self._near[folder] = self.enter_context(scratch(folder))
         return self._near[folder]
@@ -105,7 +105,7 @@ _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
 
 @contextmanager
 def together() -> Iterator[_Together]:
-    """What is written meanwhile takes its place at the end: all of it, or none where a part of it is refused."""
+    """Move all files written in the block to their targets at its end, or none if any of them is refused."""
     if (outer := _TOGETHER.get()) is not None:
         yield outer
         return
@@ -116,13 +116,13 @@ def together() -> Iterator[_Together]:
         finally:
             _TOGETHER.reset(token)
         for path, new in files.waiting.items():
-            with _told(path):
+            with _disk_errors(path):
                 new.replace(path)
 
 
 @contextmanager
 def writing(path: Path, suffix: str) -> Iterator[Path]:
-    """A new file, an export of a kind, which takes its place when all went well. Raises BadInput."""
+    """Yield a new file for an export of a kind, which replaces `path` if the block succeeds. Raises BadInput."""
     check_target(path, suffix)
     with replacing(path) as new:
         yield new
@@ -130,16 +130,16 @@ def writing(path: Path, suffix: str) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A new file, which takes its place when all went well; see `together`. Raises BadInput."""
-    with together() as files, _told(path):
+    """Yield a new file, which replaces `path` if the block succeeds, by `together`. Raises BadInput."""
+    with together() as files, _disk_errors(path):
         yield (new := files.near(path.parent) / path.name)
         files.waiting[path] = new
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder that is missing, for what is written `together`; it goes if it stays empty. Raises BadInput."""
+    """Make a missing folder for files written `together`; remove it if it stays empty. Raises BadInput."""
     if not path.is_dir():
-        with together() as files, _told(path):
+        with together() as files, _disk_errors(path):
             path.mkdir()
             files.callback(_remove_empty, path)
 
@@ -150,7 +150,7 @@ def _remove_empty(path: Path) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raises BadInput where a new folder cannot be made: another is missing, or something of its name is there."""
+    """Raise BadInput if a new folder cannot be made: its parent is missing, or the path exists."""
     if path.exists():
         problem, remedy = "something of that name exists", "choose another name, or remove it"
         raise BadInput(problem, value=str(path), remedy=remedy)
@@ -160,16 +160,16 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def writing_folder(path: Path) -> Iterator[Path]:
-    """Where a new folder is to be made, which takes its place when all went well. Raises BadInput."""
+    """Yield the path of a new folder, which is moved to `path` if the block succeeds. Raises BadInput."""
     check_folder(path)
-    with _told(path), scratch(path.parent) as near:
+    with _disk_errors(path), scratch(path.parent) as near:
         yield (new := near / path.name)
         new.replace(path)
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Errors of the disk as BadInput."""
+def _disk_errors(path: Path) -> Iterator[None]:
+    """Convert errors of the disk to BadInput."""
     try:
         yield
     except OSError as error:

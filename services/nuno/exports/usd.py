@@ -1,4 +1,4 @@
-"""A recording as USD: cloth and bodies over time, with texture coordinates, prints and panels, in one .usdz file."""
+"""Export of a recording as a .usdz file: cloth and bodies over time, with texture coordinates, prints and panels."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ from nuno_schemas.messages import FABRIC, STATE
 
 SUFFIX = ".usdz"
 ROUGHNESS = 0.9
-"""Of UsdPreviewSurface."""
+"""Roughness of UsdPreviewSurface."""
 BODIES, MATERIALS = "/run/bodies", "/run/materials"
 AT_ONCE = 64
-"""Frames that are held in memory before they are written."""
+"""Number of frames that are kept in memory before they are written."""
 
 
 def export_usd(
     source: Recording | Path | str, path: Path, frame: int | None = None, progress: Progress | None = None
 ) -> Path:
-    """Write the cloth and bodies of every frame, or of one, as .usdz: y up, metres, a time code each frame.
+    """Write the cloth and bodies of every frame, or of one, as .usdz: y up, metres, one time code per frame.
 
-    Positions, float32, are about an origin that the root is moved to. Every panel of a sewn garment is a subset of its
+    Positions, float32, are about an origin to which the root is moved. Every panel of a sewn garment is a subset of its
     faces, of the family "panel". Cloth that is dyed while it moves has the image of the last frame. Raises BadInput for
-    another ending, frames that are not there or not finite, a recording without faces, and where usd-core is not
-    installed.
+    another ending, frames that are missing or not finite, a recording without faces, and if usd-core is not installed.
     """
     check_usd(path)
     with opened(source) as recording, writing(path, SUFFIX) as new, scratch() as folder:
@@ -59,7 +58,7 @@ def export_usd(
 
 
 def check_usd(path: Path) -> None:
-    """Raises BadInput for another ending, what would be lost, and where usd-core is not installed."""
+    """Raise BadInput for another ending, a file that would be lost, and if usd-core is not installed."""
     check_target(path, SUFFIX)
     _pxr()
 
@@ -81,7 +80,7 @@ def _stage(path: Path) -> Iterator[Any]:
 
 
 class _Writer:
-    """Adds frames to a stage whose images lie in a folder: all at their time codes, or one by itself."""
+    """Adds frames to a stage with images in a folder: all with their time codes, or a single one without."""
 
     def __init__(self, recording: Recording, stage: Any, folder: Path, frame: int | None) -> None:
         self.recording, self.stage, self.folder, self.frame, self.pxr = recording, stage, folder, frame, _pxr()
@@ -91,16 +90,16 @@ class _Writer:
         """Whether operations change the cloth's faces."""
         self.pxr.UsdGeom.Scope.Define(stage, MATERIALS)
         self.names: dict[tuple[str, str], str] = {}
-        """Paths by name, and by what they are in."""
+        """Paths by name and parent."""
         self.shaped: dict[str, ShownPiece | None] = {}
-        """The piece of cloth whose faces each mesh has, by its path, None of bodies."""
+        """The piece of cloth of each mesh, by path; None for bodies."""
 
     def frames(self) -> Iterable[Frame]:
-        """What is to be written."""
+        """Return the frames to write."""
         return self.recording.frames() if self.frame is None else [read_frame(self.recording, self.frame)]
 
     def write(self, progress: Progress | None) -> None:
-        """Write them. Raises BadInput."""
+        """Write all frames. Raises BadInput."""
         cloth, bodies = Pieces(self.recording), read_bodies(self.recording)
         number = self.recording.counts.get(STATE.name, 0) if self.frame is None else 1
         origin, shown = None, None
@@ -133,23 +132,23 @@ class _Writer:
                 self.colour(piece)
 
     def code(self, frame: Frame) -> Any:
-        """The time code of what moves."""
+        """Return the time code of a frame's moving data."""
         return self.pxr.Usd.TimeCode(frame.number) if self.frame is None else self.pxr.Usd.TimeCode.Default()
 
     def name(self, of: str, parent: str) -> str:
-        """A path in USD, whose names have letters, digits and _ alone, for a name of ours."""
+        """Return the unique USD path, of letters, digits and _, for a name of ours in a parent."""
         if (of, parent) not in self.names:
             plain = f"{parent}/{self.pxr.Tf.MakeValidIdentifier(of)}"
-            found = (plain, *(f"{plain}_{k}" for k in range(2, 4 + len(self.names))))
+            candidates = (plain, *(f"{plain}_{k}" for k in range(2, 4 + len(self.names))))
             taken = {BODIES, MATERIALS, *self.names.values()}
-            self.names[of, parent] = next(name for name in found if name not in taken)
+            self.names[of, parent] = next(name for name in candidates if name not in taken)
         return self.names[of, parent]
 
     def add_mesh(self, path: str, x: Float, faces: Int, piece: ShownPiece | None, code: Any) -> Any:
-        """One with its points; its faces where they are not those it had."""
+        """Set the points of a mesh, and its faces if they are new, and return it."""
         mesh, vt = self.pxr.UsdGeom.Mesh.Define(self.stage, path), self.pxr.Vt
         if path not in self.shaped or self.shaped[path] is not piece:
-            # Faces that change hold from one time code to the next.
+            # Changing faces are valid from one time code to the next.
             when = code if self.changes else self.pxr.Usd.TimeCode.Default()
             mesh.GetFaceVertexCountsAttr().Set(vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)), when)
             mesh.GetFaceVertexIndicesAttr().Set(vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()), when)
@@ -165,14 +164,14 @@ class _Writer:
         return mesh
 
     def add_cloth(self, piece: ShownPiece, x: Float, code: Any) -> None:
-        """A piece at x (n, 3) [m], painted by its stretch where it has neither colour nor image."""
+        """Add a piece at x (n, 3) [m], painted by its stretch if it has neither colour nor image."""
         mesh = self.add_mesh(self.name(piece.name, "/run"), x, piece.faces, piece, code)
         if piece.colour is None and piece.image is None and len(piece.edges):
             painted = mesh.CreateDisplayColorPrimvar(self.pxr.UsdGeom.Tokens.vertex)
             painted.Set(_vectors(self.pxr.Vt, paint_stretch(piece.stretch(x))), code)
 
     def lay_out(self, mesh: Any, piece: ShownPiece, when: Any) -> None:
-        """Texture coordinates and panels."""
+        """Set texture coordinates and panels of a mesh."""
         geom, vt, sdf = self.pxr.UsdGeom, self.pxr.Vt, self.pxr.Sdf
         mesh.GetDoubleSidedAttr().Set(True)
         if (laid := piece.laid_out) is not None:
@@ -190,11 +189,11 @@ class _Writer:
                 subset.GetPrim().SetDisplayName(name)
 
     def add_bodies(self, x: Float, faces: Int, code: Any) -> None:
-        """All bodies as one."""
+        """Add all bodies as one mesh."""
         self.bind(self.add_mesh(BODIES, x, faces, None, code), BODY)
 
     def colour(self, piece: ShownPiece) -> None:
-        """Give a piece its material: its image, else its colour; none to one that is painted by its stretch."""
+        """Give a piece its material, by its image, else its colour, unless it is painted by its stretch."""
         mesh = self.pxr.UsdGeom.Mesh.Get(self.stage, self.name(piece.name, "/run"))
         if piece.image is not None and piece.laid_out is not None:
             image = f"{mesh.GetPath().name}.png"
@@ -204,7 +203,7 @@ class _Writer:
             self.bind(mesh, piece.colour or PLAIN)
 
     def bind(self, mesh: Any, colour: str = PLAIN, image: str | None = None) -> None:
-        """A matt material of a colour "#rrggbb" or an image, once."""
+        """Give a mesh a matt material of a colour "#rrggbb" or an image, unless it has one."""
         shade, types = self.pxr.UsdShade, self.pxr.Sdf.ValueTypeNames
         token = f"{MATERIALS}/{mesh.GetPath().name}"
         if self.stage.GetPrimAtPath(token):
@@ -234,5 +233,5 @@ class _Writer:
 
 
 def _vectors(vt: Any, x: Float) -> Any:
-    """USD's array of (n, 3)."""
+    """Convert x (n, 3) to USD's array type."""
     return vt.Vec3fArray.FromNumpy(np.ascontiguousarray(x, np.float32))

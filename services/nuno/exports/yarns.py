@@ -1,4 +1,4 @@
-"""Pictures of knits by rays: yarns as curves on skin, straight lines, the density of stitches."""
+"""Ray-traced pictures of knits: yarns as curves on skin, straight lines, the density of stitches."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from nuno_schemas.yarn_picture import SurfaceValues, Worn
 
 GROUP = "nuno.yarn_pictures"
 STYLE = "yarns"
-"""The style of a scene that names none."""
+"""The default style of a scene."""
 
 
 def export_yarn_picture(
@@ -44,10 +44,10 @@ def export_yarn_picture(
     overrides: tuple[str, ...] = (),
     progress: Progress | None = None,
 ) -> Path:
-    """Draw one frame (default: the last) of a knit as PNG, in the style that is given, else the scene's, else `yarns`.
+    """Draw one frame (default: the last) of a knit as PNG, in the given style, else the scene's, else `yarns`.
 
-    `overrides` are key=value of the scene's `view`. Raises BadInput for a recording without yarns, another style or
-    field, a frame that is not there, and for what the style cannot draw.
+    `overrides` are key=value of the scene's `view`. Raises BadInput for a recording without yarns, an unknown style or
+    field, a missing frame, and a knit that the style cannot draw.
     """
     check_target(path, ".png")
     with opened(source) as recording, styled(recording, style, overrides) as (loaded, chosen):
@@ -62,7 +62,7 @@ def export_yarn_picture(
 
 @contextmanager
 def styled(recording: Recording, style: str | None, overrides: tuple[str, ...]) -> Iterator[tuple[Loaded, Chosen]]:
-    """A recording's scene, and what draws its yarns, while the scene's files are there. Raises BadInput."""
+    """Yield a recording's scene and its plugin for yarn pictures, while the scene's files exist. Raises BadInput."""
     for item in overrides:
         if not item.startswith("view."):
             problem, limit = "this field is no matter of pictures", "fields of `view`"
@@ -72,8 +72,8 @@ def styled(recording: Recording, style: str | None, overrides: tuple[str, ...]) 
             registry.load(GROUP, style)
         except BadInput as error:
             raise BadInput(error.problem, field="--style", value=style, remedy=error.remedy) from None
-    own = read_view(recording).yarns
-    named = own.plugin if own is not None else None
+    choice = read_view(recording).yarns
+    named = choice.plugin if choice is not None else None
     chosen = style or named or STYLE
     start = () if chosen == named else (f"view.yarns={{plugin: {chosen}}}",)
     with restored_scene(recording, (*start, *overrides)) as loaded:
@@ -83,7 +83,7 @@ def styled(recording: Recording, style: str | None, overrides: tuple[str, ...]) 
 
 
 def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen) -> Worn:
-    """What a frame shows, z up. Raises BadInput for a scene without yarns, or yarns of which no curves can be made."""
+    """Return the knits and bodies of a frame, z up. Raises BadInput for a scene without yarns, or impossible curves."""
     pieces = read_pieces(recording)
     check_size(recording, pieces, frame)
     fabric, _ = build_fabric(loaded)
@@ -100,7 +100,7 @@ def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen
 
 
 def put_on(loaded: Loaded, fabric: Fabric, frame: Frame, chosen: Chosen, bodies: list[Mesh]) -> Worn:
-    """A fabric of yarns on bodies and other cloth, z up. Raises BadInput for what `chosen` cannot show."""
+    """Return a fabric of yarns on bodies and other cloth, z up. Raises BadInput if `chosen` cannot show it."""
     yarns = make_curves(loaded, fabric, frame, chosen.config) if chosen.plugin.curves else None
     edges = np.asarray(structural_edges(fabric)[0], np.int32)
     pressure = find_values(loaded, fabric, frame) if chosen.plugin.shows else None
@@ -108,7 +108,7 @@ def put_on(loaded: Loaded, fabric: Fabric, frame: Frame, chosen: Chosen, bodies:
 
 
 def find_values(loaded: Loaded, fabric: Fabric, frame: Frame) -> SurfaceValues:
-    """The pressure at the points. Raises BadInput for a net of yarns that is no knit."""
+    """Return the pressure at the points. Raises BadInput for a net of yarns that is not a knit."""
     if not has_pressure(fabric):
         raise BadInput("only a knit has pressure", field="--style", remedy="take yarns, lines or density")
     pressure = find_pressure(loaded, fabric, np.asarray(frame.x, np.float64)).arrays["pressure"]
@@ -116,7 +116,7 @@ def find_values(loaded: Loaded, fabric: Fabric, frame: Frame) -> SurfaceValues:
 
 
 def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel) -> YarnCurves | None:
-    """Yarns as smooth curves, z up; as thick as `config` says, where it does."""
+    """Return yarns as smooth curves, z up, with the radius of `config`, if it has one."""
     radius = getattr(config, "radius", None)
     operation, settings = find_operation("smooth", {} if radius is None else {"radius": radius})
     curves = apply(operation, settings, loaded, fabric, frame).curves
@@ -126,14 +126,14 @@ def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel)
 
 
 def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:
-    """As the scene's view says; what it leaves out is fitted to bodies and yarns."""
+    """Return the camera of the scene's view, with omitted fields fitted to bodies and yarns."""
     points = Mesh(worn.points, np.zeros((0, 3), np.int32))
     return place_camera(view, [points] if view.close else [*worn.bodies, points], size or view.size)
 
 
 def captioned(chosen: Chosen, name: str, t: float, colours: list[str]) -> BaseModel:
-    """The style's settings, with what they leave out: a caption of scene and time [s], and for yarns the first of the
-    colours that their objects have.
+    """Return the style's settings with defaults for omitted ones: a caption of scene and time [s], and for yarns the
+    first of their objects' colours.
     """
     config: Any = chosen.config
     update: dict[str, Any] = {}

@@ -1,1 +1,1 @@
-"""How a garment fits the body that wears it: girths and ease, strain, pressure."""
+"""Fit of a garment on the body that wears it: girths and ease, strain, pressure."""

@@ -1,4 +1,4 @@
-"""Where a body has its bust, waist and hips, found on its mesh."""
+"""Heights of a body's bust, waist and hips, from its mesh."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from nuno.fit.slices import Slice, cut
 from nuno_schemas.fabric import Float, Int
 
 LEVELS, LOW, HIGH = 120, 0.3, 0.9
-"""Slices, between these shares of the body's height."""
+"""Number of slices, and the shares of the body's height between which they are."""
 LIMB = 0.2
-"""A curve inside which is less than this share of the greatest area is no leg beside another, but a hand."""
+"""A curve with less than this share of the largest area is a hand, not a second leg."""
 JOINED = 0.1
-"""Arms have joined the trunk where a tape grows by more than this share from one slice to the next."""
+"""Arms join the trunk where the girth grows by more than this share from one slice to the next."""
 
 
 def trunk(piece: Slice) -> Slice | None:
-    """Of the closed curves of a slice the one with most inside; None where there is none."""
+    """Return the closed curve of a slice with the largest area, or None."""
     closed = [one for one in piece.curves() if abs(abs(one.turns(one.hull()[2])) - 1.0) < 1e-6]
     return max(closed, key=lambda one: one.hull()[1], default=None)
 
 
 def find_heights(x: Float, faces: Int) -> dict[str, float]:
-    """Heights of bust, waist and hip [m] of a body that stands with y up and faces +z; nothing for one without legs, or
-    whose arms do not part from its trunk below the shoulders.
+    """Return the heights of bust, waist and hip [m] of a body that stands with y up and faces +z; empty for a body
+    without legs, or with arms that are not separate from its trunk below the shoulders.
 
-    The trunk is between the height where two legs become one, and that where arms join. Its hips are where a tape is
-    longest below the middle, its waist where it is shortest above those, its bust where it reaches farthest forwards
-    in the upper half from there.
+    The trunk is between the height at which two legs join, and that at which the arms join. Its hips are at the largest
+    girth below its middle, its waist at the smallest girth above the hips, its bust where it extends farthest forwards
+    in the upper half above the waist.
     """
     middle = 0.5 * float(x[:, 0].min() + x[:, 0].max())
     floor, tall = float(x[:, 1].min()), float(np.ptp(x[:, 1]))
@@ -57,6 +57,6 @@ def find_heights(x: Float, faces: Int) -> dict[str, float]:
 
 
 def _beside(hulls: list[tuple[float, float, Float]], middle: float) -> bool:
-    """Whether the two largest are on both sides of the body's middle, an x [m]."""
+    """Return whether the two largest are on opposite sides of the body's middle, an x [m]."""
     first, second = sorted(hulls, key=lambda one: -one[1])[:2]
     return bool((first[2][1] - middle) * (second[2][1] - middle) < 0.0)

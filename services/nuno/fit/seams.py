@@ -1,13 +1,12 @@
-"""What seams are pulled apart with.
+"""Tension across seams.
 
-A membrane's energy per area, A aside, is W = (C_w e_w^2 + C_f e_f^2 + 2 C_wf e_w e_f + G g^2) / 2 of the strains of
-F_w and F_f (nuno_schemas.triangles.Membrane). Across a line of the cloth as it was cut, with the unit normal
-(n_w, n_f), each metre of it carries
+A membrane's energy per area is W = (C_w e_w^2 + C_f e_f^2 + 2 C_wf e_w e_f + G g^2) / 2 of the strains of F_w and F_f
+(nuno_schemas.triangles.Membrane). A line of the cloth as cut, with the unit normal (n_w, n_f), carries per length
 
     T = n_w dW/dF_w + n_f dW/dF_f,   dW/dF_w = (C_w e_w + C_wf e_f) F_w / |F_w| + G g F_f,
 
-and dW/dF_f with the two exchanged. Along a seam each of its two edges has a triangle beside it; where cloth is at rest
-both pull alike, but for what bending, weight and contact bear.
+and dW/dF_f with the two exchanged. Each of the two edges of a seam has a triangle next to it; in cloth at rest both
+pull equally, except for forces of bending, weight and contact.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from nuno_schemas.triangles import Membrane
 
 @dataclass(frozen=True)
 class Seam:
-    """A seam by its letters in the drawing of the flat pattern, the panels that it joins, and its length as cut [m].
+    """A seam: its letters in the drawing of the flat pattern, the panels that it joins, and its length as cut [m].
 
-    Of what pulls its edges apart, per length of it, the mean and the most [N/m]; below zero they are pushed together.
+    mean and most are those of the tension across it [N/m]; below zero its edges are pushed together.
     """
 
     letters: str
@@ -35,8 +34,8 @@ class Seam:
 
 
 def measure_seams(x: Float, membrane: Membrane, corners: Corners) -> list[Seam]:
-    """Of a garment at x (n, 3) [m] whose membrane has the triangles of `corners`, what pulls at each seam that has a
-    length.
+    """Measure the tension of each seam with a length, of a garment at x (n, 3) [m] whose membrane has the triangles of
+    `corners`.
     """
     panels = corners.panels
     if panels is None:
@@ -45,26 +44,26 @@ def measure_seams(x: Float, membrane: Membrane, corners: Corners) -> list[Seam]:
     points = len(corners.points)
     keys = np.sort(ends, axis=1) @ [points, 1]
     order = np.argsort(keys)
-    found = []
+    seams = []
     for number in np.unique(panels.seam).tolist():
         pairs = panels.pairs[panels.seam == number].astype(np.int64)
         runs = np.stack([pairs[:-1], pairs[1:]], axis=2).transpose(1, 0, 2).reshape(-1, 2)
-        sought = np.sort(runs, axis=1) @ [points, 1]
-        at = order[np.minimum(np.searchsorted(keys, sought, sorter=order), len(keys) - 1)]
-        # Where a short side was closed, an end may be in no triangle.
-        at = at[keys[at] == sought]
+        wanted = np.sort(runs, axis=1) @ [points, 1]
+        at = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+        # An end of a closed short side may be in no triangle.
+        at = at[keys[at] == wanted]
         if not len(at):
             continue
         length, pull = pull_across(x, membrane, at // 3, at % 3)
         names = [panels.names[k] for k in dict.fromkeys(panels.of[at // 3].tolist())]
         mean = float((length * pull).sum() / length.sum())
-        found.append(Seam(panels.letters(number), names, 0.5 * float(length.sum()), mean, float(pull.max())))
-    return found
+        seams.append(Seam(panels.letters(number), names, 0.5 * float(length.sum()), mean, float(pull.max())))
+    return seams
 
 
 def pull_across(x: Float, membrane: Membrane, face: Int, side: Int) -> tuple[Float, Float]:
-    """Of sides of triangles, each from a corner `side` (k,) of a `face` (k,) to the next, at x (n, 3) [m]: their
-    lengths as cut [m], and what pulls outwards at them, across them and along the cloth [N/m].
+    """Return the lengths as cut [m] of sides of triangles, each from a corner `side` (k,) of a `face` (k,) to the next,
+    and the outward tension across them within the cloth [N/m], at x (n, 3) [m].
     """
     flat = np.linalg.inv(np.stack([membrane.along[face], membrane.across[face]], axis=2)).transpose(0, 2, 1)
     flat = np.concatenate([np.zeros((len(face), 1, 2)), flat], axis=1)
@@ -87,7 +86,7 @@ def pull_across(x: Float, membrane: Membrane, face: Int, side: Int) -> tuple[Flo
 
 
 def _stress(yarns: Float, moduli: Float) -> Float:
-    """(2, k, 3) dW/dF_w and dW/dF_f [N/m] of F_w and F_f (2, k, 3)."""
+    """Return dW/dF_w and dW/dF_f, shape (2, k, 3) [N/m], for F_w and F_f (2, k, 3)."""
     (warp, weft), (c_w, c_f, c_wf, g) = yarns, moduli[..., None]
     long, wide = (np.linalg.norm(one, axis=1, keepdims=True) for one in yarns)
     shear = g * (warp * weft).sum(axis=1, keepdims=True)

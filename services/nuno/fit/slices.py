@@ -1,4 +1,4 @@
-"""A mesh cut by level planes: the curves that a tape follows."""
+"""Slices of a mesh by level planes, for girths."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nuno_schemas.fabric import Bool, Float, Int
 
 @dataclass(frozen=True)
 class Slice:
-    """Where a level plane cuts a mesh: m segments, one for each triangle that it cuts, each along the outside seen
-    from above counter-clockwise.
+    """The cut of a mesh by a level plane: m segments, one for each cut triangle, counter-clockwise around the inside
+    seen from above.
 
-    face    (m,) the triangle of each
-    shares  (m, 2, 3) of the triangle's corners in each end
+    face    (m,) triangle of each segment
+    shares  (m, 2, 3) weights of the triangle's corners in each end
     ends    (m, 2, 2) z and x of both ends [m]
-    piece   (m,) which connected curve each belongs to
+    piece   (m,) connected curve of each segment
     """
 
     face: Int
@@ -29,43 +29,43 @@ class Slice:
     piece: Int
 
     def curves(self) -> list[Slice]:
-        """Each connected curve by itself."""
+        """Return each connected curve as a slice."""
         return [self._of(self.piece == i) for i in range(int(self.piece.max(initial=-1)) + 1)]
 
     def _of(self, which: Bool) -> Slice:
         return Slice(self.face[which], self.shares[which], self.ends[which], self.piece[which])
 
     def length(self) -> float:
-        """[m]"""
+        """Return the length of all segments [m]."""
         return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1).sum())
 
     def turns(self, centre: Float) -> float:
-        """How often the curve goes round a point (z, x), counter-clockwise seen from above."""
+        """Return the winding number of the curve around a point (z, x), counter-clockwise seen from above."""
         return turns(*(self.ends - centre).transpose(1, 0, 2))
 
     def hull(self) -> tuple[float, float, Float]:
-        """Girth of a tape round the curve [m], which bridges hollows; the area within [m^2]; and its middle (z, x)."""
+        """Return the girth of the convex hull, as by a tape over hollows [m], its area [m^2] and centre (z, x)."""
         try:
-            found = ConvexHull(self.ends.reshape(-1, 2))
+            hull = ConvexHull(self.ends.reshape(-1, 2))
         except (QhullError, ValueError):
             return 0.0, 0.0, self.ends.reshape(-1, 2).mean(axis=0)
-        # Of a plane figure, Qhull's `area` is the perimeter, and `volume` the area.
-        return float(found.area), float(found.volume), found.points[found.vertices].mean(axis=0)
+        # For plane figures, Qhull's `area` is the perimeter, and `volume` the area.
+        return float(hull.area), float(hull.volume), hull.points[hull.vertices].mean(axis=0)
 
 
 def turns(start: Float, end: Float) -> float:
-    """How often segments from `start` (m, 2) to `end` (m, 2) go round the origin."""
+    """Return the winding number of segments from `start` (m, 2) to `end` (m, 2) around the origin."""
     angle = np.arctan2(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], (start * end).sum(axis=1))
     return float(angle.sum() / (2.0 * np.pi))
 
 
 def cut(x: Float, faces: Int, height: float) -> Slice:
-    """The slice of a mesh x (n, 3) [m], faces (f, 3), with y up, at a height [m]; a vertex at it counts as above."""
+    """Cut a mesh x (n, 3) [m], faces (f, 3), with y up, at a height [m]; a vertex at that height counts as above."""
     above = x[:, 1] >= height
     over = above[faces]
     crossed = np.flatnonzero((over.sum(axis=1) % 3) != 0)
     over = over[crossed]
-    # The corner that is alone on its side of the plane, and the sides from it.
+    # The single corner on one side of the plane, and the triangle's sides from it.
     lone = np.argmax(over == (over.sum(axis=1) == 1)[:, None], axis=1)
     rows = np.arange(len(crossed))
     shares, keys = np.zeros((len(crossed), 2, 3)), np.zeros((len(crossed), 2), np.int64)
@@ -75,7 +75,7 @@ def cut(x: Float, faces: Int, height: float) -> Slice:
         part = (height - x[p, 1]) / (x[q, 1] - x[p, 1])
         shares[rows, end, lone], shares[rows, end, other] = 1.0 - part, part
         keys[:, end] = np.minimum(p, q).astype(np.int64) * len(x) + np.maximum(p, q)
-    # A triangle whose lone corner is above has its outside on the right of the way to the second side.
+    # A triangle with its lone corner above has its outside on the right of the segment to the second side.
     flipped = ~over[rows, lone]
     shares[flipped], keys[flipped] = shares[flipped][:, ::-1], keys[flipped][:, ::-1]
     ends = np.einsum("mec,mcd->med", shares, x[faces[crossed]])[:, :, [2, 0]]

@@ -1,4 +1,4 @@
-"""A run that goes on, as the page sees it: the newest frame, whatever its topology is by then."""
+"""Follows a run for the page: shows its newest frame with the topology at that time."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from nuno_schemas.messages import BODIES, EVENT, FABRIC, STATE, Event, Topic
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 SAYS = {"pause": "paused", "resume": "running", "step": "running"}
-"""What a run does after each request."""
+"""State of a run after each request."""
 PAUSE = 0.2
-"""How long nothing may come [s] until it is asked whether the run goes on."""
+"""Silence after which the run is asked for its status [s]."""
 INTERVAL = 1 / 60
-"""Least time between two frames of the page [s]: more, no screen shows."""
+"""Least time between two frames of the page [s]: screens show no more."""
 ASK = 120.0
-"""How long an answer may take [s]: it comes between frames, and of a run that may be compiling."""
+"""Longest wait for an answer [s]: the run answers between frames, and may be compiling."""
 CLOSE = 5.0
-"""How long closing waits for what is being asked [s]."""
+"""Longest wait for a pending answer on closing [s]."""
 
 
 def order(bus: Bus, request: dict[str, object]) -> dict[str, Any]:
-    """A request to a run, as of `nuno control`; what it answers. Raises BadInput where it refuses."""
+    """Send a request of `nuno control` to a run, and return its answer. Raises BadInput if the run refuses it."""
     try:
         answer = bus.ask_json("control", request, ASK)
     except RunFailed as error:
@@ -46,22 +46,22 @@ def order(bus: Bus, request: dict[str, object]) -> dict[str, Any]:
         raise BadInput(f"the run does not answer: {error}", remedy=remedy) from None
     if answer.get("ok"):
         return answer
-    told = answer.get("refused", {"problem": str(answer.get("error", "refused"))})
-    raise BadInput(**(told | {"file": None}))  # whatever the run calls what it was asked
+    error_fields = answer.get("refused", {"problem": str(answer.get("error", "refused"))})
+    raise BadInput(**(error_fields | {"file": None}))  # the page does not know the run's name for the request
 
 
 class Follower:
-    """Follows one run in a thread of its own, on to a board, until the run ends or `close` is called.
+    """Shows a run on a board from a separate thread, until the run ends or `close` is called.
 
-    Messages are taken in as they come, and only the newest is looked into: a page never slows a run. Each state has
-    a number of vertices; where it is another than the cloth's that is shown, or the run tells of new cloth, the run is
-    asked for both at once, so that positions and triangles always belong together.
+    Only the newest message of each topic is decoded: a page never slows a run. If the number of vertices of a state
+    differs from that of the shown cloth, or the run sends a new fabric, the run is asked for positions and topology
+    together, so that they always match.
     """
 
     def __init__(self, run: str, endpoint: str, board: Board, config: str | None = None) -> None:
         self.run, self.board = run, board
         self._stop, self.lost = threading.Event(), False
-        """Whether it is to follow no more, and whether the run did not answer."""
+        """The request to stop following, and whether the run did not answer."""
         self._newest: dict[str, Message] = {}
         self._ended = ""
         self._bodies: Surfaces | None = None
@@ -74,7 +74,7 @@ class Follower:
         self._thread = threading.Thread(target=self._follow, name="page", daemon=True)
 
     def start(self) -> None:
-        """Show the run's cloth as it is, and go on showing it. Raises RunFailed where the run does not answer."""
+        """Show the run's cloth, and keep following it. Raises RunFailed if the run does not answer."""
         self.see()
         self._thread.start()
 
@@ -95,7 +95,7 @@ class Follower:
         )
 
     def close(self) -> None:
-        """Follow no more."""
+        """Stop following the run."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(CLOSE)
@@ -103,7 +103,7 @@ class Follower:
         self._stack.close()
 
     def _place(self, poses: Poses) -> None:
-        """Move the bodies, where they have moved."""
+        """Update the bodies' vertices, if their poses have changed."""
         before = self._poses
         if (before is None or not before.same_place(poses)) and self._bodies is not None:
             self._poses, self._body = poses, self._bodies.at(poses)
@@ -116,11 +116,11 @@ class Follower:
         try:
             while not self._stop.is_set() and not self._ended:
                 begin = time.monotonic()
-                if not self._take_in():
-                    self._look_after()
+                if not self._receive():
+                    self._check_status()
                     continue
-                if self.board.wanted(PAUSE):  # bodies are placed for what is shown alone
-                    self._take_in(0.0)
+                if self.board.wanted(PAUSE):  # only shown frames are decoded
+                    self._receive(0.0)
                 self._show_newest()
                 self._stop.wait(max(0.0, INTERVAL - (time.monotonic() - begin)))
         except (RunFailed, BadMessage, zenoh.ZError) as error:
@@ -131,19 +131,19 @@ class Follower:
         if self._ended:
             self.board.show(state=self._ended)
 
-    def _take_in(self, patience: float = PAUSE) -> bool:
-        """Take in all that has come, or comes first within `patience` [s]; whether anything has."""
+    def _receive(self, patience: float = PAUSE) -> bool:
+        """Receive all messages, after waiting up to `patience` [s] for the first; return whether there were any."""
         item = self._inbox.get(patience)
-        came = item is not None
+        received = item is not None
         while item is not None:
             if isinstance(item, Message) and item.topic.startswith(EVENT.name):
-                self._hear(item)
+                self._handle(item)
             elif isinstance(item, Message):
                 self._newest[item.topic] = item
             item = self._inbox.get(0)
-        return came
+        return received
 
-    def _hear(self, message: Message) -> None:
+    def _handle(self, message: Message) -> None:
         try:
             event = Event.model_validate_json(message.payload)
         except ValueError:
@@ -153,8 +153,8 @@ class Follower:
         elif event.kind == "control" and event.text in SAYS:
             self.board.show(state=SAYS[event.text])
 
-    def _look_after(self) -> None:
-        """Nothing has come for a while: the run is paused, or it is no more."""
+    def _check_status(self) -> None:
+        """After a silence, show whether the run is paused. Raises RunFailed if it has ended."""
         if self.run not in runs.running():
             raise RunFailed("the run is over")
         status = self._bus.ask_json("control", {"action": "status"}, ASK)

@@ -1,4 +1,4 @@
-"""What the page shows: the cloth and the bodies at one moment, as bytes for the browser."""
+"""The cloth and the bodies at one moment, as bytes for the browser."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ NO_POINTS = np.zeros((0, 3))
 NO_FACES = np.zeros((0, 3), np.int32)
 NO_EDGES, NO_LENGTHS = np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
 SAID = ("name", "start", "stop", "colour")
-"""What the page is told of a piece of cloth."""
+"""Fields of a piece of cloth that the page gets."""
 PATIENCE = 10.0
-"""How long a question for the next frame waits for one [s]."""
+"""Longest wait for the next frame [s]."""
 
 
 @dataclass(frozen=True)
 class Sight:
     """The cloth at one moment.
 
-    number  grows with every one that is shown, shape with every change of topology, place with every move of bodies
-    x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] stays what it was at first
-    edges (e, 2), rest (e,) [m]: threads and links, and how long they are unstretched
-    state   start (no run), preparing, running, paused, or how a run ended
+    number  grows with every shown sight, shape with every change of topology, place with every move of bodies
+    x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] is that of the first sight
+    edges (e, 2), rest (e,) [m]: threads and links, and their rest lengths
+    state   start (no run), preparing, running, paused, or the end state of a run
     """
 
     x: Float
@@ -53,9 +53,9 @@ class Sight:
     place: int = 0
 
     def encode(self, shape: int, place: int) -> bytes:
-        """As `pack` has it.
+        """Return the sight as bytes in the format of `pack`.
 
-        Topology goes only to a page that has another `shape`, bodies to one that has another `place`.
+        Topology is included only for a page with another `shape`, bodies only for one with another `place`.
 
         Positions are float32 about `origin`, so that cloth far from the world's origin keeps its digits.
         """
@@ -75,20 +75,20 @@ class Sight:
 
 
 def pack(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """A length, a JSON text, and arrays of four bytes a number, little-endian, which the text names."""
-    named = [[name, str(a.dtype), a.size] for name, a in arrays.items()]
-    text = json.dumps({**head, "arrays": named}).encode()
+    """Return a length, a JSON text that lists the arrays, and arrays of four-byte numbers, little-endian, as bytes."""
+    table = [[name, str(a.dtype), a.size] for name, a in arrays.items()]
+    text = json.dumps({**head, "arrays": table}).encode()
     text += b" " * (-len(text) % 4)
     return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
 
 
 def about(x: Float, origin: Float) -> NDArray[np.float32]:
-    """Positions (n, 3) [m] as float32 about an origin."""
+    """Return positions (n, 3) [m] as float32 about an origin."""
     return np.ascontiguousarray(x - origin, "<f4")
 
 
 class Board:
-    """The newest sight; a page that asks for the next one waits for it."""
+    """Holds the newest sight; a page can wait for the next one."""
 
     def __init__(self, sight: Sight) -> None:
         self._sight = replace(sight, origin=_origin(sight.x))
@@ -100,7 +100,7 @@ class Board:
         return self._sight
 
     def show(self, sight: Sight | None = None, **changes: Any) -> None:
-        """Show another sight, or this one changed; its numbers follow on those before."""
+        """Show another sight, or the present one with changes; its numbers continue the previous ones."""
         with self._changed:
             before = self._sight
             sight = replace(sight or before, **changes)
@@ -113,7 +113,7 @@ class Board:
             self._changed.notify_all()
 
     def wait(self, after: int, patience: float) -> Sight:
-        """The first sight with another number than `after`, or after `patience` [s] the present one."""
+        """Return the first sight with another number than `after`, or after `patience` [s] the present one."""
         with self._changed:
             self._waiting += 1
             self._changed.notify_all()
@@ -124,16 +124,16 @@ class Board:
             return self._sight
 
     def wanted(self, patience: float) -> bool:
-        """Whether a page waits for the next sight, or does so within `patience` [s]."""
+        """Return whether a page waits for the next sight, or does so within `patience` [s]."""
         with self._changed:
             return self._changed.wait_for(lambda: self._waiting > 0, patience)
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """The next frame, for a page that says what it has. Raises Refused."""
+        """Return the next frame after the one that the page has. Raises Refused."""
         after, shape, place = (whole(query, key) for key in ("after", "shape", "place"))
         return "application/octet-stream", self.wait(after, PATIENCE).encode(shape, place)
 
 
 def _origin(x: Float) -> Float:
-    """(3,) near the middle of points (n, 3) [m]; 0 where there is none."""
+    """Return a point (3,) near the centre of points (n, 3) [m]; 0 without points."""
     return np.asarray(np.round(x.mean(axis=0))) if len(x) and np.isfinite(x).all() else np.zeros(3)

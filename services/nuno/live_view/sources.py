@@ -1,4 +1,4 @@
-"""From a scene, or from what a run says of itself, to what the page shows."""
+"""Makes the sight of a scene, or of a run's messages."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 
 GROUND = 4.0
-"""Edge of the patch that a plane is drawn as, in sizes of the cloth."""
+"""Edge of the square that represents a plane, in sizes of the cloth."""
 
 
 def draw_bodies(geometry: Geometry | None, size: float) -> Surfaces:
-    """A scene's bodies beside cloth of a size [m]; none for a scene without."""
+    """Return the surfaces of a scene's bodies for cloth of a size [m]."""
     return NO_SURFACES if geometry is None else surface(geometry, INSET, GROUND * size)
 
 
 def size_of(x: Float) -> float:
-    """Diagonal of the box about finite points (n, 3) [m]."""
+    """Return the diagonal of the bounding box of the finite points among (n, 3) [m]."""
     finite = x[np.isfinite(x).all(axis=1)]
     return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 1.0
 
 
 def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
-    """The cloth of a scene as it is at the start, and its fabric. Raises BadInput for a scene without cloth."""
+    """Return a scene's cloth at the start, and its fabric. Raises BadInput for a scene without cloth."""
     return see_objects(loaded)[:2]
 
 
 def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
-    """The same, and the fabric of each object. Raises BadInput for a scene without cloth."""
+    """Return a scene's cloth at the start, its fabric, and each object's. Raises BadInput for a scene without cloth."""
     if not loaded.scene.moves:
         remedy = "name a scene with objects, such as hanging-sheet"
         raise BadInput("there is no cloth here that moves", value=loaded.scene.name, remedy=remedy)
@@ -67,7 +67,7 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
 
 
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
-    """A run's answer to where its cloth is, without its bodies. Raises BadMessage."""
+    """Decode a run's answer about its cloth, without its bodies. Raises BadMessage."""
     try:
         pieces = [build.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]]
         x, faces, edges, rest = (arrays[name] for name in ("x", "faces", "edges", "edge_rest"))
@@ -82,7 +82,7 @@ def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sigh
 
 
 def _coloured(pieces: Iterable[build.Piece], faces: Int) -> tuple[build.Piece, ...]:
-    """Objects of triangles (f, 3) that have no colour of their own get that of pictures: see `cut_pieces`."""
+    """Give objects of triangles (f, 3) without a colour that of pictures, as `cut_pieces` does."""
     first = faces[:, 0] if faces.size else np.zeros(0, np.int32)
     return tuple(
         piece if piece.colour or not ((first >= piece.start) & (first < piece.stop)).any()
@@ -92,5 +92,5 @@ def _coloured(pieces: Iterable[build.Piece], faces: Int) -> tuple[build.Piece, .
 
 
 def _joins(rows: NDArray[Any], corners: int, count: int) -> bool:
-    """Whether rows (r, corners) name vertices of which there are so many."""
+    """Return whether rows have `corners` columns of indices below `count`."""
     return rows.shape[1:] == (corners,) and (rows.size == 0 or bool(0 <= rows.min() <= rows.max() < count))

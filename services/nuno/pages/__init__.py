@@ -1,1 +1,1 @@
-"""Pages for a browser of this machine: one server, who may ask it, and what its pages share."""
+"""Pages for a browser of this machine: their server, its access control, and shared files."""

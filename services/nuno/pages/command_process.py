@@ -1,4 +1,4 @@
-"""A `nuno` command in a process of its own, so that a page answers meanwhile."""
+"""A `nuno` command in another process, so that the page stays responsive."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 MOST_SAID = 20_000
-"""Of what a command has printed, how much is told [bytes]."""
+"""Length of a command's output that is kept [bytes]."""
 END_PATIENCE = 20.0
-"""How long a command may take to end [s] when it is told to."""
+"""Longest time that a command may take to end [s] before it is killed."""
 
 
 class Child:
-    """A command that goes on from when this is made."""
+    """A command in a process that starts with this object."""
 
     def __init__(self, arguments: Sequence[str], folder: Path | None = None) -> None:
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - the command's own, for as long as it goes on
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - open while the command runs
         self._said: str | None = None
         self._reading = threading.Lock()
         # -P: a module of the user's folder must not stand in for one of ours.
@@ -31,26 +31,26 @@ class Child:
 
     @property
     def code(self) -> int | None:
-        """Its exit code; None while it goes on."""
+        """Exit code; None while the command runs."""
         return self._process.poll()
 
     @property
     def said(self) -> str:
-        """The last that it has printed so far; once it has ended, the file is closed."""
+        """The end of the output so far; after the command's end the file is closed."""
         with self._reading:
             if self._said is not None:
                 return self._said
             code = self.code
-            # Read without moving the place in the file, at which the command writes.
+            # Read without moving the file's position, at which the command writes.
             size = os.fstat(self._log.fileno()).st_size
-            said = os.pread(self._log.fileno(), MOST_SAID, max(0, size - MOST_SAID)).decode(errors="replace").strip()
+            output = os.pread(self._log.fileno(), MOST_SAID, max(0, size - MOST_SAID)).decode(errors="replace").strip()
             if code is not None:
-                self._said = said
+                self._said = output
                 self._log.close()
-            return said
+            return output
 
     def end(self, terminate: bool = True) -> None:
-        """Wait until it has ended, told to by a signal or otherwise; kill it where that takes too long."""
+        """Wait for the command's end, after a signal if `terminate`; kill it if it takes too long."""
         if terminate:
             self._process.terminate()
         try:

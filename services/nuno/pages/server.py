@@ -1,4 +1,4 @@
-"""A page's server: files of the page, what it is told of by its own addresses, and what it asks to be done."""
+"""A page's server: files of the page, resources at its own addresses, and requests."""
 
 from __future__ import annotations
 
@@ -27,37 +27,37 @@ LOGGER = logging.getLogger("nuno.pages")
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 MOST_CONNECTIONS = 32
 LEAVING = 1.0
-"""How long a connection may take to end [s] that makes room for another."""
+"""Longest time for closing a connection to make room for another [s]."""
 IDLE = 30.0
-"""Silence after which a connection ends [s]: longer than a page waits for what it is told of."""
+"""Silence after which a connection ends [s]: longer than a page's longest wait for a resource."""
 SHARED = files("nuno.pages") / "shared"
 NOT_FOUND, BAD_REQUEST, FAULT = 404, 400, 500
 
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
-Tell = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
-"""From the query of an address to content type and bytes. Raises Refused."""
+Resource = Callable[[Mapping[str, list[str]]], tuple[str, bytes]]
+"""Returns content type and bytes for the query of an address. Raises Refused."""
 
 
 class Take(NamedTuple):
-    """How files are taken: by a name, from a stream of so many bytes, of which it reads all; and at most how many."""
+    """Handler of uploaded files: `keep` reads a file of a name and length from a stream; `most` limits the length."""
 
     keep: Callable[[str, BufferedIOBase, int], dict[str, Any]]
     most: int
 
 
 def page_files(package: str) -> dict[str, tuple[str, bytes]]:
-    """Name -> content type and bytes of all that a package's page consists of, and of what all pages share."""
-    found = {}
+    """Return content type and bytes, by name, of the files of a package's page and of all pages' shared files."""
+    contents = {}
     for folder in (SHARED, files(package) / "page"):
         for path in folder.iterdir():
             kind = KINDS.get(path.name.rpartition(".")[2])
             if kind is not None:
-                found[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
-    return found
+                contents[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
+    return contents
 
 
 def describe(error: BadInput) -> dict[str, Any]:
-    """What a page is told of an error; `words` is what the command line prints."""
+    """Return an error as JSON for a page; `words` is the text of the command line."""
     value = None if error.value is None else str(error.value)[:200]
     return {
         "problem": error.problem,
@@ -71,34 +71,33 @@ def describe(error: BadInput) -> dict[str, Any]:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves one page, that of a package, on a free port of loopback; a thread for each connection, of which there
-    are few.
+    """Serves the page of a package on a free port of loopback, with a thread for each of a few connections.
 
-    `act` carries out what the page asks for; what it raises as BadInput, the page shows. `told` answers what is read
-    at addresses beside the page's files. `take` is for files that are dropped on the page.
+    `act` carries out the page's requests; the page shows its BadInput. `resources` answer addresses other than the
+    page's files. `take` receives files that are dropped on the page.
     """
 
     daemon_threads = True
     request_queue_size = 4 * MOST_CONNECTIONS
 
-    def __init__(self, package: str, act: Act, told: Mapping[str, Tell], take: Take | None = None) -> None:
+    def __init__(self, package: str, act: Act, resources: Mapping[str, Resource], take: Take | None = None) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
-        self.act, self.told, self.take, self.files = act, told, take, page_files(package)
+        self.act, self.resources, self.take, self.files = act, resources, take, page_files(package)
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self.silent: dict[socket, None] = {}
-        """Connections on which nothing that may be asked for is asked for, the oldest first."""
+        """Connections without a permitted request in progress, the oldest first."""
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection; where there is no room for one, in the place of that which has been silent for longest:
-        another user's program could hold all of them, and say nothing.
+        """Accept a connection; if there are too many, close the one that has been silent for longest: another user's
+        program could otherwise hold all of them.
         """
-        taken = self._places.acquire(blocking=False)
-        if not taken:
+        accepted = self._places.acquire(blocking=False)
+        if not accepted:
             with contextlib.suppress(StopIteration, RuntimeError, OSError):
                 next(iter(self.silent)).shutdown(SHUT_RDWR)
-            taken = self._places.acquire(timeout=LEAVING)
-        if taken:
+            accepted = self._places.acquire(timeout=LEAVING)
+        if accepted:
             self.silent[request] = None
             super().process_request(request, client_address)
         else:
@@ -112,7 +111,7 @@ class Server(ThreadingHTTPServer):
             self._places.release()
 
     def handle_error(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:
-        """A connection that breaks is the browser's business."""
+        """Ignore broken connections, which the browser handles."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -138,19 +137,19 @@ class Handler(BaseHTTPRequestHandler):
             kind, body = self._post(name, query) if method == "POST" else self._get(name, query)
             self._send(200, kind, body)
         except Refused as refused:
-            self.close_connection = True  # what is left of the request is not read
+            self.close_connection = True  # the rest of the request is not read
             self._send(refused.status, "text/plain; charset=utf-8", f"{refused.status}: {refused.why}\n".encode())
         except OSError:  # the browser has gone
             raise
         except Exception:
-            # Not the address, which is a secret.
+            # Without the address, which is a secret.
             LOGGER.exception("a request of the page failed: this is a fault of nuno's")
             self.close_connection = True
             self._send(FAULT, "text/plain; charset=utf-8", b"500: nuno failed; its terminal says where\n")
 
     def _get(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        if name in self.server.told:
-            return self.server.told[name](query)
+        if name in self.server.resources:
+            return self.server.resources[name](query)
         try:
             return self.server.files[name or "index.html"]
         except KeyError:
@@ -175,7 +174,7 @@ class Handler(BaseHTTPRequestHandler):
         return self._carry_out(partial(self.server.act, request))
 
     def _carry_out(self, act: Callable[[], dict[str, Any]], read: bool = True) -> tuple[str, bytes]:
-        """read: whether all of the request has been read, whatever becomes of it."""
+        """Return the answer of `act`, or its error; `read` tells whether all of the request has been read."""
         try:
             answer = {"ok": True} | act()
         except BadInput as error:
@@ -196,11 +195,11 @@ class Handler(BaseHTTPRequestHandler):
         self.server.silent[self.connection] = None
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: the address, which is a secret, would stand in the log."""
+        """Log nothing, since the address is a secret."""
 
 
 def whole(query: Mapping[str, list[str]], key: str) -> int:
-    """A whole number of a query, -1 where it is not given. Raises Refused."""
+    """Return an integer of a query, -1 if it is missing. Raises Refused."""
     text = query.get(key, ["-1"])[0]
     if not re.fullmatch(r"-?[0-9]{1,12}", text):
         raise Refused(BAD_REQUEST, f"{key} is a whole number")
@@ -209,8 +208,8 @@ def whole(query: Mapping[str, list[str]], key: str) -> int:
 
 @contextmanager
 def serving(server: Server, name: str, opened: bool, place: str = "") -> Iterator[None]:
-    """Serve a page until the block ends; its address, of a place of it, is printed and, where there is a screen and it
-    is `opened`, shown in a browser.
+    """Serve a page until the block ends; print the address of a `place` in it and, if `opened` and there is a screen,
+    show it in a browser.
     """
     address = server.guard.address + place
     print(f"{name} at  {address}", flush=True)
@@ -228,9 +227,9 @@ def serving(server: Server, name: str, opened: bool, place: str = "") -> Iterato
 
 @contextmanager
 def door(address: str) -> Iterator[str]:
-    """What a browser is started with in the place of an address: a file, for this user alone, that leads there.
+    """Yield the URI of a file, readable by this user alone, that redirects a browser to an address.
 
-    All users of a machine can read the list of processes, which has a browser's arguments, and the address is a secret.
+    All users of a machine can read the arguments of processes, such as a browser's, and the address is a secret.
     """
     with scratch() as folder:
         path = folder / "open.html"

@@ -1,4 +1,4 @@
-"""What a page waits for that may take long, done in a process of its own: so it can be ended, and the page answers."""
+"""Slow work of a page in another process, so that it can be cancelled and the page stays responsive."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ import psutil
 from nuno_schemas.errors import BadInput
 
 LOOK = 0.02
-"""How often the process is looked at while it works [s]."""
+"""Interval of checks while the process works [s]."""
 GRACE = 1.0
-"""How long it may go on after it was interrupted [s], until it is killed: a kernel that has begun ends first."""
+"""Time after an interrupt until the process is killed [s]: a running kernel ends first."""
 Made = TypeVar("Made")
 
 
 class Workshop:
-    """Makes one thing at a time, in a process that is kept for the next, with all that it has cached.
+    """Runs one task at a time, in a process that is kept with its caches for the next.
 
-    What a page asks for takes the place of what the same page asked for before. `what` is made within `seconds` and,
-    where `most` is given, with at most so many bytes of memory; the `remedy` is for what takes more.
+    A page's request cancels its previous one. A task, named `what` in errors, may take `seconds` [s] and, if given,
+    `most` bytes of memory; errors about these limits have the `remedy`.
     """
 
     def __init__(self, what: str, seconds: float, remedy: str, most: int | None = None) -> None:
         self.what, self.seconds, self.remedy, self.most = what, seconds, remedy, most
-        self._asked: dict[str, object] = {}
+        self._requests: dict[str, object] = {}
         self._turn, self._closed = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
 
     def make(self, page: str, call: Callable[..., Made], *args: object) -> Made:
-        """What a function of a module returns, and raises. Raises BadInput where it takes too much, and where the page
-        has asked for something else meanwhile.
+        """Return the result of a module's function, or raise its error. Raises BadInput if it exceeds a limit, or the
+        page has requested something else meanwhile.
         """
-        request = self._asked[page] = object()
+        request = self._requests[page] = object()
         while not self._turn.acquire(timeout=LOOK):
             self._require(page, request)
         try:
@@ -56,22 +56,22 @@ class Workshop:
             self._turn.release()
 
     def forget(self, page: str) -> None:
-        """End what a page has asked for."""
-        self._asked.pop(page, None)
+        """Cancel the request of a page."""
+        self._requests.pop(page, None)
 
     def close(self) -> None:
-        """End the process, and whatever it makes."""
+        """End the process and its task."""
         self._closed = True
         with self._turn:
             self._kill()
 
     def _require(self, page: str, request: object) -> None:
-        if self._closed or self._asked.get(page) is not request:
+        if self._closed or self._requests.get(page) is not request:
             raise BadInput("another one has been asked for meanwhile")
 
     def _begin(self) -> None:
         self._line, theirs = Pipe()
-        # -P: a module of the user's folder must not stand in for one of ours. A session of its own: Ctrl-C is ours.
+        # -P: a module of the user's folder must not replace one of ours. A new session: Ctrl-C must not reach it.
         command = [sys.executable, "-P", "-m", "nuno.pages.worker", str(theirs.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
         theirs.close()
@@ -89,20 +89,20 @@ class Workshop:
                     self._kill()
                     limit = f"{self.most / 2**30:.3g} GiB"
                     raise BadInput(f"{self.what} takes too much memory", limit=limit, remedy=self.remedy)
-            good, found = self._line.recv()
+            good, result = self._line.recv()
         except BadInput:
             if self._process is not None:
                 self._interrupt(self._process)
             raise
-        except (OSError, EOFError, psutil.Error):  # it was killed, for want of memory or by a person
+        except (OSError, EOFError, psutil.Error):  # it was killed, for lack of memory or by a user
             self._kill()
             raise BadInput(f"{self.what} has ended on its way", remedy="the terminal may say why") from None
         if not good:
-            raise found
-        return found
+            raise result
+        return result
 
     def _interrupt(self, process: subprocess.Popen[bytes]) -> None:
-        """End what is being made: the process goes on where that can be done at once, since it knows much by then."""
+        """Interrupt the task; keep the process with its caches, unless it does not respond in time."""
         process.terminate()
         try:
             if not self._line.poll(GRACE):
@@ -120,7 +120,7 @@ class Workshop:
 
 
 def serve(line: Connection) -> None:
-    """Make one thing after the other, until whoever asks for them is gone."""
+    """Run one task after the other, until the parent process ends."""
 
     def watch() -> None:
         psutil.Process(os.getppid()).wait()
@@ -129,7 +129,7 @@ def serve(line: Connection) -> None:
     def interrupt(_: int, frame: FrameType | None) -> None:
         while frame is not None:
             if frame.f_code.co_filename.startswith("<frozen importlib"):
-                return  # half a module would stay with this process: it is killed unless the whole is there soon
+                return  # an interrupted import would leave half a module: the process is killed if it takes long
             frame = frame.f_back
         raise KeyboardInterrupt
 

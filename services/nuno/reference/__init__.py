@@ -1,1 +1,1 @@
-"""Pages of the documentation's reference that are made from what they describe, as Markdown: `nuno schema`."""
+"""Reference pages of the documentation, generated from the code as Markdown: `nuno schema`."""

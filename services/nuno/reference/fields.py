@@ -1,4 +1,4 @@
-"""Every field of a scene, made from the JSON Schema: docs/reference/fields.md."""
+"""The reference of every field of a scene, generated from the JSON Schema: docs/reference/fields.md."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ KINDS = {
     "nuno.operations": "operation", "nuno.dye_cloths": "dye cloth", "nuno.dye_solvers": "dye solver",
     "nuno.dye_pictures": "dye picture", "nuno.yarn_pictures": "yarn picture", "nuno.isotherms": "isotherm",
 }  # fmt: skip
-"""What a plugin of a group is, beside its name."""
+"""Kind of a plugin of each group, for headings."""
 TYPES = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false",
          "object": "mapping"}  # fmt: skip
 LIMITS = {"exclusiveMinimum": "> ", "minimum": "≥ ", "exclusiveMaximum": "< ", "maximum": "≤ "}
 PATTERNS = {"^[A-Za-z]": "name", "^#": 'colour, `"#cd5c5c"` or a name of CSS'}
 HEADINGS = ("field", "takes", "unit", "default", "limits", "meaning")
 MANY = 20
-"""Names that are too many to be listed: those of colours."""
+"""Number of names from which on they are not listed, such as those of colours."""
 
 
 def describe_fields() -> str:
-    """The page; imports every installed plugin."""
+    """Return the page; imports every installed plugin."""
     return _Page(scene_schema()).text()
 
 
@@ -48,52 +48,52 @@ class _Page:
     def __init__(self, schema: dict[str, Any]) -> None:
         self.schema = schema
         self.parts: dict[str, str] = {}
-        """Of each definition its heading; the same one under several plugins has one."""
-        self._known: dict[str, str] = {}
+        """Heading of each definition; equal definitions of several plugins share one."""
+        self._described_keys: dict[str, str] = {}
 
     def text(self) -> str:
         groups = list(dict.fromkeys(PLACES.values()))
         plugins = [(group, sorted(registry.installed(group))) for group in groups]
-        own = [INTRODUCTION, "## Scene\n", self._table(self.schema), *self._described("###")]
+        lines = [INTRODUCTION, "## Scene\n", self._table(self.schema), *self._describe_parts("###")]
         for group, names in plugins:
-            own.append(f"\n## {KINDS[group].capitalize()}s\n\n{GROUPS[group].capitalize().split(':')[0]}.")
+            lines.append(f"\n## {KINDS[group].capitalize()}s\n\n{GROUPS[group].capitalize().split(':')[0]}.")
             for name in names:
                 cls, choice = registry.load(group, name), self._choice(group, name)
-                said = " ".join(dict.fromkeys(filter(None, (plain(cls.__doc__), plain(cls.Config.__doc__)))))
-                own += [f"\n### {name} ({KINDS[group]})\n\n{said}\n", self._table(choice)]
-            own += self._described("####")
-        return "\n".join(own) + "\n"
+                text = " ".join(dict.fromkeys(filter(None, (plain(cls.__doc__), plain(cls.Config.__doc__)))))
+                lines += [f"\n### {name} ({KINDS[group]})\n\n{text}\n", self._table(choice)]
+            lines += self._describe_parts("####")
+        return "\n".join(lines) + "\n"
 
     def _choice(self, group: str, name: str) -> dict[str, Any]:
-        """The fields of a plugin, wherever a scene names one of its group."""
+        """Return the schema of a plugin's fields, from the first place for a plugin of its group."""
         part, field = next(place for place, of in PLACES.items() if of == group)
         owner = self.schema if part == "Scene" else self.schema["$defs"][part]
         place = owner["properties"][field]
         choices: list[dict[str, Any]] = place["oneOf"] if "oneOf" in place else place["items"]["oneOf"]
         return next(one for one in choices if one.get("properties", {}).get("plugin", {}).get("const") == name)
 
-    def _described(self, level: str) -> Iterator[str]:
-        """Each part that has been named and not described yet."""
-        while waiting := [key for key in self.parts if key not in self._known.values()]:
+    def _describe_parts(self, level: str) -> Iterator[str]:
+        """Describe each part that has been named and not described yet."""
+        while waiting := [key for key in self.parts if key not in self._described_keys.values()]:
             for key in waiting:
                 part = self.schema["$defs"][key]
-                self._known[self._like(key)] = key
+                self._described_keys[self._content(key)] = key
                 yield f"\n{level} {self.parts[key]}\n\n{plain(part.get('description'))}\n"
                 yield self._table(part)
 
-    def _like(self, key: str) -> str:
-        """What a definition says, whoever has it: alike for those that several plugins share."""
+    def _content(self, key: str) -> str:
+        """Return the content of a definition without its owner: equal for definitions that several plugins share."""
         prefix = key.rpartition(".")[0]
         return json.dumps([key.rpartition(".")[2], self.schema["$defs"][key]]).replace(f"#/$defs/{prefix}.", "#")
 
     def _link(self, key: str) -> str:
-        key = self._known.get(self._like(key), key)
-        alike = next((one for one in self.parts if self._like(one) == self._like(key)), key)
-        if alike not in self.parts:
+        key = self._described_keys.get(self._content(key), key)
+        equal = next((one for one in self.parts if self._content(one) == self._content(key)), key)
+        if equal not in self.parts:
             plugin, name = ([*key.split("."), ""][-3:-1]) if "." in key else ("", key)
             taken = name in self.parts.values() or name == "Scene"
-            self.parts[alike] = f"{name} ({plugin})" if taken else name
-        heading = self.parts[alike]
+            self.parts[equal] = f"{name} ({plugin})" if taken else name
+        heading = self.parts[equal]
         return f"[{heading}](#{anchor(heading)})"
 
     def _table(self, part: dict[str, Any]) -> str:
@@ -101,7 +101,7 @@ class _Page:
         for name, field in part.get("properties", {}).items():
             if name == "plugin":
                 continue
-            limits, units = (", ".join(dict.fromkeys(found(field))) for found in (_limits, _units))
+            limits, units = (", ".join(dict.fromkeys(read(field))) for read in (_limits, _units))
             meaning = plain(field.get("description")) or ("which one of several" if "const" in field else "")
             default = "" if name in part.get("required", ()) else _default(field)
             rows.append([f"`{name}`", " or ".join(_unique(self._takes(field))), units, default, limits, meaning])
@@ -132,7 +132,7 @@ class _Page:
             yield TYPES[node["type"]]
 
     def _takes_one_of(self, several: list[dict[str, Any]]) -> Iterator[str]:
-        """Plugins of a group by a link to it; all else one by one."""
+        """Yield a link to the group for plugins, and every other alternative by itself."""
         names = {one["properties"]["plugin"]["const"] for one in several if "plugin" in one.get("properties", {})}
         if names - {"auto"}:
             group = next(group for group in KINDS if names - {"auto"} == set(registry.installed(group)))
@@ -150,10 +150,10 @@ def _unique(words: Iterator[str]) -> list[str]:
 
 
 def _inside(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a field's schema is made of, without other parts and plugins."""
-    found = [*node.get("anyOf", ()), *node.get("oneOf", ()), *node.get("prefixItems", ())]
-    found += [node[key] for key in ("items", "additionalProperties") if isinstance(node.get(key), dict)]
-    return [one for one in found if "properties" not in one]
+    """Return the schemas within a field's schema, without other parts and plugins."""
+    nodes = [*node.get("anyOf", ()), *node.get("oneOf", ()), *node.get("prefixItems", ())]
+    nodes += [node[key] for key in ("items", "additionalProperties") if isinstance(node.get(key), dict)]
+    return [one for one in nodes if "properties" not in one]
 
 
 def _units(node: dict[str, Any]) -> Iterator[str]:
@@ -177,7 +177,7 @@ def _limits(node: dict[str, Any]) -> Iterator[str]:
 
 
 def _written(value: Any) -> str:
-    """As a scene would have it."""
+    """Return a value as a scene writes it."""
     return json.dumps(value, ensure_ascii=False).replace('"', "")
 
 

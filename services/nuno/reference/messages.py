@@ -1,4 +1,4 @@
-"""The message reference, made from the schemas: docs/reference/messages.md."""
+"""The reference of messages, generated from the schemas: docs/reference/messages.md."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ message Arrays {
 
 
 def describe_messages() -> str:
-    """The page."""
+    """Return the page."""
     rows = [[f"`{one.name}`", f"`{one.schema}`", one.encoding, one.when, "yes" if one.recorded else "no", _holds(one)]
             for one in (*TOPICS.values(), POSES)]  # fmt: skip
     parts = [INTRODUCTION, "## Topics\n", table(["topic", "type", "encoding", "when", "recorded", "holds"], rows)]
-    parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_said(Header)}\n", _fields(Header)]
+    parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_description(Header)}\n", _fields(Header)]
     for name, model in MODELS.items():
-        parts += [f"\n## {name}\n\n{_said(model)}\n", _fields(model)]
-        held = [one for field in model.model_fields.values() for one in get_args(field.annotation) if _is_model(one)]
-        for one in held:
-            parts += [f"\n### {one.__name__}\n\n{_said(one)}\n", _fields(one)]
+        parts += [f"\n## {name}\n\n{_description(model)}\n", _fields(model)]
+        nested = [one for field in model.model_fields.values() for one in get_args(field.annotation) if _is_model(one)]
+        for one in nested:
+            parts += [f"\n### {one.__name__}\n\n{_description(one)}\n", _fields(one)]
     return "\n".join([*parts, f"\n{ARRAYS}"])
 
 
@@ -64,7 +64,7 @@ def _holds(topic: Topic) -> str:
     return topic.holds or f"[{topic.schema}](#{link})"
 
 
-def _said(model: type[BaseModel]) -> str:
+def _description(model: type[BaseModel]) -> str:
     return " ".join((model.__doc__ or "").split())
 
 
@@ -75,7 +75,7 @@ def _fields(model: type[BaseModel]) -> str:
 
 
 def _type(annotation: Any) -> str:
-    """As Python has it, but for null."""
+    """Return the name of a type in Python, with null for None."""
     text = annotation.__name__ if isinstance(annotation, type) and "[" not in str(annotation) else str(annotation)
     text = text.replace("None", "null").replace("typing.", "").replace("nuno_schemas.messages.", "")
     if text.startswith("Literal["):

@@ -1,4 +1,4 @@
-"""Files that are dropped on the page: taken into the folder under a name of their own, or refused."""
+"""Files that are dropped on the page: stored in the folder under an unused name, or refused."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from nuno.studio.file_summary import KINDS
 from nuno_schemas.errors import BadInput
 
 MOST = 2_000_000_000
-"""Of a file [bytes]."""
+"""Largest file [bytes]."""
 PIECE = 1 << 20
 SPARE = 200_000_000
-"""What is to be left free on the disk [bytes]."""
+"""Space that must stay free on the disk [bytes]."""
 STEM = 60
-"""Characters of a name that are kept, beside its ending."""
+"""Largest number of characters of a name, without its ending."""
 Made = TypeVar("Made")
 
 
 class Arrivals:
-    """Takes files into a folder; those of `elsewhere`, by their endings, into others."""
+    """Stores files in a folder; those with an ending in `elsewhere` in the folder given there."""
 
     def __init__(self, folder: Path, elsewhere: dict[str, Path]) -> None:
         self.folder, self.elsewhere = folder, elsewhere
 
     def expect(self, name: object, size: object) -> str:
-        """The name that a file may have here. Raises BadInput for one that is not to be sent."""
+        """Return the name that a file will get. Raises BadInput for a file that will be refused."""
         if not isinstance(name, str) or not isinstance(size, int):
             raise BadInput("a file has a name and a size", field="name")
         stem, ending = os.path.splitext(name.replace("\\", "/").rpartition("/")[2])
@@ -46,49 +46,49 @@ class Arrivals:
         if size > free - SPARE:
             raise BadInput("there is no room for it on the disk", name[:100], value=f"{size} bytes",
                            limit=f"{max(0, free - SPARE)} bytes")  # fmt: skip
-        # Letters of any script; nothing that a path, a hidden file or a flag begins with.
+        # Letters of any script; not the first characters of a path, a hidden file or a flag.
         stem = re.sub(r"[^\w. ()+-]", "-", stem)[:STEM].strip(" .-") or "file"
         return stem + ending.lower()
 
     def receive(
         self, name: str, stream: BufferedIOBase, length: int, look: Callable[[Path], Made]
     ) -> tuple[Path, Made]:
-        """Take a file from a stream; where it is now, and what was seen of it: what `look` refuses is not kept.
+        """Store a file from a stream, and return its path and the result of `look`, which may refuse it.
 
-        One that is here already, byte by byte and under its name, is taken for that. Raises BadInput.
+        A file that exists already, with the same name and bytes, is not stored again. Raises BadInput.
         """
         name = self.expect(name, length)
         folder = self.elsewhere.get(Path(name).suffix, self.folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # Beside its place, so that it gets there whole; by its own name, which what is said of it has.
-            with tempfile.TemporaryDirectory(dir=folder, prefix=".nuno-") as aside:
-                path = Path(aside) / name
+            # In the same folder, so that the move is atomic; under its own name, which errors mention.
+            with tempfile.TemporaryDirectory(dir=folder, prefix=".nuno-") as temporary:
+                path = Path(temporary) / name
                 _copy(stream, path, length)
-                found = _looked(look, path)
-                there = reserve(folder, name, path)
-                if not there.stat().st_size:
-                    path.replace(there)
-                return there, found
+                result = _look_at(look, path)
+                target = reserve(folder, name, path)
+                if not target.stat().st_size:
+                    path.replace(target)
+                return target, result
         except OSError as error:
             raise BadInput(f"cannot be written: {error.strerror}", name) from None
 
 
-def _looked(look: Callable[[Path], Made], path: Path) -> Made:
-    """What is seen of a file; errors call it by its name alone, since nobody knows where it lies meanwhile."""
+def _look_at(look: Callable[[Path], Made], path: Path) -> Made:
+    """Return `look(path)`; errors name the file without its temporary folder."""
     try:
         return look(path)
     except BadInput as error:
-        said = {one.name: getattr(error, one.name) for one in fields(error)}
+        values = {one.name: getattr(error, one.name) for one in fields(error)}
         for place in (str(path.resolve()), str(path)):
-            said = {
-                key: text.replace(place, path.name) if isinstance(text, str) else text for key, text in said.items()
+            values = {
+                key: text.replace(place, path.name) if isinstance(text, str) else text for key, text in values.items()
             }
-        raise BadInput(**said) from None
+        raise BadInput(**values) from None
 
 
 def _copy(stream: BufferedIOBase, path: Path, length: int) -> None:
-    """Raises BadInput where fewer bytes come than were announced."""
+    """Copy `length` bytes of a stream to a file. Raises BadInput if the stream ends before."""
     with path.open("xb") as file:
         while length:
             piece = stream.read(min(PIECE, length))
@@ -99,8 +99,8 @@ def _copy(stream: BufferedIOBase, path: Path, length: int) -> None:
 
 
 def reserve(folder: Path, name: str, like: Path | None = None) -> Path:
-    """A new, empty file of a name that nothing had, with a number behind its stem where something has; or on the way
-    there one that is `like` another, byte by byte. Raises OSError.
+    """Create an empty file of an unused name, if necessary with a number after its stem; or return an existing file of
+    such a name with the same bytes as `like`. Raises OSError.
     """
     stem, ending = os.path.splitext(name)
     number = 1

@@ -1,4 +1,4 @@
-"""The cloth that the page shows: of scenes at their start, and of the run that goes on."""
+"""The cloth shown in the page: of scenes at their start, and of the present run."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
 
 MOST = 4
-"""Starts that are kept for pages: each page shows the newest that it has asked for."""
+"""Starts that are kept: each page shows the newest that it requested."""
 LEAVE = 2.0
-"""How long nobody looks at a run [s] until it is followed no more: a page asks again at once."""
+"""Time without a viewing page after which a run is no longer followed [s]: a viewing page asks again at once."""
 AGAIN = 0.5
-"""How long a page that could not be shown a run waits until it asks again [s]."""
+"""Wait of a page before it asks again for a run that could not be followed [s]."""
 NO_COLOURS = "dye and textures are not shown here: the picture of a recording has them"
 
 
 @dataclass(frozen=True)
 class Start:
-    """A scene's cloth as it begins, as it is shown and as it is tried."""
+    """A scene's cloth at its start, for display and for checks of lines."""
 
     loaded: Loaded
     sight: Sight
@@ -48,12 +48,12 @@ class Start:
 
     @cached_property
     def trial(self) -> Trial:
-        """Of its objects, on which lines are tried."""
+        """The trial of its objects, for checks of lines."""
         return Trial(self.loaded, self.objects)
 
 
 class Starts:
-    """The cloth of scenes as they begin, built in a workshop when a page asks for it, without a run."""
+    """Builds the cloth of scenes at their start in a workshop when a page asks for it, without a run."""
 
     def __init__(self, workshop: Workshop) -> None:
         self._numbers = itertools.count(1)
@@ -61,9 +61,9 @@ class Starts:
         self._workshop = workshop
 
     def see(self, loaded: Loaded, page: str, *text: Any) -> dict[str, Any]:
-        """Build a scene's cloth: the number that it is told by, and what is not shown of it, in words. Raises BadInput.
+        """Build a scene's cloth, and return its number and a remark on parts that are not shown. Raises BadInput.
 
-        text: what `scenes.load` makes the scene of.
+        text: the arguments of `scenes.load`.
         """
         sight, fabric, objects = self._workshop.make(page, _build, *text)
         number = next(self._numbers)
@@ -73,7 +73,7 @@ class Starts:
         return {"number": number, "words": NO_COLOURS if _painted(loaded, sight) else ""}
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """One of them, for the page that asked for it. Raises Refused."""
+        """Return the bytes of a start for the page. Raises Refused."""
         start = self.kept.get(whole(query, "number"))
         if start is None:
             raise Refused(NOT_FOUND, "this start is no longer kept")
@@ -91,25 +91,25 @@ def _painted(loaded: Loaded, sight: Sight) -> bool:
 
 
 class Live:
-    """A run's cloth as it moves. It is followed only while a page looks at it: nothing of it is sent here else."""
+    """A run's moving cloth. It is followed only while a page shows it: otherwise nothing of it is sent here."""
 
     def __init__(self, run: str, endpoint: str, config: str | None = None) -> None:
         self.run, self.endpoint, self.config = run, endpoint, config
         self.board = Board(Sight(NO_POINTS, NO_FACES, ()))
         self.follower: Follower | None = None
-        self._looking, self._last = 0, 0.0
+        self._viewers, self._last = 0, 0.0
         self._lock = threading.Lock()
         self._closed = threading.Event()
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """The next frame, for a page that says what it has. Raises Refused."""
-        with self._looked():
+        """Return the next frame after the one that the page has. Raises Refused."""
+        with self._viewing():
             return self.board.tell(query)
 
     @contextlib.contextmanager
-    def _looked(self) -> Iterator[None]:
+    def _viewing(self) -> Iterator[None]:
         with self._lock:
-            self._looking += 1
+            self._viewers += 1
             if self.follower is not None and self.follower.lost and self.run in runs.running():
                 self.follower = None  # it did not answer for a while
             if self.follower is None and not self._closed.is_set():
@@ -118,7 +118,7 @@ class Live:
             yield
         finally:
             with self._lock:
-                self._looking -= 1
+                self._viewers -= 1
                 self._last = time.monotonic()
 
     def _begin(self) -> None:
@@ -136,16 +136,16 @@ class Live:
             threading.Thread(target=self._leave, args=(follower,), name="leave", daemon=True).start()
 
     def _leave(self, follower: Follower) -> None:
-        """Follow no more once nobody has looked for a while."""
+        """Stop following after a time without viewers."""
         while not self._closed.wait(LEAVE / 4):
             with self._lock:
                 if self.follower is not follower:
                     break
-                if not self._looking and time.monotonic() - self._last > LEAVE:
+                if not self._viewers and time.monotonic() - self._last > LEAVE:
                     self.follower = None
                     break
         follower.close()
 
     def close(self) -> None:
-        """Follow no more."""
+        """Stop following the run."""
         self._closed.set()

@@ -1,4 +1,4 @@
-"""What the page asks for."""
+"""The requests of a page of the studio."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeColour
 from nuno_schemas.preset import Preset
 
-# What presets look like where they are chosen: a dye by its colours, a fabric by its weight and by how it bends.
+# Swatches of presets: a dye's colours, a fabric's weight and bending rigidity.
 
 SHADES = ("light", "mid", "dark")
 
 
 def swatches() -> dict[str, Any]:
-    """Of each dye its colours from light to dark; of each fabric its areal density [g/m^2] and its bending rigidity,
-    the mean of warp and weft [uN m].
+    """Return the colours of each dye from light to dark, and the areal density [g/m^2] and bending rigidity, the mean
+    of warp and weft [uN m], of each fabric.
     """
     model = registry.offering("nuno.models", "presets", "lists fabrics")
     return {
@@ -48,41 +48,41 @@ def swatches() -> dict[str, Any]:
     }
 
 
-def _shades(given: dict[str, str]) -> list[str]:
-    colour = DyeColour.model_validate(given)
+def _shades(fields: dict[str, str]) -> list[str]:
+    colour = DyeColour.model_validate(fields)
     return [str(getattr(colour, shade)) for shade in SHADES]
 
 
 def _feel(preset: Preset) -> dict[str, float]:
-    given = {one.name: one.given for one in preset.measures}
-    bends = [value for name in ("bend_warp", "bend_weft") if (value := given.get(name)) is not None]
-    return {"density": given["density"] or 0.0, "bend": sum(bends) / len(bends)}
+    values = {measure.name: measure.given for measure in preset.measures}
+    bends = [value for name in ("bend_warp", "bend_weft") if (value := values.get(name)) is not None]
+    return {"density": values["density"] or 0.0, "bend": sum(bends) / len(bends)}
 
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
     "worn", "paint", "swatches", "leave",
 )  # fmt: skip
-"""What the page may ask for, each a method of a desk."""
+"""Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
-"""What building the cloth for a page may take [s, bytes], and planning [s]: a first time compiles kernels."""
+"""Limits of building cloth for a page [s, bytes], and of planning [s]: the first time compiles kernels."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
-"""What a page may ask of a run, as `nuno control`."""
+"""Actions of a run that a page may request, as `nuno control`."""
 OF_FILMS = ("replay", "plots", "compare")
-"""What it may ask of recordings that are replayed, each a method of a screen."""
+"""Requests for recordings that are replayed, each a method of the screen."""
 OF_RECORDINGS = {"recording": "open", "picture": "draw", "delete": "delete"}
 OF_RECORDINGS |= {name: name for name in ("verify", "verdict", "resumable")}
-"""What it may ask of one recording, and which method of the recordings does it."""
+"""Requests for one recording, and the method of `Recordings` for each."""
 
 
 class Desk:
-    """One page's work, in the folder that it was started in."""
+    """Answers the requests of the studio's page, for the folder in which it was started."""
 
     def __init__(self) -> None:
         self.scenes, self.recordings = scenes.Scenes(Path()), Recordings(runs.RECORDINGS)
         self.screen = Screen(self.recordings)
         self._own: Run | None = None
-        # Planning compiles kernels; a preview is for a look, and a run says itself what it takes.
+        # Planning compiles kernels; a preview must be quick, and a run reports its own cost.
         remedy = "run it, or make its triangles or cells larger"
         self._previews = Workshop("building the cloth for a look", LOOKS[0], remedy, LOOKS[1])
         self._plans = Workshop("planning", PLANS, "run it; its first frame is what takes long")
@@ -93,12 +93,12 @@ class Desk:
         self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
 
     def attach(self, run: str, entry: str, config: str | None = None) -> None:
-        """Show a run that was started elsewhere, of the scene that the page calls so."""
+        """Show a run that was started elsewhere, of the scene with the page's name `entry`."""
         self._own = Run.attach(run, entry, config)
 
     def server(self) -> Server:
-        """What serves the page, until it is closed."""
-        told = {
+        """Return the server of the page, which runs until it is closed."""
+        resources = {
             "schema": lambda _: ("application/json", self._schema()),
             "picture": self._picture,
             "drawn": self._scene_picture,
@@ -112,39 +112,39 @@ class Desk:
             "dyed": self.screen.dyed,
         }
         threading.Thread(target=self._begin_building, daemon=True).start()
-        return Server("nuno.studio", self.act, told, Take(self.files.take, arrivals.MOST))
+        return Server("nuno.studio", self.act, resources, Take(self.files.take, arrivals.MOST))
 
     def _begin_building(self) -> None:
-        """The process that builds cloth takes seconds to begin: it has when a scene is opened."""
+        """Start the process that builds cloth, which takes seconds, before a scene is opened."""
         with contextlib.suppress(BadInput):
-            first = "hanging-sheet"
-            self._see({"scene": first, "text": read_text(self.scenes.find(first)), "page": "first"})
+            scene = "hanging-sheet"
+            self._see({"scene": scene, "text": read_text(self.scenes.find(scene)), "page": "first"})
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out one request of the page's. Raises BadInput, which the page shows."""
+        """Carry out one request of the page and return its answer. Raises BadInput, which the page shows."""
         name = str(request.get("do"))
         if name == "delete":
             self.screen.forget(str(request.get("recording")))
             self.exports.forget(str(request.get("recording")))
         if name in OF_RECORDINGS:
-            found: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
+            answer: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
         elif name == "recordings":
-            found = {"recordings": self.recordings.list()}
+            answer = {"recordings": self.recordings.list()}
         elif name in OF_FILMS:
-            found = getattr(self.screen, name)(request)
+            answer = getattr(self.screen, name)(request)
         elif name in FILE_ACTS:
-            found = getattr(self.files, name)(request)
+            answer = getattr(self.files, name)(request)
         elif name == "export":
-            found = self.exports.export(request)
+            answer = self.exports.export(request)
         elif name in ACTS:
-            found = getattr(self, f"_{name}")(request)
+            answer = getattr(self, f"_{name}")(request)
         else:
-            known = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
-            raise BadInput("no such request", value=name, limit=", ".join(known))
-        return found
+            names = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
+            raise BadInput("no such request", value=name, limit=", ".join(names))
+        return answer
 
     def close(self) -> None:
-        """End what was started here."""
+        """End the run, processes and films that were started here."""
         with self._starting:
             if self._own is not None:
                 self._own.close()
@@ -155,8 +155,8 @@ class Desk:
             self.exports.close()
 
     def _picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        found = self.recordings
-        return _read("image/png", lambda: found.picture_of(found.find(query.get("recording", [""])[0])))
+        recordings = self.recordings
+        return _read("image/png", lambda: recordings.picture_of(recordings.find(query.get("recording", [""])[0])))
 
     def _scene_picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         return _read("image/webp", lambda: self.scenes.picture_of(query.get("name", [""])[0]))
@@ -179,7 +179,7 @@ class Desk:
         return facts | self._checked(text.removeprefix(MARK) if changed is None else changed, path)
 
     def _own_file(self, path: Path) -> bool:
-        """Whether a scene's file is the person's own, and not one that comes with nuno."""
+        """Return whether a scene's file is the user's own, not one shipped with nuno."""
         return path.parent == self.scenes.folder or path in self.scenes.more.values()
 
     def _checked(self, text: str, path: Path) -> dict[str, Any]:
@@ -189,7 +189,7 @@ class Desk:
         return scenes.load(*self._text(request), self.scenes.roots)
 
     def _text(self, request: Mapping[str, Any]) -> tuple[str, Path]:
-        """What stands in the page, and the file that it stands for. Raises BadInput."""
+        """Return the scene's text in the page, and the scene's file. Raises BadInput."""
         text = request.get("text")
         if not isinstance(text, str):
             raise BadInput("a request about a scene has its text", field="text")
@@ -199,7 +199,7 @@ class Desk:
         return self._checked(*self._text(request))
 
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Put a value into the text, or take it out; the new text, and what it says."""
+        """Set a value in the text, or remove it; return the new text and the result of its check."""
         text, path = self._text(request)
         place = request.get("path")
         if not isinstance(place, list) or not place or not all(isinstance(part, str | int) for part in place):
@@ -221,7 +221,7 @@ class Desk:
         return {"rows": self._plans.make(_page(request), scenes.plan, *self._text(request), self.scenes.roots)}
 
     def _leave(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """End what is built for a page, which does not wait for it any more."""
+        """Cancel the build or plan for a page that no longer waits for it."""
         (self._plans if request.get("plan") else self._previews).forget(_page(request))
         return {}
 
@@ -233,13 +233,13 @@ class Desk:
         return self._begin(lambda: Run.start(loaded, entry, changed, paused))
 
     def _resume(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Go on with a recording, until the whole run has a duration. Raises BadInput."""
+        """Resume a recorded run up to a new total duration. Raises BadInput."""
         path, change = self.recordings.find(request.get("recording")), f"duration={request.get('duration')}"
         with resumed_scene(path, [change]) as (loaded, _):
             return self._begin(lambda: Run.resume(loaded, [str(path), "--set", change]))
 
     def _begin(self, make: Callable[[], Run]) -> dict[str, Any]:
-        """Start a run, of which one goes on at a time. Raises BadInput."""
+        """Start a run, if none is going on. Raises BadInput."""
         with self._starting:
             if self._own is not None and self._own.going:
                 raise BadInput("a run goes on already", value=self._own.name, remedy="stop it before")
@@ -262,15 +262,15 @@ class Desk:
         return self._own.tell() if self._own is not None else {"state": "none"}
 
     def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Build the cloth as it is at the start of a text's scene. Raises BadInput."""
+        """Build the cloth at the start of the text's scene. Raises BadInput."""
         return self._starts.see(self._loaded(request), _page(request), *self._text(request), self.scenes.roots)
 
     def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """The dyed cloth of a text's scene as it begins, laid flat. Raises BadInput."""
+        """Return the dyed cloth at the start of the text's scene, laid flat. Raises BadInput."""
         return self._dyed_cloth.see(_page(request), *self._text(request), self.scenes.roots)
 
     def _worn(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Where the triangles of a start that is shown lie on the flat cloth. Raises BadInput."""
+        """Return the positions of a shown start's triangles on the flat cloth. Raises BadInput."""
         number = request.get("start")
         start = self._starts.kept.get(number) if isinstance(number, int) else None
         if start is None:
@@ -278,7 +278,7 @@ class Desk:
         return {"corners": worn(start)}
 
     def _paint(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Put a stroke or a stencil into the text; or a stroke into the run that goes on. Raises BadInput."""
+        """Add a stroke or a stencil to the text, or a stroke to the present run. Raises BadInput."""
         text, path = self._text(request)
         cells, _, _ = cloth_of(self._loaded(request))
         if request.get("live"):
@@ -286,7 +286,7 @@ class Desk:
         item, picture = paint.item_of(request, cells, path, self._own_file(path))
         try:
             after = paint.put(text, item, path.name)
-            # What lies beside the cloth is refused before it is in the text.
+            # Building the cloth refuses items that lie beside it, before they are in the text.
             cloth_of(scenes.load(after, path, self.scenes.roots))
         except BadInput:
             if picture is not None:
@@ -295,30 +295,30 @@ class Desk:
         return {"text": after} | self._checked(after, path)
 
     def _live(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """The newest frame of the run that was started here, where it is the one that is asked for."""
-        own = self._own
-        if own is None or own.live is None or query.get("run", [""])[0] != own.name:
+        """Return the newest frame of the present run. Raises Refused if the page asks for another run."""
+        run = self._own
+        if run is None or run.live is None or query.get("run", [""])[0] != run.name:
             raise Refused(NOT_FOUND, "there is no such run")
-        return own.live.tell(query)
+        return run.live.tell(query)
 
     def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Lines on the cloth that is shown: see `nuno.studio.lines`. Raises BadInput."""
-        does = request.get("does")
-        if does in ("begin", "check"):
-            getattr(self._drawing, does)(request)
+        """Carry out a request about lines on the shown cloth, by `nuno.studio.lines`. Raises BadInput."""
+        action = request.get("does")
+        if action in ("begin", "check"):
+            getattr(self._drawing, action)(request)
             return {}
-        if does in ("export", "apply"):
-            answer: dict[str, Any] = getattr(self._drawing, does)(request, self._own)
+        if action in ("export", "apply"):
+            answer: dict[str, Any] = getattr(self._drawing, action)(request, self._own)
             return answer
-        if does != "keep":
-            raise BadInput("no such request", value=does, limit="begin, check, keep, apply, export")
+        if action != "keep":
+            raise BadInput("no such request", value=action, limit="begin, check, keep, apply, export")
         text, path = self._text(request)
         after = self._drawing.keep(request, text, lambda changed: scenes.load(changed, path, self.scenes.roots))
         return {"text": after} | self._checked(after, path)
 
 
 def _read(kind: str, find: Callable[[], Path]) -> tuple[str, bytes]:
-    """A picture. Raises Refused."""
+    """Return the type and bytes of a picture. Raises Refused."""
     try:
         return kind, find().read_bytes()
     except (BadInput, OSError):
@@ -326,12 +326,12 @@ def _read(kind: str, find: Callable[[], Path]) -> tuple[str, bytes]:
 
 
 def _page(request: Mapping[str, Any]) -> str:
-    """What tells the page that asks from others."""
+    """Return the id of the page that sent a request."""
     return str(request.get("page"))[:40]
 
 
 def _value_of(request: Mapping[str, Any]) -> tuple[Any, str | None]:
-    """A value, and how it was typed where it was typed as YAML: what is none is a text."""
+    """Return a value, and its YAML text if the user typed it; invalid YAML is taken as a string."""
     if "written" not in request:
         return request.get("value"), None
     written = str(request["written"])

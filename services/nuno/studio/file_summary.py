@@ -1,4 +1,4 @@
-"""What a file is, in figures, and what is wrong with it in the words of the command line."""
+"""Summary of a file: its kind, its figures, and its errors in the words of the command line."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ from nuno_schemas.plugin import BodyShape
 
 Rows = list[tuple[str, str]]
 GATHER = 1.1
-"""As `nuno sew --check`: seams of edges that differ by more are told of."""
+"""Ratio of a seam's two edges from which on it gets a remark, as in `nuno sew --check`."""
 NO_MESH = ("cannot be read", "the mesh has no triangles")
-"""How it begins what is said of a file that holds no mesh at all."""
+"""First words of errors for files without a mesh."""
 HEIGHT, WAIST = 1.65, 0.1
-"""Of the body of `skirt-walk`, and of its waist above its hips [m]."""
+"""Height of the body of `skirt-walk`, and of its waist above its hips [m]."""
 MOST_PIXELS = 100_000_000
 LIKE = "interlock"
-"""What a laboratory's sheet does not tell is as of this fabric."""
+"""Fabric that supplies the values missing in a laboratory's sheet."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A file.
+    """Summary of a file.
 
-    kind      of KINDS, or what a text is
-    title     what it is, in a few words
+    kind      kind of file, or of the content of a text file
+    title     kind in words
     rows      figures, by name
-    mistakes  as the page shows them
-    is_body, is_cloth  of a mesh: whether a body, or cloth, can be made of it
-    crosses   of a mesh: whether it passes through itself
-    scale     of a mesh: how long its unit is, where that is hardly the metre
-    low, high  (3,) of a mesh: corners of the box about it, in metres
-    longest   of a mesh: the longest side of that box, in the file's unit
-    joint, waist  of a motion: what a skirt can be held by, and (3,) [m] where its waist begins on a body of HEIGHT
-    fabric    of a laboratory's sheet: as scenes take it
-    picture   PNG, where there is one to be shown
+    mistakes  errors for the page
+    is_body, is_cloth  of a mesh: whether it can be a body, or cloth
+    crosses   of a mesh: whether it intersects itself
+    scale     of a mesh: its unit, if that is probably not the metre
+    low, high  (3,) of a mesh: corners of its bounding box, in metres
+    longest   of a mesh: longest side of its bounding box, in the file's unit
+    joint, waist  of a motion: joint that can hold a skirt, and (3,) [m] initial position of a waist on a body of HEIGHT
+    fabric    of a laboratory's sheet: fields of a scene's fabric
+    picture   PNG, or empty
     """
 
     kind: str
@@ -78,7 +78,7 @@ class Seen:
 
 
 def look(path: Path) -> Seen:
-    """Raises BadInput for what is not what its name says."""
+    """Return the summary of a file. Raises BadInput if its content is not of the kind of its ending."""
     try:
         return KINDS[path.suffix.lower()](path)
     except OSError as error:
@@ -111,10 +111,10 @@ def _mesh(path: Path) -> Seen:
         except BadInput as no_cloth:
             mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
     if not len(x):
-        return Seen("mesh", title, rows, [_told(one, name) for one in mistakes])
+        return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes])
     longest = float(np.ptp(x, axis=0).max())
     person = unit_of(longest) or "1m"
-    # What is not too small or too large in metres may be a ball as well as a person.
+    # A mesh of a plausible size in metres may be a ball as well as a person.
     unit = "1m" if SMALLEST <= longest <= LARGEST else person
     size = np.ptp(x, axis=0) * UNITS[unit]
     low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
@@ -127,31 +127,31 @@ def _mesh(path: Path) -> Seen:
     elif person != "1m":
         rows.append(("unit", f"taken as metres: a person if it were in {person}, {longest * UNITS[person]:.3g} m long"))
     corners = tuple(map(float, low)), tuple(map(float, high))
-    return Seen("mesh", title, rows, [_told(one, name) for one in mistakes], closed, is_cloth, crosses,
+    return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes], closed, is_cloth, crosses,
                 as_scale(unit), *corners, longest)  # fmt: skip
 
 
 def as_scale(unit: str) -> str:
-    """As a scene says it; empty for the metre."""
+    """Return a unit as a scene writes it; empty for the metre."""
     return re.sub(r"(\d)(?=[a-z])", r"\1 ", unit) if unit != "1m" else ""
 
 
 def _pattern(path: Path) -> Seen:
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
-    found: Checked = model.check_pattern(SceneFiles(path.parent), path.name, GATHER)
-    wrong = [one for one in found.remarks if one.wrong]
+    pattern: Checked = model.check_pattern(SceneFiles(path.parent), path.name, GATHER)
+    errors = [one for one in pattern.remarks if one.wrong]
     mistakes = [
         BadInput(f"{one.kind}: {one.text}", path.name, one.line, one.field or one.where, remedy=one.remedy)
-        for one in wrong
+        for one in errors
     ]
-    openings = ", ".join(f"{100 * one.length:.1f} cm" for one in found.openings)
+    openings = ", ".join(f"{100 * one.length:.1f} cm" for one in pattern.openings)
     rows: Rows = [
-        ("panels", f"{len(found.panels)}: {', '.join(one.name for one in found.panels)}"),
-        ("seams", f"{found.seams}, of {found.length:.2f} m in all"), ("openings", openings or "none"),
-        ("cloth", f"{sum(one.area for one in found.panels):.2f} m²"),
+        ("panels", f"{len(pattern.panels)}: {', '.join(one.name for one in pattern.panels)}"),
+        ("seams", f"{pattern.seams}, of {pattern.length:.2f} m in all"), ("openings", openings or "none"),
+        ("cloth", f"{sum(one.area for one in pattern.panels):.2f} m²"),
     ]  # fmt: skip
-    rows += [("remark", f"{one.kind}, {one.where}: {one.text}") for one in found.remarks if not one.wrong]
-    title = "a sewing pattern" if not wrong else "a sewing pattern that cannot be sewn"
+    rows += [("remark", f"{one.kind}, {one.where}: {one.text}") for one in pattern.remarks if not one.wrong]
+    title = "a sewing pattern" if not errors else "a sewing pattern that cannot be sewn"
     return Seen("pattern", title, rows, [describe(one) for one in mistakes])
 
 
@@ -162,7 +162,7 @@ def _motion(path: Path) -> Seen:
     mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, up=up, travel=False), SceneFiles(path.parent))
     joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
     hips = mover.pose(0.0)[1][mover.joints.index(joint)]
-    waist = tuple(round(float(at), 3) for at in hips + np.array([0.0, WAIST, 0.0]))
+    waist = tuple(round(float(x), 3) for x in hips + np.array([0.0, WAIST, 0.0]))
     return Seen("motion", "a captured motion", list(facts.items()), joint=joint, waist=waist)
 
 
@@ -180,10 +180,10 @@ def _picture(path: Path) -> Seen:
                 raise BadInput("too large a picture", path.name, value=f"{width} x {height} pixels",
                                limit=f"{MOST_PIXELS} pixels")  # fmt: skip
             kind = f"{picture.format}, {picture.mode}"
-            seen = Image.fromarray(as_rgb(picture))
-            rows: Rows = [("size", f"{seen.width} x {seen.height} pixels"), ("kind", kind)]
-            seen.thumbnail((640, 640))
-            small = as_png(np.asarray(seen))
+            upright = Image.fromarray(as_rgb(picture))
+            rows: Rows = [("size", f"{upright.width} x {upright.height} pixels"), ("kind", kind)]
+            upright.thumbnail((640, 640))
+            small = as_png(np.asarray(upright))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
     return Seen("picture", "a picture", rows, picture=small)
@@ -202,21 +202,21 @@ def _net(path: Path) -> Seen:
 
 
 def _sheet(path: Path) -> Seen:
-    found, head = import_sheet(path, LIKE)
-    fabric = in_units(found, found.fabric)
+    imported, head = import_sheet(path, LIKE)
+    fabric = in_units(imported, imported.fabric)
     rows: Rows = [("from", line) for line in head]
-    rows += [(name, f"{text}  ({found.how[name]})") for name, text in fabric.items()]
+    rows += [(name, f"{text}  ({imported.how[name]})") for name, text in fabric.items()]
     return Seen("sheet", "a laboratory's sheet of a fabric", rows, fabric=fabric)
 
 
 def _text(path: Path) -> Seen:
-    """A scene, a pattern or a laboratory's sheet."""
+    """Summarise a scene, a pattern or a laboratory's sheet."""
     text = read_text(path).removeprefix(MARK)
     if scenes.IS_SCENE.search(text):
-        told = scenes.check(text, path)
-        data = told["data"] or {}
+        result = scenes.check(text, path)
+        data = result["data"] or {}
         rows: Rows = [(name, str(data[name])) for name in ("name", "description", "duration") if data.get(name)]
-        return Seen("scene", "a scene", rows, told["mistakes"])
+        return Seen("scene", "a scene", rows, result["mistakes"])
     data, _ = yaml_lines.parse(text, path.name)
     if "instrument" in data:
         return _sheet(path)
@@ -233,7 +233,7 @@ def _recording(path: Path) -> Seen:
     return Seen("recording", "a recording", rows + ([("lacks", lacks)] if lacks else []))
 
 
-def _told(error: BadInput, name: str) -> dict[str, Any]:
+def _describe_error(error: BadInput, name: str) -> dict[str, Any]:
     error.file = name if error.file is None or Path(error.file).name == name else error.file
     return describe(error)
 
@@ -249,14 +249,14 @@ KINDS: Mapping[str, Callable[[Path], Seen]] = {
     ".csv": _sheet,
     ".mcap": _recording,
 }
-"""By the ending of a file's name."""
+"""Functions that summarise a file, by its ending."""
 
 
 def files_of(folder: Path, kinds: Sequence[str]) -> list[Path]:
-    """Files of a folder with such endings, the newest first."""
-    found = []
+    """Return the files of a folder with these endings, newest first."""
+    files = []
     for path in folder.glob("*"):
         if path.suffix.lower() in kinds and path.is_file():
             with contextlib.suppress(OSError):  # it was removed meanwhile
-                found.append((-path.stat().st_mtime_ns, path.name, path))
-    return [path for *_, path in sorted(found)]
+                files.append((-path.stat().st_mtime_ns, path.name, path))
+    return [path for *_, path in sorted(files)]

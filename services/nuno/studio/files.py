@@ -1,4 +1,4 @@
-"""Files of the folder beside its scenes: taken where they are dropped, told of, and made scenes of."""
+"""Files of the studio's folder: accepted when dropped on the page, described, and turned into scenes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from nuno.studio.file_summary import KINDS, Seen, files_of, look
 from nuno_schemas.errors import BadInput
 
 FILE_ACTS = ("files", "expect", "about", "make")
-"""What the page may ask about files, each a method."""
+"""Requests about files, each a method."""
 LISTED = tuple(kind for kind in KINDS if kind not in (".yaml", ".yml", ".mcap"))
-"""Endings of what is shown beside scenes and recordings, which have lists of their own."""
+"""Endings of listed files: those of scenes and recordings have lists of their own."""
 
 
 class Files:
-    """Those of a folder; recordings go into another."""
+    """The files of a folder; dropped recordings go into another folder."""
 
     def __init__(self, folder: Path, recordings: Path) -> None:
         self.folder = folder
@@ -32,34 +32,34 @@ class Files:
         self._looking = threading.Lock()
 
     def take(self, name: str, stream: BufferedIOBase, length: int) -> dict[str, Any]:
-        """A file that is dropped on the page; what it is and what can be done with it. Raises BadInput."""
+        """Take a file that is dropped on the page, and describe it with its offers. Raises BadInput."""
         path, seen = self._arrivals.receive(name, stream, length, self._look_alone)
-        if seen.kind != "scene":  # whose other files lie beside its place
+        if seen.kind != "scene":  # a scene names files next to its final place
             self._seen[path] = (stamp_of(path), seen)
-        return self._told(path)
+        return self._describe(path)
 
     def files(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Names of what can be told of, the newest first, and what may be dropped."""
+        """Return the names of the listed files, newest first, and the endings and size of files that may be dropped."""
         names = [path.name for path in files_of(self.folder, LISTED)]
         return {"files": names, "kinds": sorted(KINDS), "most": MOST}
 
     def expect(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Before a file is sent: whether it may be. Raises BadInput."""
+        """Return the name that a file will get, before it is sent. Raises BadInput if it would be refused."""
         return {"name": self._arrivals.expect(request.get("name"), request.get("bytes"))}
 
     def about(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """What a file of the folder is, and what can be done with it. Raises BadInput."""
-        return self._told(self._find(request.get("file")))
+        """Describe a file of the folder with its offers. Raises BadInput."""
+        return self._describe(self._find(request.get("file")))
 
     def make(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Do what is offered for a file; the name of the scene that was written. Raises BadInput."""
+        """Carry out an offer for a file, and return the name of the new scene. Raises BadInput."""
         chosen = request.get("chosen")
         path = self._find(request.get("file"))
         scene = offers.make(path, self._look, request.get("offer"), chosen if isinstance(chosen, dict) else {})
         return {"scene": scene.name}
 
     def picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """What is to be seen of a file. Raises Refused."""
+        """Return the picture of a file. Raises Refused."""
         try:
             picture = self._look(self._find(query.get("file", [""])[0])).picture
         except BadInput:
@@ -75,19 +75,19 @@ class Files:
         return path
 
     def _look_alone(self, path: Path) -> Seen:
-        """One after the other: what is read whole may be large."""
+        """Read a file, one at a time because files may be large."""
         with self._looking:
             return look(path)
 
     def _look(self, path: Path) -> Seen:
-        """Once for as long as the file is the same: a mesh takes seconds."""
+        """Read a file once until it changes: a mesh takes seconds."""
         with self._looking:
             stamp = stamp_of(path)
             if self._seen.get(path, (None,))[0] != stamp:
                 self._seen[path] = (stamp, look(path))
             return self._seen[path][1]
 
-    def _told(self, path: Path) -> dict[str, Any]:
+    def _describe(self, path: Path) -> dict[str, Any]:
         seen = self._look(path)
         return {
             "file": path.name, "kind": seen.kind, "title": seen.title, "rows": seen.rows, "mistakes": seen.mistakes,

@@ -1,4 +1,4 @@
-"""A recording as the page replays it: its frames by their times, and where its cloth changes."""
+"""A recording for replay in the page: its frames by time, and the changes of its cloth."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
 
-# What the cloth of a recording consists of, as the page shows it.
+# The topology and colours of a recording's cloth, as the page shows them.
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What the cloth consists of until an operation changes it.
+    """The cloth between two changes by operations.
 
-    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] where an
-    image lies on it, else None.
+    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] of cloth
+    with an image, else None.
     """
 
     pieces: tuple[ShownPiece, ...]
@@ -48,7 +48,7 @@ class Shape:
     colours: NDArray[np.float32] | None
 
     def same_as(self, other: Shape) -> bool:
-        """Whether each vertex is the same of the same cloth in both."""
+        """Return whether both have the same pieces, vertices, triangles and edges."""
         return all(
             (one.start, one.stop) == (two.start, two.stop)
             and np.array_equal(one.faces, two.faces)
@@ -58,7 +58,7 @@ class Shape:
 
 
 def read_shape(recording: Recording, t: float) -> Shape:
-    """The cloth's at t [s]. Raises BadInput where its description is damaged."""
+    """Return the shape of the cloth at t [s]. Raises BadInput if its description is damaged."""
     try:
         cut = cut_pieces(*recording.fabric(t))
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
@@ -76,22 +76,22 @@ def read_shape(recording: Recording, t: float) -> Shape:
 
 
 def _printed(pieces: Sequence[ShownPiece]) -> NDArray[np.float32] | None:
-    """(n, 3) sRGB of all vertices where an image lies on a piece, else None: each has the colour of its pixel."""
+    """Return the sRGB (n, 3) of each vertex's pixel, if any piece has an image, else None."""
     if all(piece.image is None for piece in pieces):
         return None
     colours = np.ones((max(piece.stop for piece in pieces), 3), np.float32)
     for piece in pieces:
-        own = colours[piece.start : piece.stop]
-        own[:] = to_srgb(parse_hex(piece.colour or PLAIN))
+        part = colours[piece.start : piece.stop]
+        part[:] = to_srgb(parse_hex(piece.colour or PLAIN))
         if piece.image is not None and (laid := piece.laid_out) is not None:
-            own[laid.vertex] = sample(piece.image, laid.points) / 255.0
+            part[laid.vertex] = sample(piece.image, laid.points) / 255.0
     return colours
 
 
 DYED = "This cloth is dyed and does not move: it is shown from above, as its pictures have it."
 NOTHING = "It holds no positions of cloth that could be shown."
 MOST_SHAPES = 8
-"""That are kept: of cloth whose triangles change often, others are read again."""
+"""Shapes that are kept; older ones are read again."""
 NET = "This cloth has no triangles: its links are shown as lines."
 DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
 
@@ -100,8 +100,8 @@ DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
 class Still:
     """Cloth and bodies at one moment.
 
-    x (n, 3) [m], as it is recorded or, `between` two frames, interpolated linearly; body (b, 3) [m]; frame is the
-    number of the last one recorded until then, and shape that of the cloth's triangles.
+    x (n, 3) [m], recorded or, if `between` two frames, interpolated linearly; body (b, 3) [m]; frame is the number
+    of the last frame until then, and shape the number of the cloth's shape.
     """
 
     t: float
@@ -113,15 +113,15 @@ class Still:
 
 
 class Film:
-    """A recording, open until it is closed. Any thread may ask it.
+    """An open recording, for use by any thread.
 
-    times    log times [ns] of the frames that can be read, rising
-    numbers  of these frames
-    moves    whether they have positions; those of cloth that is dyed alone have none
-    end      the time [s] up to which it can be read; None where nothing is damaged
-    problem  what is, in words
+    times    log times [ns] of the readable frames, ascending
+    numbers  numbers of these frames
+    moves    whether frames have positions; those of dye alone have none
+    end      the time [s] up to which the file is readable; None if it is not damaged
+    problem  description of the damage
 
-    Raises BadInput where it is no recording.
+    Raises BadInput for a file that is not a recording.
     """
 
     def __init__(self, path: Path) -> None:
@@ -147,7 +147,7 @@ class Film:
                     changes.append(last)
                 else:
                     numbers[last] = recording.said(message)["frame"]
-        except BadInput as error:  # what stands before the damage is shown
+        except BadInput as error:  # frames before the damage are shown
             later = [one.message_start_time for one in recording.layout.chunks if one.message_end_time > last]
             self.end, self.problem = min(later, default=last) / 1e9, str(error)
         self.moves = bool(states)
@@ -167,25 +167,25 @@ class Film:
 
     @property
     def says(self) -> list[str]:
-        """What a person is told beside it."""
+        """Remarks for the user of the page."""
         with self._open():
-            said = [self.problem or shortcoming(self.recording)]
+            remarks = [self.problem or shortcoming(self.recording)]
             if not self.times or not self.moves:
-                said.append(DYED if self.dyed else NOTHING)
+                remarks.append(DYED if self.dyed else NOTHING)
             elif any(not len(piece.faces) for piece in self.shape(0).pieces):
-                said.append(NET)
+                remarks.append(NET)
             if self.moves and self.recording.scene.get("dye"):
-                said.append(DYE)
-        return [text for text in said if text]
+                remarks.append(DYE)
+        return [text for text in remarks if text]
 
     @property
     def dyed(self) -> bool:
-        """Whether it is of cloth that is dyed alone, and has pictures."""
+        """Whether it is a recording of dye alone, with amounts to draw."""
         return not self.moves and self.recording.dyed_alone and CONCENTRATION.name in self.recording.counts
 
     @contextmanager
     def _open(self) -> Iterator[None]:
-        """Raises BadInput where it was closed meanwhile, for others that are looked at."""
+        """Hold the recording open. Raises BadInput if it was closed meanwhile, to make room for other films."""
         with self._lock:
             if self._closed:
                 remedy = "load the page again"
@@ -198,18 +198,18 @@ class Film:
             self.recording.close()
 
     def series(self) -> dict[str, NDArray[Any]]:
-        """Columns over the frames that can be read: see `nuno.recording.reader.read_series`."""
+        """Return columns over the readable frames, as `nuno.recording.reader.read_series` does."""
         with self._open():
             return self.recording.series(self.end)
 
     def picture(self, number: int) -> bytes:
-        """The PNG of cloth that is dyed alone, at a frame by its place among `times`, or at the last one before it
-        whose amounts were recorded. Raises BadInput where it cannot be drawn, IndexError where there is no such frame.
+        """Return the PNG of dyed cloth at the frame of an index into `times`, or at the last frame before it with
+        recorded amounts. Raises BadInput if it cannot be drawn, IndexError without such a frame.
         """
         with self._open():
             if self._dyed is None:
-                with dyed_pictures(self.recording) as found:
-                    self._dyed = found
+                with dyed_pictures(self.recording) as pictures:
+                    self._dyed = pictures
             message = self.recording.last(CONCENTRATION.name, self.times[number] / 1e9)
             if message is None:
                 raise BadInput("no amounts of dye were recorded until then", str(self.recording.path))
@@ -218,15 +218,15 @@ class Film:
 
     @property
     def body_faces(self) -> Int:
-        """(g, 3) of the bodies."""
+        """Triangles (g, 3) of the bodies."""
         return self._bodies.faces
 
     def shape_at(self, time: int) -> int:
-        """Number of the cloth's shape at a log time [ns]."""
+        """Return the number of the cloth's shape at a log time [ns]."""
         return max(bisect_right(self._changes, time) - 1, 0)
 
     def shape(self, number: int) -> Shape:
-        """Raises BadInput where it is damaged, IndexError where there is none."""
+        """Return a shape by its number. Raises BadInput if it is damaged, IndexError if it does not exist."""
         with self._open():
             if not self._changes:
                 raise BadInput("the recording does not describe its cloth", str(self.recording.path))
@@ -240,9 +240,9 @@ class Film:
             return shape
 
     def stills(self, times: Sequence[int]) -> list[Still]:
-        """The cloth at log times [ns] that rise, none before the first frame or after the last.
+        """Return the cloth at ascending log times [ns] between the first frame and the last.
 
-        Raises BadInput where a frame is damaged.
+        Raises BadInput if a frame is damaged.
         """
         around = [self._around(time) for time in times]
         wanted = {time for pair in around for time in pair}
@@ -262,10 +262,10 @@ class Film:
             return [self._still(time, *pair, states, poses) for time, pair in zip(times, around, strict=True)]
 
     def _around(self, time: int) -> tuple[int, int]:
-        """The last frame until a log time and the first one from it on: the same where there is one at that time."""
-        at = bisect_right(self.times, time) - 1
-        before = self.times[at]
-        return before, before if before == time else self.times[at + 1]
+        """Return the last frame until a log time and the first one from it on: the same if a frame has that time."""
+        index = bisect_right(self.times, time) - 1
+        before = self.times[index]
+        return before, before if before == time else self.times[index + 1]
 
     def _still(self, time: int, before: int, after: int, states: dict[int, Float], poses: dict[int, Float]) -> Still:
         number, shape = self.numbers[bisect_right(self.times, time) - 1], self.shape_at(before)

@@ -1,4 +1,4 @@
-"""Lines drawn on the cloth that the page shows: tried, given to a run, written into a scene's text, exported."""
+"""Lines drawn on cloth in the page: checked, added to a run, written into a scene's text, exported."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from nuno.studio.cloth import Start, Starts
 from nuno.studio.run import Run
 from nuno_schemas.errors import BadInput, RunFailed
 
-# Refusals as the page shows them: beside the line that they are about.
+# Errors name the line of the page that they are about.
 
 _LINE = re.compile(r"lines\[(\d+)\]")
 _TRIANGLE = re.compile(r"triangle (\d+)")
 
 
-def beside(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:
-    """The same refusal, its field that of one of the page's lines, of which those of the numbers `which` were tried.
+def name_line(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:
+    """Return the error with the field of one of the page's lines; those of the numbers `which` were checked.
 
-    Where a triangle is to blame, through which two lines go that may not, the later one of them is shown.
+    If the error names a triangle that two lines must not both cross, it is the later line.
     """
     line, triangle = _LINE.search(error.field or ""), _TRIANGLE.search(str(error.value))
     if line is not None and int(line[1]) < len(which):
@@ -45,18 +45,18 @@ Load = Callable[[str], Loaded]
 
 
 class Drawing:
-    """What a page asks for that draws on a start (`start`, its number), or on the run that goes on (`run`, `shape`)."""
+    """Requests of a page that draws on a start (`start`, its number), or on the present run (`run`, `shape`)."""
 
     def __init__(self, starts: Starts) -> None:
         self._starts = starts
 
     def begin(self, request: Mapping[str, Any]) -> None:
-        """Raises BadInput for a start that lines cannot be drawn on."""
+        """Raise BadInput for a start whose cloth cannot have lines."""
         start = self._start(request)
         require_lines(start.loaded, start.fabric)
 
     def check(self, request: Mapping[str, Any]) -> None:
-        """Try lines on the cloth as it begins. Raises BadInput for the first that cannot be raised."""
+        """Apply lines to a copy of the cloth at its start. Raises BadInput for the first line that is impossible."""
         start = self._start(request)
         strokes, sight = read_strokes(request.get("lines"), start.sight), start.sight
         for which in pieces_of(strokes, sight).values():
@@ -64,23 +64,23 @@ class Drawing:
             try:
                 start.trial.apply(operation)
             except BadInput as error:
-                raise beside(error, strokes, which, sight) from None
+                raise name_line(error, strokes, which, sight) from None
 
     def keep(self, request: Mapping[str, Any], text: str, load: Load) -> str:
-        """A text with lines that were drawn on a start. Raises BadInput."""
+        """Return a text with lines that were drawn on a start. Raises BadInput."""
         start = self._start(request)
         strokes = read_strokes(request.get("lines"), start.sight)
         lines = {exact: by_object(strokes, start.sight, exact) for exact in (True, False)}
         return keep.with_lines(text, start.loaded.path.name, start.sight, lines, request.get("settings"), load)
 
     def export(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
-        """The lines as an OBJ file's text, which the browser saves. Raises BadInput."""
+        """Return the lines as the text of an OBJ file, which the browser saves. Raises BadInput."""
         sight = self._start(request).sight if "start" in request else _sight(run, request)
         name = self._start(request).loaded.scene.name if "start" in request else sight.run
         return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
 
     def apply(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
-        """Add lines to the run, those of each object at once; numbers of those that it took, and what it refused."""
+        """Add lines to the run, object by object; return the numbers of the applied lines, and the first error."""
         sight = _sight(run, request)
         assert run is not None and run.live is not None
         strokes = read_strokes(request.get("lines"), sight)
@@ -91,7 +91,7 @@ class Drawing:
             try:
                 run.control("add", item=item)
             except BadInput as error:
-                refused = {"ok": False} | describe(beside(error, strokes, which, sight))
+                refused = {"ok": False} | describe(name_line(error, strokes, which, sight))
                 break
             applied += which
         if run.live.follower is not None:
@@ -109,7 +109,7 @@ class Drawing:
 
 
 def _sight(run: Run | None, request: Mapping[str, Any]) -> Sight:
-    """What is shown of a run, if the page has drawn on that. Raises BadInput."""
+    """Return the shown state of a run. Raises BadInput if the page drew on another one."""
     if run is None or not run.going or run.live is None:
         raise BadInput("no run goes on", remedy="start one with Run")
     sight = run.live.board.now

@@ -1,4 +1,4 @@
-"""What can be done with a file: each offer writes a scene beside it, as `nuno sew` and `nuno new` do, ready to run."""
+"""Offers for a file: each writes a scene next to it, as `nuno sew` and `nuno new` do, ready to run."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from nuno.templates.garments import Garment, describe_worn, name_garments, unit_
 from nuno.templates.shipped import write_after
 from nuno_schemas.errors import BadInput, nearest
 
-# What can be chosen beside a file that a scene is made of: other files of the folder, and what comes with nuno.
+# Choices for a new scene: other files of the folder, and files shipped with nuno.
 
 NONE, OWN = "", "nuno:"
-"""A choice of nothing, and what stands before the names of what comes with nuno."""
+"""The choice of nothing, and the prefix of names of files shipped with nuno."""
 GARMENTS = {
     "shirt-on-mannequin": "a T-shirt cut to it", "circle-skirt": "a circle skirt",
     "skirt-on-mannequin": "a fitted skirt", "poncho": "a poncho",
 }  # fmt: skip
-"""Scenes of garments that are made after a body, which they call `mannequin`."""
+"""Scenes of garments that are cut to a body, which they call `mannequin`."""
 MESHES, PATTERNS, PICTURES = (".obj", ".ply", ".stl", ".glb"), (".json",), (".png", ".jpg", ".jpeg")
 Option = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is chosen of an offer: its name, its heading, and options of value and words, the first unless told."""
+    """A choice in an offer: its name, its heading, and options of value and text; the first is the default."""
 
     name: str
     label: str
@@ -41,27 +41,27 @@ class Choice:
 
 
 def bodies(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "body", [*own, (NONE, "the mannequin that comes with nuno")])
+    options = [(path.name, path.name) for path in files_of(folder, MESHES)]
+    return Choice("body", "body", [*options, (NONE, "the mannequin that comes with nuno")])
 
 
 def patterns(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, PATTERNS)]
+    options = [(path.name, path.name) for path in files_of(folder, PATTERNS)]
     with_nuno = [(f"{OWN}{path.name}", f"{path.stem}, with nuno") for path in sorted(sewn().glob("*.yaml"))]
-    return Choice("pattern", "pattern", [*own, *with_nuno])
+    return Choice("pattern", "pattern", [*options, *with_nuno])
 
 
 def motions(folder: Path) -> Choice:
-    own = [(path.name, f"moved by {path.name}") for path in files_of(folder, (".bvh",))]
-    return Choice("motion", "it", [(NONE, "stands"), *own, (f"{OWN}walk.bvh", "walks, with nuno")])
+    options = [(path.name, f"moved by {path.name}") for path in files_of(folder, (".bvh",))]
+    return Choice("motion", "it", [(NONE, "stands"), *options, (f"{OWN}walk.bvh", "walks, with nuno")])
 
 
 def fabrics(_: Path) -> Choice:
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
-    said = model.Config.model_json_schema()["properties"]["fabric"]
-    names = next(one["enum"] for one in said["oneOf"] if "enum" in one)
+    schema = model.Config.model_json_schema()["properties"]["fabric"]
+    names = next(one["enum"] for one in schema["oneOf"] if "enum" in one)
     return Choice(
-        "fabric", "fabric", [(name, name) for name in sorted(names, key=lambda name: name != said["default"])]
+        "fabric", "fabric", [(name, name) for name in sorted(names, key=lambda name: name != schema["default"])]
     )
 
 
@@ -70,18 +70,18 @@ def garments(_: Path) -> Choice:
 
 
 def stencils(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, PICTURES)]
-    return Choice("stencil", "with", [(NONE, "no stencil"), *own])
+    options = [(path.name, path.name) for path in files_of(folder, PICTURES)]
+    return Choice("stencil", "with", [(NONE, "no stencil"), *options])
 
 
 def drafts(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, (".wif",))]
-    return Choice("draft", "draft", [*own, (NONE, "a twill that comes with nuno")])
+    options = [(path.name, path.name) for path in files_of(folder, (".wif",))]
+    return Choice("draft", "draft", [*options, (NONE, "a twill that comes with nuno")])
 
 
 def below(folder: Path) -> Choice:
-    own = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "on", [(NONE, "a ball"), *own])
+    options = [(path.name, path.name) for path in files_of(folder, MESHES)]
+    return Choice("body", "on", [(NONE, "a ball"), *options])
 
 
 def sewn() -> Path:
@@ -89,16 +89,16 @@ def sewn() -> Path:
 
 
 EDGE = "2 cm"
-"""Of a pattern's triangles, as `nuno sew`."""
+"""Edge length of a pattern's triangles, as in `nuno sew`."""
 GAP = 0.05
-"""How far above a body a cloth begins [m]."""
+"""Gap between a body and a cloth above it at the start [m]."""
 BALL = 0.7
 """Height of the top of the ball of `drape-over-sphere` [m]."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A file, what was seen of it, what was chosen beside it by name, and what tells of other files what they are."""
+    """A file, its summary, the values of the choices by name, and the function that summarises other files."""
 
     path: Path
     seen: Seen
@@ -110,25 +110,25 @@ class Task:
         return self.path.parent
 
     def new(self, *parts: str) -> Path:
-        """A scene's file that is not there yet, after the names of what it is made of."""
+        """Return the path of a new scene, named after its parts."""
         (name,) = name_garments(["-".join(Path(part).stem for part in parts)])
         path = reserve(self.folder, f"{name}.yaml")
         path.unlink()
         return path
 
     def write(self, after: str, scene: Path, description: str, *changes: str) -> Path:
-        """A scene after one of nuno's, with changes (`key=value`)."""
+        """Write a scene after one of nuno's, with changes (`key=value`)."""
         return write_after(after, scene, [_as("description", description), *changes])[-1]
 
     def collider(self, body: str) -> dict[str, str]:
-        """A mesh of the folder as a body."""
+        """Return the collider of a body from a mesh of the folder."""
         scale = self.see(self.folder / body).scale
         return {"plugin": "mesh", "file": body} | ({"scale": scale} if scale else {})
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What can be done, in words, with what is chosen; `make` writes the scene and gives its file."""
+    """An offer: its description and choices; `make` writes the scene and returns its path."""
 
     name: str
     text: str
@@ -137,14 +137,14 @@ class Offer:
 
 
 def offers_for(seen: Seen) -> list[Offer]:
-    """The likeliest first."""
+    """Return the offers for a file, the likeliest first."""
     if seen.kind == "mesh":
         return ([WEAR, DRESS, COVER, STOCKING] if seen.is_body else []) + ([FALL] if seen.is_cloth else [])
     return [] if seen.mistakes else BY_KIND.get(seen.kind, [])
 
 
 def describe(offers: Sequence[Offer], folder: Path) -> list[dict[str, Any]]:
-    """As the page shows them."""
+    """Return offers as JSON for the page."""
     return [
         {"name": one.name, "text": one.text, "choices": [asdict(find(folder)) for find in one.choices]}
         for one in offers
@@ -152,39 +152,39 @@ def describe(offers: Sequence[Offer], folder: Path) -> list[dict[str, Any]]:
 
 
 def make(path: Path, see: Callable[[Path], Seen], name: object, chosen: Mapping[str, object]) -> Path:
-    """Carry out an offer for a file; the scene that was written. Raises BadInput for a choice that is none."""
+    """Carry out an offer for a file, and return the new scene. Raises BadInput for an invalid choice."""
     seen = see(path)
     offers = {one.name: one for one in offers_for(seen)}
     if not isinstance(name, str) or name not in offers:
         raise BadInput("this cannot be done with it", path.name, value=name, remedy=nearest(str(name), offers))
     offer, picked = offers[name], dict[str, str]()
     for choice in (find(path.parent) for find in offer.choices):
-        known = [value for value, _ in choice.options]
-        value = chosen.get(choice.name, known[0])
-        if value not in known:
-            raise BadInput("no such choice", field=choice.name, value=value, remedy=nearest(str(value), known))
+        values = [value for value, _ in choice.options]
+        value = chosen.get(choice.name, values[0])
+        if value not in values:
+            raise BadInput("no such choice", field=choice.name, value=value, remedy=nearest(str(value), values))
         picked[choice.name] = str(value)
     return offer.make(Task(path, seen, picked, see))
 
 
-def _beside(folder: Path, chosen: str, place: Path) -> str:
-    """The name of what was chosen, in a folder: what comes with nuno is copied there."""
+def _copy_shipped(folder: Path, chosen: str, shipped_folder: Path) -> str:
+    """Return the name of a chosen file in a folder, after copying a shipped file into it."""
     if not chosen.startswith(OWN):
         return chosen
-    source = place / chosen.removeprefix(OWN)
-    there = reserve(folder, source.name, source)
-    if not there.stat().st_size:
-        shutil.copyfile(source, there)
-    return there.name
+    source = shipped_folder / chosen.removeprefix(OWN)
+    target = reserve(folder, source.name, source)
+    if not target.stat().st_size:
+        shutil.copyfile(source, target)
+    return target.name
 
 
 def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE) -> Path:
-    """As `nuno sew PATTERN --body BODY --motion BVH` writes it; what is not given is chosen."""
+    """Write a scene as `nuno sew PATTERN --body BODY --motion BVH` does; omitted arguments are the user's choices."""
     chosen = {"body": body, "pattern": pattern, "motion": motion}
     body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
-    pattern = _beside(task.folder, pattern, sewn())
+    pattern = _copy_shipped(task.folder, pattern, sewn())
     scale = as_scale(unit_for(task.see(task.folder / body).longest, [task.folder / pattern])) if body else ""
-    motion = _beside(task.folder, motion, shipped.folder())
+    motion = _copy_shipped(task.folder, motion, shipped.folder())
     scene = task.new(pattern, "worn")
     (name,) = name_garments([Path(pattern).stem])
     worn = [Garment(name, pattern, task.chosen["fabric"])]
@@ -197,18 +197,18 @@ def _dress(task: Task) -> Path:
     garment = task.chosen["garment"]
     scene = task.new(garment.replace("-on-mannequin", ""), task.path.stem)
     changes = [_as("bodies.mannequin.collider", task.collider(task.path.name))]
-    if task.seen.crosses:  # as scanned bodies do at the mouth: no vertex can slide on it, but cloth contact meets it
+    if task.seen.crosses:  # like scanned bodies at the mouth: vertices cannot slide on it, but cloth contact works
         changes += [_as("contact", {"plugin": "penalty"}), _as("cloth_contact", _meets("mannequin"))]
     return task.write(garment, scene, f"{GARMENTS[garment].capitalize()}: {task.path.name}.", *changes)
 
 
 def _meets(body: str) -> dict[str, Any]:
-    """Contact of cloth that a body is met by as cloth is."""
+    """Return a cloth contact that treats a body as cloth."""
     return {"plugin": "offset", "thickness": "2 mm", "bodies": [body]}
 
 
 def _cover(task: Task) -> Path:
-    """A square of cloth, as wide as the body and half of it more, begins above the body."""
+    """Write a scene with a square of cloth, 1.5 times as wide as the body, above the body."""
     low, high = task.seen.low, task.seen.high
     side = round(1.5 * max(high[0] - low[0], high[2] - low[2]) + 0.2, 2)
     body = {"name": "body", "collider": task.collider(task.path.name), "friction": 0.4}
@@ -232,26 +232,26 @@ def _stocking(task: Task) -> Path:
 
 
 def _fall(task: Task) -> Path:
-    """The mesh as cloth, its lowest point a little above the ball's top, or on a body where its file has it."""
+    """Write a scene with the mesh as cloth, just above a ball, or on a body at the positions of its file."""
     low, high = task.seen.low, task.seen.high
     model: dict[str, Any] = {"plugin": "mesh", "file": task.path.name, "fabric": task.chosen["fabric"]}
     model |= {"scale": task.seen.scale} if task.seen.scale else {}
     model |= {"merge": True} if task.path.suffix.lower() == ".obj" else {}
     if task.chosen["body"]:
-        told = f"{task.path.name}, as cloth, on {task.chosen['body']}."
-        return task.write("sewn/shirt", task.new(task.path.stem, "worn"), told,
+        description = f"{task.path.name}, as cloth, on {task.chosen['body']}."
+        return task.write("sewn/shirt", task.new(task.path.stem, "worn"), description,
             _as("objects.shirt", {"name": "cloth", "colour": "#5b84b8", "model": model}),
             _as("bodies.mannequin.collider", task.collider(task.chosen["body"])),
         )  # fmt: skip
     model["centre"] = [-_middle(low, high, 0), round(BALL + GAP - low[1], 4), -_middle(low, high, 2)]
     scene = task.new(task.path.stem, "falls")
-    told = f"{task.path.name} falls, as cloth, on a ball."
-    return task.write("drape-over-sphere", scene, told, _as("objects.cloth.model", model))
+    description = f"{task.path.name} falls, as cloth, on a ball."
+    return task.write("drape-over-sphere", scene, description, _as("objects.cloth.model", model))
 
 
 def _dance(task: Task) -> Path:
-    told = f"A skirt on a skeleton that goes by {task.path.name}."
-    return task.write("skirt-walk", task.new("skirt", task.path.stem), told,
+    description = f"A skirt on a skeleton that goes by {task.path.name}."
+    return task.write("skirt-walk", task.new("skirt", task.path.stem), description,
         _as("bodies.walker.motion.file", task.path.name), _as("objects.skirt.model.attach.frame", task.seen.joint),
         _as("objects.skirt.model.centre", list(task.seen.waist)),
     )  # fmt: skip
@@ -261,13 +261,13 @@ def _weave(task: Task, draft: str, stencil: str, what: str) -> Path:
     return weave(task.new(task.path.stem, what), draft, stencil)
 
 
-def _change(scene: str, field: str, told: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
-    """A scene of nuno's with the file in one of its fields."""
+def _change(scene: str, field: str, description: str, parts: tuple[str, str] | None = None) -> Callable[[Task], Path]:
+    """Return a function that writes a scene of nuno's with the file in one of its fields."""
 
     def write(task: Task) -> Path:
         names = [part or task.path.stem for part in parts or (NONE, scene)]
         value = dict(task.seen.fabric) or task.path.name
-        return task.write(scene, task.new(*names), told.format(task.path.name), _as(field, value))
+        return task.write(scene, task.new(*names), description.format(task.path.name), _as(field, value))
 
     return write
 
@@ -303,4 +303,4 @@ BY_KIND = {
     "sheet": [Offer("drape", "Drape this fabric over a ball",
                     _change("drape-over-sphere", "objects.cloth.model.fabric", DRAPED, (NONE, "drape")))],
 }  # fmt: skip
-"""What is offered for each kind of file but meshes."""
+"""Offers for each kind of file except meshes."""

@@ -1,8 +1,8 @@
-"""Dye, paste and stencils that are put on cloth by the mouse: items of the scene, and the cells that it has by them.
+"""Dye, paste and stencils painted on cloth with the mouse, as items of the scene.
 
-A stroke becomes what scenes say strokes by: a supply `stroke`, or a resist `paste`, a line of points and a width. A
-mask of pixels would say the same less exactly and unreadably, and a run that goes on takes these, but no new image.
-A stencil becomes a picture of a grey value for each cell, beside the scene, and the resist `image` that names it.
+A stroke becomes a supply `stroke`, or a resist `paste`: a line of points and a width. A mask of pixels would be less
+exact and not readable, and a present run accepts strokes, but no new image. A stencil becomes a picture with a grey
+value per cell, next to the scene, and the resist `image` that names it.
 """
 
 from __future__ import annotations
@@ -29,76 +29,76 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 UNREADABLE = (binascii.Error, UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError, SyntaxError)
-"""What is raised for data that are no picture, or one too large to be taken apart."""
+"""Errors of data that are not a picture, or one that is too large to decode."""
 OFF = 0.25
-"""Of a cell: how far a line that is written may be off the one that was drawn."""
+"""Largest distance of a written line from the drawn one, in cells."""
 FINENESS, MOST_PIXELS = 4, 2**25
-"""Pixels a cell, each way, that a stencil is laid out on, and how many of them at most."""
+"""Pixels per cell, along each side, of a rasterised stencil, and the largest number of pixels."""
 MOST_IMAGE = 4000
-"""Pixels of a stencil's side."""
+"""Largest side of a stencil [pixels]."""
 
 
-def live_item_of(said: Mapping[str, Any], cells: Cells) -> str:
-    """The item that a stroke of the page is for a run that goes on. Raises BadInput."""
-    if said.get("tool") == "stencil":
+def live_item_of(request: Mapping[str, Any], cells: Cells) -> str:
+    """Return the item of a stroke of the page for the present run. Raises BadInput."""
+    if request.get("tool") == "stencil":
         problem, remedy = "a run takes no new image, which its recording would lack", "stop it, and put it in the text"
         raise BadInput(problem, field="tool", remedy=remedy)
-    return stroke_of(said, cells.size)
+    return stroke_of(request, cells.size)
 
 
-def item_of(said: Mapping[str, Any], cells: Cells, scene: Path, own: bool) -> tuple[str, Path | None]:
-    """The item that a stroke or a stencil of the page is, as `nuno control add` takes it, and the picture that was
-    written for it. Raises BadInput.
+def item_of(request: Mapping[str, Any], cells: Cells, scene: Path, own: bool) -> tuple[str, Path | None]:
+    """Return the item of a stroke or a stencil of the page, in the form of `nuno control add`, and the picture written
+    for it. Raises BadInput.
 
-    own  whether the scene lies in the page's folder, into which pictures are written
+    own  whether the scene is in the page's folder, into which pictures are written
     """
-    if said.get("tool") != "stencil":
-        return stroke_of(said, cells.size), None
+    if request.get("tool") != "stencil":
+        return stroke_of(request, cells.size), None
     if not own:
         remedy = "save the scene under a name of yours first"
         raise BadInput("a stencil's picture is written beside the scene, which comes with nuno", remedy=remedy)
-    return stencil_of(said, cells.fibre.shape[1:], cells.size, scene)
+    return stencil_of(request, cells.fibre.shape[1:], cells.size, scene)
 
 
-def stroke_of(said: Mapping[str, Any], cell: float) -> str:
-    """The item that a stroke of the page is, as `nuno control add` takes it. Raises BadInput.
+def stroke_of(request: Mapping[str, Any], cell: float) -> str:
+    """Return the item of a stroke of the page, in the form of `nuno control add`. Raises BadInput.
 
-    said  `tool` dye or paste, `points` [m] and `width` [m]; of dye `dye`, its name, and `amount`
-    cell  side of a cell [m]
+    request  `tool` dye or paste, `points` [m] and `width` [m]; for dye also `dye`, its name, and `amount`
+    cell     side of a cell [m]
     """
-    points = np.array(said.get("points"), np.float64) if _numbers(said.get("points")) else np.zeros((0, 2))
-    width = said.get("width")
+    points = np.array(request.get("points"), np.float64) if _numbers(request.get("points")) else np.zeros((0, 2))
+    width = request.get("width")
     if not (points.ndim == 2 and points.shape[1:] == (2,) and len(points) and np.isfinite(points).all()):
         raise BadInput("a stroke has points", field="points", limit="pairs of x and y [m]")
     if not (isinstance(width, int | float) and 0.0 < width < math.inf):
         raise BadInput("a brush has a width", field="width", value=width, limit="above 0 [m]")
     line = ", ".join(f"[{_length(x, cell)}, {_length(y, cell)}]" for x, y in simplified(points, OFF * cell).tolist())
     rest = f"points: [{line}], width: {_length(float(width), cell)}"
-    if said.get("tool") == "paste":
+    if request.get("tool") == "paste":
         return f"resist: {{kind: paste, {rest}}}"
-    amount = said.get("amount")
+    amount = request.get("amount")
     if type(amount) not in (int, float):
         raise BadInput("a brush has an amount of dye", field="amount", value=amount, limit="0 to 1")
-    return f"supply: {{kind: stroke, dye: {flow(str(said.get('dye')))}, {rest}, amount: {amount:.3g}}}"
+    return f"supply: {{kind: stroke, dye: {flow(str(request.get('dye')))}, {rest}, amount: {amount:.3g}}}"
 
 
 def _numbers(points: object) -> bool:
-    """Whether these are pairs of numbers, before NumPy takes them for anything."""
+    """Return whether these are pairs of numbers; NumPy would convert other values."""
     return isinstance(points, list) and all(
         isinstance(one, list) and len(one) == 2 and all(type(value) in (int, float) for value in one) for one in points
     )
 
 
 def _length(metres: float, cell: float) -> str:
-    """A length in mm, to a hundredth of a cell."""
+    """Return a length in mm as text, to a hundredth of a cell."""
     digits = max(0, 2 - math.floor(math.log10(cell * 1e3)))
     text = f"{round(metres * 1e3, digits) + 0.0:.{digits}f}"
     return f"{text.rstrip('0').rstrip('.') if digits else text} mm"
 
 
 def simplified(points: Float, off: float) -> Float:
-    """(m, 2) the fewest of a line's points (n, 2), ends kept, that no other is further than `off` from (Douglas and
-    Peucker 1973).
+    """Return some of a line's points (n, 2), shape (m, 2), with both ends, such that no other point is farther than
+    `off` from their line (Douglas and Peucker 1973).
     """
     keep = np.zeros(len(points), np.bool_)
     keep[[0, -1]] = True
@@ -115,30 +115,30 @@ def simplified(points: Float, off: float) -> Float:
         if (most := int(away.argmax())) >= 0 and away[most] > off:
             keep[first + 1 + most] = True
             spans += [(first, first + 1 + most), (first + 1 + most, last)]
-    found: Float = points[keep]
-    return found
+    kept: Float = points[keep]
+    return kept
 
 
 def put(text: str, item: str, file: str) -> str:
-    """The scene's text with one supply or resist more. Raises BadInput."""
-    place, fields = parse(item)
+    """Return the scene's text with one more supply or resist. Raises BadInput."""
+    key, fields = parse(item)
     data, _ = yaml_lines.parse(text, file)
-    there = data.get("dye", {}).get("cloth", {}).get(place) or []
+    items = data.get("dye", {}).get("cloth", {}).get(key) or []
     written = item.split(":", 1)[1].strip()
-    return edit.put(text, ("dye", "cloth", place, len(there)), fields, file, written)
+    return edit.put(text, ("dye", "cloth", key, len(items)), fields, file, written)
 
 
-def stencil_of(said: Mapping[str, Any], shape: Sequence[int], cell: float, scene: Path) -> tuple[str, Path]:
-    """The item that a stencil of the page is, and its picture, which is written beside the scene. Raises BadInput.
+def stencil_of(request: Mapping[str, Any], shape: Sequence[int], cell: float, scene: Path) -> tuple[str, Path]:
+    """Return the item of a stencil of the page, and its picture, which is written next to the scene. Raises BadInput.
 
-    said   `image`, a PNG in base64 of which white keeps dye out, black where it is to be `invert`ed; its middle `place`
-           [m] and its `width` [m]
-    shape  (ny, nx) of the cloth
+    request  `image`, a PNG in base64 in which white keeps dye out, or black with `invert`; its centre `place` [m] and
+             its `width` [m]
+    shape    (ny, nx) of the cloth
     """
-    if not (_numbers([said.get("place")]) and type(said.get("width")) in (int, float) and said["width"] > 0.0):
+    if not (_numbers([request.get("place")]) and type(request.get("width")) in (int, float) and request["width"] > 0.0):
         raise BadInput("a stencil has a place and a width", field="place", limit="x, y and a width above 0 [m]")
-    image, (x, y), width = _read(said.get("image")), said["place"], float(said["width"])
-    mask = laid_out(image, bool(said.get("invert")), (float(x), float(y)), width, shape, cell)
+    image, (x, y), width = _read(request.get("image")), request["place"], float(request["width"])
+    mask = laid_out(image, bool(request.get("invert")), (float(x), float(y)), width, shape, cell)
     if not mask.any():
         raise BadInput("the stencil lies beside the cloth, or keeps nothing out", field="place", value=[x, y],
                        remedy="put it on the cloth; white keeps dye out, black with invert")  # fmt: skip
@@ -151,7 +151,7 @@ def stencil_of(said: Mapping[str, Any], shape: Sequence[int], cell: float, scene
 
 
 def _read(data: object) -> Image.Image:
-    """A PNG in base64 as grey and opacity. Raises BadInput."""
+    """Decode a PNG in base64 to grey and opacity. Raises BadInput."""
     try:
         image = Image.open(io.BytesIO(base64.b64decode(str(data), validate=True)), formats=["PNG"])
         if max(image.size) > MOST_IMAGE:
@@ -164,9 +164,9 @@ def _read(data: object) -> Image.Image:
 def laid_out(
     image: Image.Image, invert: bool, place: tuple[float, float], width: float, shape: Sequence[int], cell: float
 ) -> NDArray[np.uint8]:
-    """(ny, nx) how much of each cell an image of grey and opacity covers, 255 for all of it.
+    """Return the share of each cell that an image of grey and opacity covers, shape (ny, nx), 255 for all of it.
 
-    The image is `width` [m] wide, with its middle at `place` [m] from the cloth's upper left corner.
+    The image is `width` [m] wide, with its centre at `place` [m] from the cloth's upper left corner.
     """
     ny, nx = shape
     fine = max(1, min(FINENESS, math.isqrt(MOST_PIXELS // (ny * nx))))

@@ -1,4 +1,4 @@
-"""The recordings of a folder: what each is, and what is done with it."""
+"""The recordings of a folder: their summaries, and the requests for them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from nuno_schemas.errors import BadInput
 PICTURE = ".png"
 WHOLE = ".mcap"
 PART = part_of(Path(WHOLE)).name
-"""What the names of recordings end in: of those that are whole, and of those that are not."""
+"""Endings of the names of recordings: of finished ones, and of unfinished ones."""
 
 
 class Recordings:
-    """Those in a folder, which need not be there yet."""
+    """The recordings of a folder, which need not exist yet."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -33,34 +33,34 @@ class Recordings:
         self._verifying: dict[str, Child] = {}
 
     def list(self) -> list[dict[str, Any]]:
-        """The newest first: name, scene, state, simulated time [s], bytes, whether there is a picture."""
-        found = []
+        """Return name, scene, state, simulated time [s], bytes and existence of a picture of each, newest first."""
+        entries = []
         for path in (*self.folder.glob(f"*{WHOLE}"), *self.folder.glob(f"*{PART}")):
-            with contextlib.suppress(OSError):  # it was removed meanwhile, or came to be whole
+            with contextlib.suppress(OSError):  # it was removed or finished meanwhile
                 stamp = stamp_of(path)
                 if self._known.get(path.name, (None,))[0] != stamp:
                     self._known[path.name] = (stamp, _facts(path))
-                found.append((stamp[1], self._known[path.name][1] | {"picture": self.picture_of(path).is_file()}))
-        return [facts | {"when": when / 1e9} for when, facts in sorted(found, key=lambda pair: -pair[0])]
+                entries.append((stamp[1], self._known[path.name][1] | {"picture": self.picture_of(path).is_file()}))
+        return [facts | {"when": when / 1e9} for when, facts in sorted(entries, key=lambda pair: -pair[0])]
 
     def find(self, name: object) -> Path:
-        """Raises BadInput for what is no recording of this folder."""
+        """Return the path of a recording. Raises BadInput for any other name."""
         path = self.folder / str(name)
         if not isinstance(name, str) or path.name != name or not name.endswith((WHOLE, PART)) or not path.is_file():
             raise BadInput("no such recording here", value=name, remedy="load the list again")
         return path
 
     def picture_of(self, path: Path) -> Path:
-        """Where `nuno run` puts the picture of its last frame."""
+        """Return the path to which `nuno run` writes the picture of the last frame."""
         return path.with_name(run_of(path.name) + PICTURE)
 
     def pictures(self) -> dict[str, str]:
-        """Of each scene that has been recorded with a picture the last recording's name."""
+        """Return the name of the last recording with a picture of each scene."""
         newest = reversed([facts for facts in self.list() if facts["picture"]])
         return {facts["scene"]: facts["name"] for facts in newest}
 
     def open(self, name: object) -> dict[str, Any]:
-        """What one holds: the rows of its report, what it lacks, and whether it is of dye alone. Raises BadInput."""
+        """Return the rows of a recording's report, its gaps, and whether it is of dye alone. Raises BadInput."""
         path = self.find(name)
         with open_recording(path) as recording:
             report, lacks = recording.report(), shortcoming(recording)
@@ -69,7 +69,7 @@ class Recordings:
         return facts | {"rows": rows, "lacks": lacks or "", "dyed": dyed}
 
     def draw(self, name: object) -> dict[str, Any]:
-        """Have its last frame drawn, by a process of its own; whether that goes on, and what it says where it fails."""
+        """Draw the last frame in another process; return whether it is still drawing, and its error if it failed."""
         path = self.find(name)
         if self.picture_of(path).is_file():
             return {"drawing": False, "problem": ""}
@@ -79,7 +79,7 @@ class Recordings:
         return {"drawing": child.code is None, "problem": (child.said or "it was ended") if child.code else ""}
 
     def verify(self, name: object) -> dict[str, Any]:
-        """Begin to simulate it again and compare. Raises BadInput."""
+        """Start `nuno verify`, which simulates the recording again and compares. Raises BadInput."""
         path = self.find(name)
         before = self._verifying.get(path.name)
         if before is None or before.code is not None:
@@ -87,7 +87,7 @@ class Recordings:
         return self.verdict(name)
 
     def verdict(self, name: object) -> dict[str, Any]:
-        """What the last comparison says: whether it goes on, whether all was equal, and its words."""
+        """Return whether the last verification is going on, whether all frames were equal, and its output."""
         child = self._verifying.get(str(name))
         if child is None:
             return {"verifying": False, "equal": None, "words": ""}
@@ -95,12 +95,12 @@ class Recordings:
         return {"verifying": code is None, "equal": None if code is None else code == 0, "words": child.said}
 
     def resumable(self, name: object) -> dict[str, Any]:
-        """From when its run can go on, and until when its scene lasts [s]. Raises BadInput where it cannot."""
+        """Return the time from which the run can be resumed, and its scene's end [s]. Raises BadInput if it cannot."""
         with open_recording(self.find(name)) as recording, restored_scene(recording) as loaded:
             return {"at": recording.common_checkpoint().t, "end": loaded.scene.duration}
 
     def delete(self, name: object) -> dict[str, Any]:
-        """Remove a recording with its log and its picture. Raises BadInput."""
+        """Delete a recording with its log and its picture. Raises BadInput."""
         path = self.find(name)
         run = run_of(path.name)
         if run in runs.running():
@@ -111,33 +111,33 @@ class Recordings:
                 child.end()
         try:
             path.unlink()
-            if not any(path.with_name(run + ending).exists() for ending in (WHOLE, PART)):  # whose they are, too
-                for beside in (self.picture_of(path), path.with_name(run + log.SUFFIX)):
-                    beside.unlink(missing_ok=True)
+            if not any(path.with_name(run + ending).exists() for ending in (WHOLE, PART)):  # they share these files
+                for extra in (self.picture_of(path), path.with_name(run + log.SUFFIX)):
+                    extra.unlink(missing_ok=True)
         except OSError as error:
             raise BadInput(f"cannot be removed: {error.strerror}", str(path)) from None
         return {}
 
     def close(self) -> None:
-        """End what was begun here."""
+        """End the processes that were started here."""
         for child in (*self._drawing.values(), *self._verifying.values()):
             if child.code is None:
                 child.end()
 
 
 def run_of(name: str) -> str:
-    """The run that a recording of this name is of."""
+    """Return the name of a recording's run."""
     return name.removesuffix(PART).removesuffix(WHOLE)
 
 
 def _solver(scene: Mapping[str, Any]) -> str:
-    """The name of a recorded scene's solver, of cloth that moves or of dye."""
-    said = (scene if scene.get("objects") else scene.get("dye") or {}).get("solver")
-    return str(said.get("plugin", "")) if isinstance(said, dict) else str(said or "")
+    """Return the name of a recorded scene's solver, of moving cloth or of dye."""
+    solver = (scene if scene.get("objects") else scene.get("dye") or {}).get("solver")
+    return str(solver.get("plugin", "")) if isinstance(solver, dict) else str(solver or "")
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """From the file's own summary; one that is being written has none yet."""
+    """Return properties from the file's summary, which a file does not have while it is being written."""
     facts: dict[str, Any] = {
         "name": path.name,
         "scene": "",

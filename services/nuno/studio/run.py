@@ -1,4 +1,4 @@
-"""The run that the page follows, heard on its bus: one that was started there, a process of its own, or another."""
+"""The run that the page follows on its bus: started by the page, in another process, or elsewhere."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, Event, FrameStatus
 from nuno_schemas.scene import Scene
 
 SPAN = 3.0
-"""Wall time that the real-time factor is told of [s]."""
+"""Wall time over which the real-time factor is measured [s]."""
 LOOK = 0.1
-"""How often a run that is getting ready is looked for [s]."""
+"""Interval of looking for a run that is getting ready [s]."""
 PAUSE = 0.3
-"""How long nothing may come [s] until the run is asked what it does."""
+"""Silence after which the run is asked for its status [s]."""
 ASK = 30.0
-"""How long that answer may take [s]."""
+"""Longest wait for that answer [s]."""
 GOING = ("preparing", "running", "paused")
 ENDS = {0: "over", 1: "failed", 2: "refused"}
-"""What exit codes mean; another is that of a process that was ended by a signal."""
+"""State by exit code; a process that was ended by a signal has another code."""
 
 
 class Run:
-    """A run that goes on: one of a scene's text that was started here, or another one.
+    """A run: of a scene's text, started here, or one that was started elsewhere.
 
-    What the run's services say of each frame is heard in small messages, of which only the newest is taken; positions
-    are asked for while a page looks at the cloth (`live`). Neither slows the run.
+    Its status of each frame comes in small messages, of which only the newest is read; positions are requested while
+    a page shows the cloth (`live`). Neither slows the run.
     """
 
     def __init__(self, name: str, entry: str, child: Child | None = None, config: str | None = None) -> None:
-        """entry: what the page calls the scene; child: the process of a run that was started here."""
+        """`entry` is the page's name of the scene, `child` the process of a run that was started here."""
         self.name, self.entry = name, entry
         self.frames, self.end = 0, 0.0
         self.record = ""
         self._child, self._config = child, config
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.state, self.frame, self.t = "preparing", -1, 0.0
-        self._unheard = ""
-        self._heard: deque[tuple[float, float]] = deque(maxlen=10_000)
+        self._warning = ""
+        self._progress: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
         self.live: Live | None = None
         self._closed = threading.Event()
@@ -61,7 +61,7 @@ class Run:
 
     @classmethod
     def start(cls, loaded: Loaded, entry: str, text: str | None, paused: bool) -> Run:
-        """Start one; text: what is run in the place of the scene's file, where it is another."""
+        """Start a run of a scene, with `text` instead of the scene's file unless it is None."""
         path = loaded.path
         folder: tempfile.TemporaryDirectory[str] | None = None
         roots = [str(root) for root in loaded.files.roots]
@@ -77,7 +77,7 @@ class Run:
 
     @classmethod
     def resume(cls, loaded: Loaded, arguments: Sequence[str]) -> Run:
-        """Go on with a recording; arguments: its file, and what is changed of its scene, as of `nuno run --resume`."""
+        """Resume a recording; `arguments` are its file and the changes of its scene, as in `nuno run --resume`."""
         return cls._begin(loaded.scene, "", ["--resume", *arguments])
 
     @classmethod
@@ -91,7 +91,7 @@ class Run:
 
     @classmethod
     def attach(cls, name: str, entry: str, config: str | None) -> Run:
-        """Follow one that was started elsewhere, and goes on without this."""
+        """Follow a run that was started elsewhere, and does not end with this object."""
         run = cls(name, entry, config=config)
         run._thread.start()
         return run
@@ -102,41 +102,41 @@ class Run:
 
     @property
     def _code(self) -> int | None:
-        """Its exit code; None while it goes on, 0 for one of elsewhere that goes on no more."""
+        """Exit code; None while the run goes on, 0 for an ended run from elsewhere."""
         if self._child is not None:
             return self._child.code
         return None if self.name in runs.running() else 0
 
     def tell(self) -> dict[str, Any]:
-        """What the page shows: the state, how far it is, simulated seconds a second, and what the run has printed."""
+        """Return the run's state, progress, real-time factor and output for the page."""
         code = self._code
         # A run that has stopped still finishes its recording.
         now = self.state if self.state in GOING else "ending"
-        unheard = self.state == "stopped" and self._bus is None  # it was ended by a signal, while it got ready
+        killed = self.state == "stopped" and self._bus is None  # ended by a signal while it got ready
         return {
             "run": self.name,
             "scene": self.entry,
             "live": self.live is not None,
             "recording": self.record,
-            "state": now if code is None else "stopped" if unheard else ENDS.get(code, "stopped"),
+            "state": now if code is None else "stopped" if killed else ENDS.get(code, "stopped"),
             "frame": self.frame,
             "frames": self.frames,
             "t": self.t,
             "end": self.end,
             "factor": self._factor() if self.state == "running" and code is None else None,
-            "said": (self._child.said if self._child is not None else "") + self._unheard,
+            "said": (self._child.said if self._child is not None else "") + self._warning,
         }
 
     def _factor(self) -> float | None:
-        """The real-time factor of the last SPAN; None where there are too few frames."""
-        now, heard = time.monotonic(), list(self._heard)
-        first = next((one for one in heard if now - one[0] <= SPAN), None)
-        if first is None or heard[-1][0] <= first[0]:
+        """Return the real-time factor of the last SPAN; None with too few frames."""
+        now, progress = time.monotonic(), list(self._progress)
+        first = next((one for one in progress if now - one[0] <= SPAN), None)
+        if first is None or progress[-1][0] <= first[0]:
             return None
-        return (heard[-1][1] - first[1]) / (heard[-1][0] - first[0])
+        return (progress[-1][1] - first[1]) / (progress[-1][0] - first[0])
 
     def control(self, action: str, **more: object) -> dict[str, Any]:
-        """Pause, resume, step or stop it, set a field or add an item; what it answers. Raises BadInput."""
+        """Pause, resume, step or stop the run, set a field or add an item; return its answer. Raises BadInput."""
         if not self.going:
             raise BadInput("no run goes on", remedy="start one with Run")
         if self._bus is None:
@@ -149,11 +149,11 @@ class Run:
         answer = order(self._bus, {"action": action} | more)
         self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
         if action not in ("set", "add"):
-            self._heard.clear()
+            self._progress.clear()
         return answer
 
     def close(self) -> None:
-        """End it, where it goes on and was started here."""
+        """End a run that was started here, and stop following it."""
         if self._child is not None and self.going:
             with contextlib.suppress(BadInput):
                 self.control("stop")
@@ -172,45 +172,45 @@ class Run:
         if endpoint is None:
             return
         try:
-            self._hear_all(endpoint)
+            self._listen(endpoint)
         except (RunFailed, zenoh.ZError) as error:
             if self.going:
-                self._unheard = f"\nWARNING this page does not hear the run: {error}"
+                self._warning = f"\nWARNING this page does not hear the run: {error}"
 
-    def _hear_all(self, endpoint: str) -> None:
+    def _listen(self, endpoint: str) -> None:
         with spoke(endpoint, self._config, 1.0) as session:
             bus = Bus(session, self.name, "studio")
             inbox = Inbox(bus, [STATUS, DYE_STATUS, EVENTS], newest_only=True)
-            self._ask(bus)
+            self._query_status(bus)
             self._bus = bus
             while self.going and not self._closed.is_set():
                 if self.live is None and self.state != "preparing":  # its services answer
                     self.live = Live(self.name, endpoint, self._config)
                 item = inbox.get(PAUSE)
                 if isinstance(item, Message):
-                    self._hear(item)
-                else:  # it stands, as it does after a step, or its frame takes long
-                    self._ask(bus)
+                    self._handle(item)
+                else:  # it is paused, for example after a step, or its frame takes long
+                    self._query_status(bus)
             bus.close()
 
-    def _ask(self, bus: Bus) -> None:
-        """What the run does, asked of it: it says nothing by itself while it stands."""
+    def _query_status(self, bus: Bus) -> None:
+        """Ask the run for its status, since a paused run sends no messages."""
         with contextlib.suppress(RunFailed):
             answer = bus.ask_json("control", {"action": "status"}, ASK)
             self.state, self.frame, self.t = str(answer["state"]), int(answer["frame"]), float(answer["t"])
             self.frames = int(answer["frames"])
 
-    def _hear(self, message: Message) -> None:
+    def _handle(self, message: Message) -> None:
         with contextlib.suppress(ValueError):
             if message.topic.startswith(EVENT.name):
                 event = Event.model_validate_json(message.payload)
                 if event.kind == "control" and event.text in SAYS:
                     self.state = SAYS[event.text]
-                    self._heard.clear()
+                    self._progress.clear()
                 return
             status = FrameStatus.model_validate_json(message.payload)
-            if status.frame < self.frame:  # it was on its way while the run was asked
+            if status.frame < self.frame:  # older than the last queried status
                 return
             self.frame, self.t = status.frame, status.t
             self.state = status.state if status.state != "done" else self.state
-            self._heard.append((time.monotonic(), status.t))
+            self._progress.append((time.monotonic(), status.t))

@@ -1,4 +1,4 @@
-"""The scenes that the page can open, and the text of one: checked, changed, planned and saved."""
+"""Scenes that the page can open, and checks, changes, plans and saving of their text."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding
 
-# What a scene names and is not there, told without building anything, in the words of whoever would build it.
+# Missing files and bodies are found without building anything, with the errors of the code that would build them.
 
 FILES = ("file", "texture")
-"""Fields that name a file beside the scene."""
+"""Fields that name a file."""
 
 
 def check_named(loaded: Loaded) -> None:
-    """Raises BadInput for a file that is not there, and for cloth on a body that is not."""
+    """Raise BadInput for a missing file, and for cloth on a missing body."""
     for chosen in loaded.chosen:
         for name in (text for field, text in texts_in(chosen.config.model_dump()) if field in FILES):
             try:
                 loaded.files.resolve(name)
             except BadInput as error:
                 raise loaded.at(chosen.field, error) from None
-    known = [body.name for body in loaded.scene.bodies]
+    bodies = [body.name for body in loaded.scene.bodies]
     for i, model in enumerate(loaded.models):
         over, attach = drawn_over(model), getattr(model.config, "attach", None)
-        if over is not None and over not in known:
-            raise loaded.at(f"objects[{i}].model", no_body(over, known))
-        if attach is not None and attach.body not in known:
-            # Which frames there are, bodies say: they are read to be told, now that there is a mistake.
-            frames = build_bodies(loaded).geometry.frames if known else ()
+        if over is not None and over not in bodies:
+            raise loaded.at(f"objects[{i}].model", no_body(over, bodies))
+        if attach is not None and attach.body not in bodies:
+            # The error lists all frames, which are known only after building the bodies.
+            frames = build_bodies(loaded).geometry.frames if bodies else ()
             try:
                 frame_of(Binding(np.zeros(0, np.int32), attach.body, attach.frame), frames)
             except BadInput as error:
@@ -55,62 +55,62 @@ def check_named(loaded: Loaded) -> None:
 
 
 MOST = 20
-"""Mistakes that are told at once."""
+"""Most mistakes in one answer."""
 SUFFIXES = (".yaml", ".yml")
 NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.ya?ml", re.ASCII)
-"""What a new file may be called."""
+"""Allowed names of a new file."""
 NAMED, NAME = re.compile(r"^name\s*:.*", re.MULTILINE), 64
-"""Where a text has the scene's name, which has so many characters at most."""
+"""Line of the scene's name in a text, and the largest number of characters of that name."""
 IS_SCENE = re.compile(r"^nuno\s*:", re.MULTILINE)
 
 
 class Scenes:
-    """Shipped scenes by name, and the scene files of a folder by their names there, which end in .yaml or .yml."""
+    """Shipped scenes by name, and the scene files of a folder by their file names, which end in .yaml or .yml."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.more: dict[str, Path] = {}
-        """Scenes of elsewhere that were named when the page was opened."""
+        """Scenes from elsewhere that were named when the page was opened."""
         self.changed: dict[str, str] = {}
-        """Texts that stand for those of files, where changes were named, too."""
+        """Texts that replace those of files, for scenes with changes on the command line."""
         self.roots: tuple[Path, ...] = ()
-        """Further folders that scenes' files may come from."""
+        """Further folders for files of scenes."""
 
     def paths(self) -> dict[str, Path]:
-        """Those of the folder first."""
-        own = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
-        return {path.name: path for path in own if IS_SCENE.search(text_of(path))} | self.more | shipped.scenes()
+        """Return the paths of all scenes by name, those of the folder first."""
+        files = sorted(path for path in self.folder.glob("*") if path.suffix in SUFFIXES and path.is_file())
+        return {path.name: path for path in files if IS_SCENE.search(text_of(path))} | self.more | shipped.scenes()
 
     def find(self, name: object) -> Path:
-        """Raises BadInput where there is none."""
+        """Return the path of a scene. Raises BadInput for an unknown name."""
         paths = self.paths()
         if not isinstance(name, str) or name not in paths:
             raise BadInput("no such scene", value=name, remedy=nearest(str(name), paths))
         return paths[name]
 
     def picture_of(self, name: object) -> Path:
-        """What ships with nuno of one of its scenes. Raises BadInput where there is none."""
+        """Return the shipped picture of a shipped scene. Raises BadInput if there is none."""
         path = shipped.folder() / "pictures" / f"{name}.webp"
         if name not in shipped.scenes() or not path.is_file():
             raise BadInput("no such picture", value=name)
         return path
 
     def list(self) -> list[dict[str, Any]]:
-        """What is told of each: name of the entry and of the scene, description, whether it is one of the folder."""
-        found = []
+        """Return name, scene name and description of each scene, and whether it is in the folder and has a picture."""
+        entries = []
         for name, path in self.paths().items():
             try:
                 data, _ = yaml_lines.parse(text_of(path), str(path))
-                said = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
+                texts = {"scene": str(data.get("name", "")), "description": str(data.get("description") or "")}
             except BadInput as error:
-                said = {"scene": "", "description": str(error)}
+                texts = {"scene": "", "description": str(error)}
             drawn = (shipped.folder() / "pictures" / f"{name}.webp").is_file()
-            found.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name, "drawn": drawn} | said)
-        return found
+            entries.append({"name": name, "own": path.suffix in SUFFIXES and name == path.name, "drawn": drawn} | texts)
+        return entries
 
 
 def text_of(path: Path) -> str:
-    """Empty for what is no text."""
+    """Return the text of a file; empty if it is not text."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError):
@@ -118,9 +118,9 @@ def text_of(path: Path) -> str:
 
 
 def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """What a text says, the line of each field in it, and its mistakes, each as the command line has it.
+    """Return a text's data, the line of each of its fields, and its mistakes, worded as on the command line.
 
-    The loader tells the first. Where that is a value that can be left out, what it tells without that is the next.
+    The loader raises the first mistake. If its value can be left out, loading without it raises the next.
     """
     try:
         data, lines = yaml_lines.parse(text, str(path))
@@ -135,8 +135,8 @@ def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]
                 check_named(loaded)
             break
         except BadInput as error:
-            if any(error.field == known["field"] for known in mistakes):
-                break  # it is missing now that it is left out
+            if any(error.field == mistake["field"] for mistake in mistakes):
+                break  # the loader misses the value that was left out
             mistakes.append(server.describe(error))
             if not _leave_out(left, error.field, lines):
                 break
@@ -144,7 +144,7 @@ def check(text: str, path: Path, roots: tuple[Path, ...] = ()) -> dict[str, Any]
 
 
 def _leave_out(data: dict[str, Any], field: str | None, lines: Mapping[yaml_lines.Path, int]) -> bool:
-    """Take a field's value out of the data; whether it was there, and nothing that others may name."""
+    """Remove a field's value from the data. Return whether it existed, and is not a name or a plugin."""
     place = next((path for path in lines if path and dotted(path) == field), None)
     if place is None or place[-1] in ("name", "plugin") or not isinstance(place[-1], str):
         return False
@@ -153,21 +153,21 @@ def _leave_out(data: dict[str, Any], field: str | None, lines: Mapping[yaml_line
 
 
 def load(text: str, path: Path, roots: tuple[Path, ...] = ()) -> Loaded:
-    """The scene of a text that stands for the file at a path. Raises BadInput."""
+    """Load the scene of a text that replaces the file at a path. Raises BadInput."""
     data, lines = yaml_lines.parse(text, str(path))
     return replace(scene_file.load(data, lines, str(path), scene_file.files_of(path, roots)), path=path)
 
 
 def plan(text: str, path: Path, roots: tuple[Path, ...] = ()) -> list[Row]:
-    """The rows of `nuno plan` for the scene of a text. Raises BadInput."""
+    """Return the rows of `nuno plan` for the scene of a text. Raises BadInput."""
     return list(describe(load(text, path, roots)))
 
 
 def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict[str, Any]:
-    """Write a text to its own file, or under a new name into the folder; what the page says of it. Raises BadInput.
+    """Write a text to its own file, or under a new name into the folder; return a message. Raises BadInput.
 
-    `before` is what the file said when the page read it: one that was changed since is left alone. A copy has its own
-    name for its runs and pictures, unless the text has another one than the file had.
+    `before` is the file's text when the page read it: a file that was changed since is not overwritten. A copy gets a
+    new scene name for its runs and pictures, unless the user has changed that name.
     """
     name = f"{name}.yaml" if isinstance(name, str) and name and "." not in name else name
     own = path.is_file() and name == path.name and path.resolve().parent == folder.resolve()
@@ -206,7 +206,7 @@ def _files_used(text: str, path: Path) -> bool:
 
 
 def schema() -> bytes:
-    """The JSON Schema of scenes, as bytes."""
+    """Return the JSON Schema of scenes as bytes."""
     from nuno.scene.json_schema import scene_schema
 
     return json.dumps(scene_schema(), separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""Recordings as the page replays them: what it asks of one, of two on one clock, and their frames as bytes."""
+"""Replay of recordings in the page: requests for one, comparison of two, and their frames as bytes."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.written import Path as Place
 from nuno_schemas.written import dotted
 
-# Two recordings on one clock, and how far their cloth is apart.
+# Two recordings on one clock, and the distance between their cloths.
 
 AT_ONCE = 16
 """Frames of both that are read together."""
 
 
 class Pair:
-    """Two films, compared over the time that both have.
+    """Two films, compared over their common time.
 
-    The clock is the frames of the one that has fewer there. The other one's positions are those of its frame at that
-    very time, and where it has none at it, interpolated linearly between its nearest two.
+    The clock is the frames of the film with fewer frames in that time. The other film's positions are those of its
+    frame at the same time, or interpolated linearly between its nearest two.
 
     times   log times [ns] of the clock
-    exact   at which of them both have a frame
-    origin  (3,) [m] about which positions of both are shown
+    exact   whether both have a frame at each of them
+    origin  (3,) [m] common origin of the shown positions
 
     Raises BadInput for films that cannot be compared.
     """
@@ -57,29 +57,29 @@ class Pair:
         if not self.times:
             limit = f"{start / 1e9:g} to {end / 1e9:g} s"
             raise BadInput("neither recording has a frame in the time that both have", limit=limit)
-        self.origin: Float = min((film.origin for film in self.films), key=tuple)  # of both the same, whoever is first
-        known = [set(times) for times in shared]
-        self.exact = [all(time in times for times in known) for time in self.times]
-        self._far: list[tuple[float | None, float | None]] = []
+        self.origin: Float = min((film.origin for film in self.films), key=tuple)  # independent of their order
+        sets = [set(times) for times in shared]
+        self.exact = [all(time in times for times in sets) for time in self.times]
+        self._measures: list[tuple[float | None, float | None]] = []
         self._problem = ""
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._measure, name="compare", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Measure no further."""
+        """Stop measuring."""
         self._closed.set()
         self._thread.join()
 
     def tell(self) -> dict[str, Any]:
-        """What has been measured so far, from the first frame of the clock on: the largest distance and the root of the
-        mean square of all vertices' [m], None where the meshes are not the same; whether that is all.
+        """Return the measurements so far, from the first frame of the clock on: the largest distance and the root mean
+        square over all vertices [m], None for different meshes; and whether they are complete.
         """
-        far = list(self._far)
-        done = len(far) == len(self.times) or bool(self._problem)
+        measures = list(self._measures)
+        done = len(measures) == len(self.times) or bool(self._problem)
         return {
-            "largest": [one[0] for one in far],
-            "rms": [one[1] for one in far],
+            "largest": [one[0] for one in measures],
+            "rms": [one[1] for one in measures],
             "measured": done,
             "problem": self._problem,
         }
@@ -90,17 +90,17 @@ class Pair:
                 times = self.times[first : first + AT_ONCE]
                 sides = [film.stills(times) for film in self.films]
                 for one, two in zip(*sides, strict=True):
-                    self._far.append(measure(self.distances(one, two)))
+                    self._measures.append(measure(self.distances(one, two)))
                 if self._closed.is_set():
                     return
-        except Exception as error:  # whatever it is, the page waits for an end
+        except Exception as error:  # the page waits for an end, whatever the error
             self._problem = str(error) or type(error).__name__
             if not isinstance(error, BadInput):
                 raise
 
     def distances(self, one: Still, two: Still) -> Float | None:
-        """(n,) [m] between a vertex of the first film's cloth and the same vertex of the second's; None where their
-        meshes are not the same.
+        """Return the distance of each vertex of the first film's cloth from the same vertex of the second's, shape (n,)
+        [m]; None for different meshes.
         """
         shapes = (film.shape(still.shape) for film, still in zip(self.films, (one, two), strict=True))
         if one.x.shape != two.x.shape or not next(shapes).same_as(next(shapes)):
@@ -109,20 +109,20 @@ class Pair:
 
 
 def measure(distances: Float | None) -> tuple[float | None, float | None]:
-    """The largest of distances (n,) and the root of their mean square; None for none, and where one is not finite."""
+    """Return the largest of distances (n,) and their root mean square; None if there are none, or any is not finite."""
     if distances is None or not len(distances) or not np.isfinite(distances).all():
         return None, None
     return float(distances.max()), float(np.sqrt((distances**2).mean()))
 
 
-# A recording's series as plots: what belongs together, in units that a person reads.
+# A recording's series as plots: related columns, in convenient units.
 
 Series = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Lines by their names, each a value a row of `t` [s], NaN where there is none."""
+    """Lines by name, each with a value per row of `t` [s], NaN for a missing value."""
 
     name: str
     title: str
@@ -130,14 +130,14 @@ class Plot:
     lines: dict[str, Float]
 
     def to_json(self) -> dict[str, Any]:
-        """As the page takes it: what is not finite is None."""
+        """Return the plot as JSON for the page, with None for values that are not finite."""
         lines = {name: [v if np.isfinite(v) else None for v in values.tolist()] for name, values in self.lines.items()}
         return {"name": self.name, "title": self.title, "unit": self.unit, "lines": lines}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Which columns a plot has: those that are named, or all that begin so; by how much each is multiplied."""
+    """Columns of a plot: those named, or all with the prefix `start`; their values are multiplied by `scale`."""
 
     title: str
     unit: str
@@ -160,20 +160,20 @@ KINDS = {
 
 
 def plots_of(series: Series) -> list[Plot]:
-    """Energy, stretch, and so on, of `Recording.series`: what the recording has, and is not 0 throughout."""
-    found = [_energy(series)]
+    """Return plots of energy, stretch, and so on, from `Recording.series`, without those that are 0 throughout."""
+    plots = [_energy(series)]
     for name, kind in KINDS.items():
         columns = kind.columns or {
             one: one.removeprefix(kind.start).replace("_", " ") for one in series if one.startswith(kind.start)
         }
-        lines = {said: kind.scale * series[one].astype(np.float64) for one, said in columns.items() if one in series}
-        found.append(Plot(name, kind.title, kind.unit, lines))
-    found.append(_speed(series))
-    return [plot for plot in found if any(np.nan_to_num(values).any() for values in plot.lines.values())]
+        lines = {text: kind.scale * series[one].astype(np.float64) for one, text in columns.items() if one in series}
+        plots.append(Plot(name, kind.title, kind.unit, lines))
+    plots.append(_speed(series))
+    return [plot for plot in plots if any(np.nan_to_num(values).any() for values in plot.lines.values())]
 
 
 def _energy(series: Series) -> Plot:
-    """Kinds of energy that are not 0 throughout, and their sum."""
+    """Return the kinds of energy that are not 0 throughout, and their sum."""
     columns = {
         name.removeprefix("energy_").replace("_", " "): v.astype(np.float64)
         for name, v in series.items()
@@ -186,7 +186,7 @@ def _energy(series: Series) -> Plot:
 
 
 def _speed(series: Series) -> Plot:
-    """Simulated time of each frame after the first by the wall time of its steps."""
+    """Return the simulated time of each frame after the first over the wall time of its steps."""
     lines = {}
     if "step_seconds" in series and "t" in series:
         seconds = series["step_seconds"].astype(np.float64)
@@ -196,17 +196,17 @@ def _speed(series: Series) -> Plot:
 
 
 MOST_FILMS, MOST_PAIRS, MOST_FRAMES = 6, 2, 64
-"""That are kept open for pages, and that are asked for at once."""
+"""Most films and pairs that are kept open, and most frames in one request."""
 MOST_DIFFERING = 12
 GONE = 410
 BYTES = "application/octet-stream"
 
 
 class Screen:
-    """The films that pages look at, of a folder's recordings.
+    """The films that pages show, of a folder's recordings.
 
-    The page knows each by a text, of the recording's name and of how the file was: one that was written anew since is
-    another film.
+    The page knows each by a key of the recording's name and the file's stamp: a file that was written anew is another
+    film.
     """
 
     def __init__(self, recordings: Recordings) -> None:
@@ -216,7 +216,7 @@ class Screen:
         self._lock = threading.RLock()
 
     def replay(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """What the page begins to replay a recording with. Raises BadInput."""
+        """Return the data with which the page starts the replay of a recording. Raises BadInput."""
         key, film = self._open(request.get("recording"))
         shapes = film.shape_at(film.times[-1]) + 1 if film.moves and film.times else 0
         return {
@@ -230,12 +230,12 @@ class Screen:
         }
 
     def plots(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Its series, for plots. Raises BadInput."""
+        """Return the plots of a film. Raises BadInput."""
         series = self._film(request.get("film")).series()
         return {"t": series.get("t", np.zeros(0)).tolist(), "plots": [plot.to_json() for plot in plots_of(series)]}
 
     def compare(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Two recordings on one clock, and how far apart they are as far as that is measured. Raises BadInput."""
+        """Return two recordings on one clock, and their distances as far as measured. Raises BadInput."""
         films = request.get("first"), request.get("second")
         if films[0] == films[1]:
             raise BadInput("a run is not compared with itself", value=films[0], remedy="choose another one")
@@ -248,29 +248,29 @@ class Screen:
         } | pair.tell()
 
     def frames(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """Some frames of a film, those from number `first` on; beside another film those of the clock of both, with how
-        far each vertex is from the other's. Raises Refused.
+        """Return `count` frames of a film from number `first` on; in comparison with another film the frames of their
+        clock, with the distance of each vertex from the other's. Raises Refused.
         """
         first, count = whole(query, "first"), whole(query, "count")
-        key, beside = (query.get(name, [""])[0] for name in ("film", "beside"))
+        key, other = (query.get(name, [""])[0] for name in ("film", "beside"))
         try:
             if not 0 < count <= MOST_FRAMES:
                 raise Refused(BAD_REQUEST, f"at most {MOST_FRAMES} frames are asked for at once")
-            far: list[Float | None] = [None] * count
+            distances: list[Float | None] = [None] * count
             film = self._film(key)
-            pair = self._pair_of(key, beside) if beside else None
+            pair = self._pair_of(key, other) if other else None
             times = (pair.times if pair else film.times)[first : first + count] if first >= 0 else []
             if not times:
                 raise Refused(BAD_REQUEST, "there are no such frames")
             stills = film.stills(times)
             if pair is not None:
-                far = _far(pair, film, stills, times)
+                distances = _distances(pair, film, stills, times)
         except BadInput as error:
             raise Refused(GONE, str(error)) from None
-        return BYTES, _encode(stills, far, pair.origin if pair is not None else film.origin)
+        return BYTES, _encode(stills, distances, pair.origin if pair is not None else film.origin)
 
     def shape(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """What the cloth of a film consists of, by a shape's number, and its bodies' triangles. Raises Refused."""
+        """Return a shape of a film's cloth by its number, and the bodies' triangles. Raises Refused."""
         try:
             film = self._film(query.get("film", [""])[0])
             shape = film.shape(whole(query, "shape"))
@@ -283,7 +283,7 @@ class Screen:
         return BYTES, pack({"pieces": [{name: getattr(p, name) for name in SAID} for p in shape.pieces]}, arrays)
 
     def dyed(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
-        """A picture of dyed cloth, by a film and the number of a frame. Raises Refused."""
+        """Return a picture of dyed cloth at a frame of a film. Raises Refused."""
         try:
             film = self._film(query.get("film", [""])[0])
             return "image/png", film.picture(max(whole(query, "frame"), 0))
@@ -297,7 +297,7 @@ class Screen:
                 self._close(key)
 
     def close(self) -> None:
-        """Close all of them."""
+        """Close all films."""
         with self._lock:
             for key in list(self._films):
                 self._close(key)
@@ -310,22 +310,22 @@ class Screen:
     def _open(self, name: object) -> tuple[str, Film]:
         path = self.recordings.find(name)
         key = _key(path)
-        made = Film(path) if key not in self._films else None  # which takes long: others are looked at meanwhile
+        opened = Film(path) if key not in self._films else None  # slow, so without the lock
         with self._lock:
-            film = self._films.pop(key, None) or made or Film(path)
-            if made is not None and made is not film:
-                made.close()
-            self._films[key] = film  # the last of those that are wanted
+            film = self._films.pop(key, None) or opened or Film(path)
+            if opened is not None and opened is not film:
+                opened.close()
+            self._films[key] = film  # the most recently used
             for old in list(self._films)[:-MOST_FILMS]:
                 self._close(old)
             return key, film
 
     def _film(self, key: object) -> Film:
-        """Raises BadInput where it was closed meanwhile, and the file is another one now."""
+        """Return a film by its key. Raises BadInput if it was closed and its file has changed."""
         with self._lock:
             film = self._films.pop(str(key), None)
             if film is not None:
-                self._films[str(key)] = film  # the last of those that are wanted
+                self._films[str(key)] = film  # the most recently used
                 return film
         now, film = self._open(str(key).partition(":")[2])
         if now != key:
@@ -341,14 +341,14 @@ class Screen:
                     self._pairs.pop(old).close()
             return self._pairs[first, second]
 
-    def _pair_of(self, key: str, beside: str) -> Pair:
-        return next((self._pairs[names] for names in ((key, beside), (beside, key)) if names in self._pairs), None) or (
-            self._pair(key, beside)
+    def _pair_of(self, key: str, other: str) -> Pair:
+        return next((self._pairs[names] for names in ((key, other), (other, key)) if names in self._pairs), None) or (
+            self._pair(key, other)
         )
 
 
 def _differing(one: Any, two: Any, path: Place = ()) -> list[tuple[str, str, str]]:
-    """The fields of two scenes that are not the same, and what each says, the first MOST_DIFFERING of them."""
+    """Return the first MOST_DIFFERING fields that differ between two scenes, with both values."""
     if isinstance(one, dict) and isinstance(two, dict):
         inside = [(key, one.get(key), two.get(key)) for key in dict.fromkeys([*one, *two])]
     elif isinstance(one, list) and isinstance(two, list) and len(one) == len(two):
@@ -366,18 +366,18 @@ def _key(path: Path) -> str:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
 
 
-def _far(pair: Pair, film: Film, stills: list[Still], times: list[int]) -> list[Float | None]:
-    """How far each vertex is from the same one of the other film [m]."""
+def _distances(pair: Pair, film: Film, stills: list[Still], times: list[int]) -> list[Float | None]:
+    """Return the distance of each vertex from the same vertex of the other film [m]."""
     other = pair.films[1] if film is pair.films[0] else pair.films[0]
     theirs = other.stills(times)
     ordered = (stills, theirs) if film is pair.films[0] else (theirs, stills)
     return [pair.distances(one, two) for one, two in zip(*ordered, strict=True)]
 
 
-def _encode(stills: list[Still], far: list[Float | None], origin: Float) -> bytes:
-    """x, body and far of each frame with its place behind the name; bodies only where they have moved since."""
+def _encode(stills: list[Still], distances: list[Float | None], origin: Float) -> bytes:
+    """Pack arrays x, body and far of each frame, with the frame's index in their names; body only if it has moved."""
     arrays, heads = {}, []
-    for i, (still, apart) in enumerate(zip(stills, far, strict=False)):
+    for i, (still, apart) in enumerate(zip(stills, distances, strict=False)):
         arrays[f"x{i}"] = about(still.x, origin)
         if i == 0 or not np.array_equal(still.body, stills[i - 1].body):
             arrays[f"body{i}"] = about(still.body, origin)

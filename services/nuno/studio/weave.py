@@ -1,4 +1,4 @@
-"""Scenes of cloth that is woven after a draft and dyed, with what is dropped on the page."""
+"""Scenes of cloth that is woven after a draft and dyed, from files dropped on the page."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from nuno_schemas.errors import BadInput
 
 AFTER = "dye/draft"
 FEWEST_CELLS, MOST_CELLS = 320, 600
-"""Along a side: a draft of fewer is repeated, and cloth of more is woven in larger ones, as far as its yarns allow."""
+"""Cells along a side: smaller drafts are repeated, larger cloth gets larger cells, as far as its yarns allow."""
 BATH = 0.85
-"""How wide the bath is that cloth is dipped into, as a share of the shorter side."""
+"""Diameter of the bath over the shorter side of the cloth."""
 
 
 def weave(scene: Path, draft: str, stencil: str) -> Path:
-    """Write a scene: all of a draft, or of a twill; a stencil, where one is given, keeps dye out. Raises BadInput."""
-    told = f"Cloth woven after {draft or 'a twill'}, dyed with indigo{f' around {stencil}' if stencil else ''}."
+    """Write a scene with a whole draft, or a twill; a stencil, if given, keeps dye out. Raises BadInput."""
+    text = f"Cloth woven after {draft or 'a twill'}, dyed with indigo{f' around {stencil}' if stencil else ''}."
     image = {"kind": "image", "file": stencil and _grey(scene.parent, stencil), "fit": "stretch"}
-    changes = [_as("description", told), _as("dye.cloth.resist", [image] if stencil else [])]
+    changes = [_as("description", text), _as("dye.cloth.resist", [image] if stencil else [])]
     if draft:
         changes.append(_as("dye.cloth.weave.file", draft))
         try:
@@ -38,7 +38,7 @@ def weave(scene: Path, draft: str, stencil: str) -> Path:
         except BadInput as error:
             if not str(error.field).endswith("Spacing"):
                 raise
-            # The file does not say how far its yarns are apart: they are as those of other weaves.
+            # The file has no spacing of its yarns: use that of other weaves.
             changes.append(_as("dye.cloth.weave.measured", False))
             cells = _woven(scene, [*changes, _as("dye.cloth.cells", None)])
         nx, ny = (n * math.ceil(FEWEST_CELLS / n) for n in cells.fibre.shape[:0:-1])
@@ -57,12 +57,12 @@ def weave(scene: Path, draft: str, stencil: str) -> Path:
 
 
 def _woven(scene: Path, changes: Sequence[str]) -> Cells:
-    """The cloth of a scene before it is dyed. Raises BadInput where it cannot be woven so."""
+    """Build the cloth of a scene before it is dyed. Raises BadInput if it cannot be woven."""
     return build_cloth(load_after(AFTER, scene, [*changes, _as("dye.cloth.supply", [])]))[0]
 
 
 def _grey(folder: Path, stencil: str) -> str:
-    """The name of a stencil as cloth takes it, a grey PNG: itself, or one beside it that has its greys."""
+    """Return the name of a stencil as a grey PNG: the file itself, or a converted copy next to it."""
     with Image.open(folder / stencil) as picture:
         if picture.format == "PNG" and picture.mode in ("1", "L", "LA", "I", "I;16"):
             return stencil
@@ -71,6 +71,6 @@ def _grey(folder: Path, stencil: str) -> str:
     with tempfile.NamedTemporaryFile() as file:
         file.write(grey.getvalue())
         file.flush()
-        there = reserve(folder, f"{Path(stencil).stem}-grey.png", Path(file.name))
-    there.write_bytes(grey.getvalue())
-    return there.name
+        target = reserve(folder, f"{Path(stencil).stem}-grey.png", Path(file.name))
+    target.write_bytes(grey.getvalue())
+    return target.name

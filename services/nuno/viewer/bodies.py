@@ -1,4 +1,4 @@
-"""Bodies in rerun: one mesh a frame of the skeleton, moved by transforms; and skins, whose vertices move."""
+"""Bodies in rerun: one mesh per frame of the skeleton, moved by transforms; and skins with moving vertices."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ GROUND = "#d3d6d9"
 
 
 class BodiesView:
-    """Logs a scene's bodies: meshes at once, poses and where skins are in batches.
+    """Logs a scene's bodies: meshes at once, poses and vertices of skins in batches.
 
     recording  the rerun stream
-    geometry   what the bodies are
-    batch      poses of so many moments are logged together: rerun takes 0.1 ms for a call, and
+    geometry   shapes of the bodies
+    batch      number of poses that are logged together: rerun takes 0.1 ms for a call, and
                a skeleton has dozens of frames
 
-    Raises BadMessage where the geometry does not fit together.
+    Raises BadMessage for an inconsistent geometry.
     """
 
     def __init__(self, recording: Any, geometry: Geometry, batch: int) -> None:
@@ -43,28 +43,28 @@ class BodiesView:
         shown = surface(rigid, INSET)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
-            mine = frames == frame
-            if mine.any():
-                own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
-                plain = (rigid.kind[rigid.frame == frame] == PLANE).all()
-                recording.log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True, strict=True)
+            part = frames == frame
+            if part.any():
+                triangles = (np.cumsum(part) - 1)[faces[part[faces[:, 0]]]]
+                colour = GROUND if (rigid.kind[rigid.frame == frame] == PLANE).all() else BODY
+                recording.log(path, solid(vertices[part], triangles, colour), static=True, strict=True)
         self.ground = bool((rigid.kind == PLANE).any())
-        """Whether there is a plane among them, which is drawn as one."""
-        # Planes have no end and are no part of what should be in view.
-        ended = ~np.isin(frames, rigid.frame[rigid.kind == PLANE])
-        self._ended = Surfaces(vertices[ended], NO_SURFACES.faces, frames[ended])
+        """Whether any of them is a plane, which is drawn as the ground."""
+        # Planes are infinite, and are not fitted into view.
+        finite = ~np.isin(frames, rigid.frame[rigid.kind == PLANE])
+        self._finite = Surfaces(vertices[finite], NO_SURFACES.faces, frames[finite])
         self._last: Poses | None = None
         self._shown: Poses | None = None
         self._waiting: list[tuple[int, Poses]] = []
 
     def points(self) -> Float:
-        """(n, 3) where the bodies' surfaces are now; none before they have been placed."""
+        """Return the present vertices of the bodies, shape (n, 3) [m], without planes; empty before the first poses."""
         if (last := self._last) is None:
             return NO_SURFACES.vertices
-        return np.concatenate([self._ended.at(last), *(skin.at(last) for skin in self.skins)])
+        return np.concatenate([self._finite.at(last), *(skin.at(last) for skin in self.skins)])
 
     def move(self, frame: int, poses: Poses) -> None:
-        """Where the bodies are in a frame of animation. Raises BadMessage for a wrong number."""
+        """Set the poses of a frame. Raises BadMessage for a wrong number of poses."""
         if len(poses.rotation) != len(self.paths):
             raise BadMessage(f"{len(poses.rotation)} poses for {len(self.paths)} frames")
         self._last = poses
@@ -73,15 +73,15 @@ class BodiesView:
             self.flush()
 
     def flush(self) -> None:
-        """Log the poses that wait; of each body only those where it has moved."""
+        """Log the waiting poses, of each body only those in which it has moved."""
         if not self._waiting:
             return
         numbers = np.array([frame for frame, _ in self._waiting])
         times = np.array([poses.t for _, poses in self._waiting])
 
-        def index(some: NDArray[Any]) -> list[Any]:
-            frame = rr.TimeColumn("frame", sequence=numbers[some])
-            return [frame, rr.TimeColumn(layout.TIMELINE, duration=times[some])]
+        def index(rows: NDArray[Any]) -> list[Any]:
+            frame = rr.TimeColumn("frame", sequence=numbers[rows])
+            return [frame, rr.TimeColumn(layout.TIMELINE, duration=times[rows])]
 
         pose = np.array([np.hstack([p.rotation, p.translation]) for _, p in self._waiting])
         shown = self._shown
@@ -103,10 +103,10 @@ class BodiesView:
 
 
 class SkinView:
-    """Logs a skin's triangles at once, and where its vertices are.
+    """Logs a skin's triangles at once, and its vertices in batches.
 
     recording  the rerun stream
-    geometry   what the bodies are, of which `primitive` is the skin
+    geometry   shapes of the bodies, with the skin `primitive`
     """
 
     def __init__(self, recording: Any, geometry: Geometry, primitive: int) -> None:
@@ -119,11 +119,11 @@ class SkinView:
         recording.log(self.path, mesh, static=True, strict=True)
 
     def at(self, poses: Poses) -> Float:
-        """(n, 3) where its vertices are [m]."""
+        """Return its vertices, shape (n, 3) [m]."""
         return self.geometry.placed(self.primitive, poses)[0]
 
     def log(self, index: list[Any], poses: Sequence[Poses]) -> None:
-        """Where it is at the moments of `index`."""
+        """Log its vertices at the times of `index`."""
         placed = [self.at(moment) for moment in poses]
         columns = rr.Mesh3D.columns(
             vertex_positions=np.concatenate(placed).astype(np.float32),
@@ -134,8 +134,8 @@ class SkinView:
 
 
 def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
-    """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
-    by more than 40 degrees, the face's own is used, so that boxes have edges.
+    """Return a smoothly shaded mesh with sharp edges: if the normals of a face and its vertex differ
+    by more than 40 degrees, that of the face is used, so that boxes have edges.
     """
     corners = vertices[faces].reshape(-1, 3)
     unshared = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)

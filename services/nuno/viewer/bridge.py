@@ -1,4 +1,4 @@
-"""From bus messages to rerun: the same for a live run, a replay and a recording."""
+"""Conversion of bus messages to rerun, for live runs, replays and recordings."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ from nuno_schemas.messages import (
 )
 from nuno_schemas.view import View
 
-# What a user should know about what the viewer shows: a page, and the scale of the colours of tension.
+# Explanations for the user: a page, and the colour scale of tension.
 
 WIDTH, HEIGHT = 1200, 110
-"""Of the picture [pixels]."""
+"""Size of the colour scale's picture [pixels]."""
 SIDE, TOP, BOTTOM = 90, 12, 56
-"""The bar's distance from either side, and its first row and the one below it."""
+"""Margin of the bar on both sides, its first row, and the row below it [pixels]."""
 FONT, INK = 30, (40, 44, 52)
 
 
 def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> str:
-    """What a user should know about the picture, as Markdown; `speed` is that of the dye, where there is any."""
+    """Return an explanation of the picture, as Markdown; `speed` is that of the dye, if any."""
     dyed = f"\n**Dye**: a second here is {duration(speed)} of dyeing.\n" if speed is not None else ""
     return f"""# {scene}
 {vertices:,} vertices, {faces:,} triangles.
@@ -82,7 +82,7 @@ Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth restin
 
 
 def about_tension(most: list[float]) -> str:
-    """The colours of tension, as Markdown; `most` are the strongest [N] of the pieces of cloth that have them."""
+    """Return an explanation of tension's colours, as Markdown; `most` is the largest tension [N] of each net."""
     if not most:
         return ""
     return f"""
@@ -92,8 +92,8 @@ stiffest link as long again as at rest.
 
 
 def tension_legend(most: float) -> NDArray[np.uint8]:
-    """(HEIGHT, WIDTH, 3) sRGB: a logarithmic bar from the strongest tension `most` [N] down to a SPANth of it, and
-    what each tenfold of it is.
+    """Return the picture (HEIGHT, WIDTH, 3) sRGB of a logarithmic bar from the largest tension `most` [N] down to
+    `most` / SPAN, with a label at each decade.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -112,22 +112,22 @@ def tension_legend(most: float) -> NDArray[np.uint8]:
 
 
 def ticks(most: float) -> list[tuple[float, float]]:
-    """(share of the bar's length, tension [N]) of each tenth, hundredth, ... of the strongest, from the weakest on."""
+    """Return (share of the bar's length, tension [N]) of each decade below the largest tension, ascending."""
     count = round(math.log10(SPAN))
     return [(i / count, most * SPAN ** (i / count - 1.0)) for i in range(count + 1)]
 
 
-# Where cloth passes through cloth in rerun, and how near it comes.
+# Crossings of cloth with cloth in rerun, and the least distance.
 
 PASSES = [214, 39, 40]
-"""Red, which no fabric is shown in."""
+"""Red, a colour of no fabric."""
 POINT = 5.0
-"""Radius of a point on the screen, from near and far."""
+"""Radius of a point on the screen, at any distance."""
 
 
 class CrossingsView:
-    """Logs red points where edges of cloth pass through triangles, one label for each two objects, and the least
-    distance of cloth from cloth as a curve, with a gap where it is more than the thickness.
+    """Logs red points where edges of cloth pass through triangles, with one label per pair of objects, and the least
+    distance of cloth from cloth as a curve, with a gap while it is more than the thickness.
     """
 
     def __init__(self, recording: Any) -> None:
@@ -136,42 +136,42 @@ class CrossingsView:
         recording.log("/plots/distance", layout.names(["least distance"]), static=True, strict=True)
 
     def log(self, report: Penetration) -> None:
-        """What is found in the present frame."""
+        """Log the report of the present frame."""
         distance = math.nan if report.distance is None else 1000.0 * report.distance
         self.recording.log("/plots/distance", rr.Scalars(distance), strict=True)
-        found: dict[str, list[tuple[float, float, float]]] = {}
+        crossings: dict[str, list[tuple[float, float, float]]] = {}
         labels: dict[str, str] = {}
         for place, pair in zip(report.places, report.objects, strict=True):
             one, other = sorted(pair)
             path = layout.entity("world", "crossings", one, other)
-            found.setdefault(path, []).append(place)
+            crossings.setdefault(path, []).append(place)
             labels[path] = f"{one} passes through {'itself' if one == other else other}"
-        for path in self._shown - found.keys():
+        for path in self._shown - crossings.keys():
             self.recording.log(path, rr.Clear(recursive=False), strict=True)
-        for path, places in found.items():
+        for path, places in crossings.items():
             points = rr.Points3D(
                 places, radii=rr.Radius.ui_points(POINT), colors=[PASSES], labels=[labels[path]], show_labels=True
             )
             self.recording.log(path, points, strict=True)
-        self._shown = set(found)
+        self._shown = set(crossings)
 
 
 APPLICATION = "nuno"
 BATCH = 32
-"""Moments whose poses are written to a file together."""
+"""Number of poses that are written to a file together."""
 
 
 class Bridge:
-    """Logs a run's messages to a rerun recording stream, in the order they are handed in.
+    """Logs a run's messages to a rerun recording stream, in the order of `feed`.
 
     recording  a `rerun.RecordingStream`
-    view       the scene's view, from which the eye is fitted to the first frame
+    view       the scene's view; the eye is fitted to the first frame by it
     live       the viewer follows the newest frame instead of playing from the start
-    images     reads a texture by its path; None where it cannot
-    painter    draws the scene's dyed cloth; None where it has none
+    images     reads a texture by its path; returns None if it cannot
+    painter    draws the scene's dyed cloth; None for a scene without dye
 
-    Poses are logged in batches: `flush` hands over the last ones. `feed` raises BadMessage for a
-    payload that is not what its topic promises; what is shown stays as it was.
+    Poses are logged in batches: `flush` logs the last ones. `feed` raises BadMessage for a
+    payload that does not match its topic, and leaves the view unchanged.
     """
 
     def __init__(
@@ -200,9 +200,9 @@ class Bridge:
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
         self._felt = False
-        """Whether it is told what bodies feel."""
+        """Whether contact forces on bodies are shown."""
         self._first: Float | None = None
-        """Where cloth is in its first frame, until bodies are placed, too."""
+        """Positions of the cloth's first frame, until the bodies have poses, too."""
         self._pictured = False
         self._handlers: dict[str, Callable[[bytes], None]] = {
             FABRIC.name: self._fabric,
@@ -228,8 +228,8 @@ class Bridge:
         self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
-        """Log one message; other topics are passed over. A message outside any frame
-        (frame < 0) stands at the latest time.
+        """Log one message, unless its topic is not shown. A message outside any frame
+        (frame < 0) is logged at the latest time.
         """
         kind = EVENT.name if topic.startswith(EVENT.name + "/") else topic
         handler = self._handlers.get(kind)
@@ -249,7 +249,7 @@ class Bridge:
             raise BadMessage(f"{topic}: {error}") from None
 
     def flush(self) -> None:
-        """Log what waits to be logged in a batch, and the last picture; to be called at the end."""
+        """Log the last batch of poses, and the last picture; call it at the end."""
         if self._bodies is not None:
             self._bodies.flush()
         if self._dyed is not None:
@@ -266,7 +266,7 @@ class Bridge:
         for cloth in self._cloths:
             cloth.clear()
         self._cloths = []
-        # What does not change is static, and hides all that comes later: changed cloth has a place of its own.
+        # Static data hide all later data of their entity: changed cloth has an entity of its own.
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for piece in pieces:
             path = layout.entity("world", "cloth", piece.name, *([str(version)] if version else []))
@@ -302,7 +302,7 @@ class Bridge:
         self.frames += 1
 
     def _aim(self, positions: Float) -> None:
-        """Arrange the window round what is there at the first frame."""
+        """Arrange the window around the first frame."""
         bodies = np.zeros((0, 3)) if self._bodies is None else self._bodies.points()
         self._eye = layout.fit_eye(layout.stage(positions, self._pinned, bodies), self.view)
         self._arrange()
@@ -343,7 +343,7 @@ class Bridge:
         if self._bodies is None:
             raise BadMessage("poses of bodies that are not known yet")
         self._bodies.move(self._latest[0], poses)
-        if self._first is not None:  # bodies come behind the cloth's first frame, and the whole of them is to be seen
+        if self._first is not None:  # bodies come after the cloth's first frame, and must be in view
             first, self._first = self._first, None
             self._aim(first)
 
@@ -370,7 +370,7 @@ class Bridge:
         self.frames += self._dyed_object is None
 
     def _wear(self, picture: Picture) -> None:
-        """Give the object that is dyed its texture."""
+        """Give the dyed object its texture."""
         for cloth in self._cloths:
             if cloth.dyed:
                 cloth.log_texture(picture)
@@ -384,7 +384,7 @@ class Bridge:
     def _event(self, payload: bytes) -> None:
         event = Event.model_validate_json(payload)
         if self._dyed is not None:
-            # A run that pauses sends nothing more: what waits is what it stands at.
+            # A paused run sends no more frames: the waiting one is the present one.
             self._dyed.flush()
         level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
         self._log("/log", rr.TextLog(f"{event.service}: {event.text}", level=level))

@@ -22,13 +22,13 @@ from nuno_schemas.fabric import Float
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
 CROSSING_SIZE = -2.5
-"""Of masses whose links show their tension, which larger ones hide on a dense knit."""
+"""Radius of masses in nets that show tension: larger ones hide the links of a dense knit."""
 
 ReadImage = Callable[[str], NDArray[np.uint8] | None]
 
 
 def read_image(path: str) -> NDArray[np.uint8] | None:
-    """(h, w, 3) sRGB of an image file, or None where there is none that can be read."""
+    """Return (h, w, 3) sRGB of an image file, or None if it cannot be read."""
     try:
         return read_rgb(Path(path))
     except (OSError, ValueError):
@@ -36,7 +36,7 @@ def read_image(path: str) -> NDArray[np.uint8] | None:
 
 
 def pack(linear: NDArray[np.float64]) -> NDArray[np.uint32]:
-    """(n, 3) linear light -> (n,) opaque sRGB as 0xRRGGBBAA."""
+    """Convert linear light (n, 3) to opaque sRGB as 0xRRGGBBAA, shape (n,)."""
     byte = np.round(255.0 * to_srgb(linear)).astype(np.uint32).reshape(-1, 3)
     return np.asarray(byte[:, 0] << 24 | byte[:, 1] << 16 | byte[:, 2] << 8 | 255, np.uint32)
 
@@ -49,8 +49,8 @@ class Cloth:
     """Logs one object of a scene below `path`.
 
     recording  the rerun stream
-    dyed       its texture comes with the frames
-    links      what colours the links of a net without triangles: yarn, their kinds as in pictures, or tension
+    dyed       whether its texture changes with the frames
+    links      colour of a net's links: stretch, yarn (their kinds, as in pictures), or tension
     """
 
     def __init__(
@@ -102,25 +102,25 @@ class Cloth:
             self._log("", rr.Mesh3D.from_fields(albedo_factor=int(colour[0])), static=True)
 
     def clear(self) -> None:
-        """Show it no more from now on: other cloth takes its place."""
+        """Hide the cloth from now on, since other cloth replaces it."""
         for below in ("",) if len(self.piece.faces) else ("masses", "springs"):
             self._log(below, rr.Clear(recursive=False))
 
     def log_texture(self, image: NDArray[np.uint8]) -> None:
-        """What dyed cloth looks like from now on: (h, w, 3) sRGB."""
+        """Set the texture (h, w, 3) sRGB of dyed cloth from now on."""
         self._log("", texture_of(image))
 
     def log(self, positions: NDArray[np.float64]) -> None:
-        """One frame: (n, 3) positions [m] of all objects.
+        """Log one frame, positions (n, 3) [m] of all objects.
 
-        rerun's are float32 about the world's origin; what follows from how the cloth is shaped is found nearer to it.
+        rerun's positions are float32 about the world's origin; normals and stretch use an origin near the cloth.
         """
         piece = self.piece
-        own = positions[piece.start : piece.stop]
-        x, near = np.ascontiguousarray(own, np.float32), own - origin_of(own)
+        part = positions[piece.start : piece.stop]
+        x, near = np.ascontiguousarray(part, np.float32), part - origin_of(part)
         if len(piece.faces):
             normals = vertex_normals(near, piece.faces).astype(np.float32)
-            if self.split is not None:  # with the normals of the whole: seams are shaded smoothly
+            if self.split is not None:  # normals of whole vertices, so that seams are shaded smoothly
                 x, normals = x[self.split.vertex], normals[self.split.vertex]
             mesh = rr.Mesh3D.from_fields(
                 vertex_positions=x,
@@ -144,15 +144,15 @@ class Cloth:
 
 
 def paint(values: Float, ends: tuple[float, float] = STRETCH) -> NDArray[np.uint32]:
-    """Packed colours (n,) of values (n,): TABLE spread evenly over the logarithm of what lies between the ends."""
+    """Return packed colours (n,) of values (n,), from TABLE on a logarithmic scale between the ends."""
     low, high = (math.log10(end) for end in ends)
-    place = (np.log10(np.clip(values, *ends)) - low) / (high - low)
-    known = np.where(np.isnan(values), 0.0, place)
-    return np.where(np.isnan(values), np.uint32(GREY), TABLE[np.round(255.0 * known).astype(int)])
+    share = (np.log10(np.clip(values, *ends)) - low) / (high - low)
+    share = np.where(np.isnan(values), 0.0, share)
+    return np.where(np.isnan(values), np.uint32(GREY), TABLE[np.round(255.0 * share).astype(int)])
 
 
 def texture_of(image: NDArray[np.uint8]) -> Any:
-    """A mesh's texture (h, w, 3) sRGB."""
+    """Return the texture (h, w, 3) sRGB of a mesh."""
     shape = rr.components.ImageFormat(
         width=image.shape[1],
         height=image.shape[0],
@@ -163,7 +163,7 @@ def texture_of(image: NDArray[np.uint8]) -> Any:
 
 
 def segments(x: NDArray[np.float32], edges: NDArray[np.int32]) -> Any:
-    """Line strips of two points each, built as arrow arrays: rerun's own way loops over strips in Python."""
+    """Return line strips of two points each, built as arrow arrays: rerun's API loops over strips in Python."""
     import pyarrow as pa
 
     kind = rr.components.LineStrip3DBatch._ARROW_DATATYPE

@@ -19,27 +19,27 @@ from nuno_schemas.dye_picture import Picture
 from nuno_schemas.messages import DyeStatus
 
 MOST_PIXELS = 2**21
-"""Of a picture in the viewer, for which its scale is made smaller."""
+"""Most pixels of a picture in the viewer; the scale is reduced accordingly."""
 TEXTURE_PIXELS, TEXTURES = 2**18, 100
-"""Of an object's texture, which rerun does not take as JPEG; and how many of them a scene has at most, unless it says
-how far apart they are."""
+"""Most pixels of an object's texture, which rerun does not accept as JPEG; and the most textures of a scene, unless
+it gives their interval."""
 LIVE_SECONDS = 0.1
-"""Between two pictures of a live view, at least: drawing may not fall behind a fast run."""
+"""Least time between two pictures of a live view [s]: drawing must not fall behind a fast run."""
 QUALITY = 92
-"""Of JPEG. A picture of yarns has detail everywhere: as PNG it takes four times as much."""
+"""Quality of JPEG. Pictures of yarns have detail everywhere: PNG takes four times as much space."""
 AMOUNTS, WIDTHS = ["supplied", "total", "mobile", "fixed"], [5.0, 2.0, 2.0, 2.0]
 """Curves of each dye. Supplied is the widest, and first: total lies on it."""
 
 
 class DyedCloth:
-    """Logs what dyed cloth looks like, each picture once, and curves of its amounts.
+    """Logs pictures of dyed cloth, without repetitions, and curves of its amounts.
 
     recording  the rerun stream
-    painter    draws; `every` of its scene's picture [s] is the time between two pictures
+    painter    draws the pictures; `every` of its scene's picture [s] is the time between two pictures
     live       pictures may be skipped; `flush` shows the last of them
-    wear       logs a picture as the texture of the object that is dyed, a part of the scene in space; None for a cloth
-               that is dyed by itself, whose picture is all there is
-    arrange    arranges the window of that scene in space anew
+    wear       logs a picture as the texture of the dyed object in the 3-D scene; None for dye alone, which has only
+               the picture
+    arrange    rearranges the window of the 3-D scene
     """
 
     def __init__(
@@ -57,21 +57,21 @@ class DyedCloth:
         self._wear, self._arrange = wear, arrange
         self._waiting: tuple[int, float, bytes] | None = None
         self._drawn = -math.inf
-        """When the last picture was drawn, in wall time [s]."""
+        """Wall time of drawing the last picture [s]."""
         self._last = -math.inf
-        """Of which time [s] it was."""
+        """Scene time of the last picture [s]."""
 
     def set_time(self, frame: int, t: float) -> None:
-        """What is logged next belongs to a frame at t [s] of the scene."""
+        """Set the time of the following log calls: a frame at t [s] of the scene."""
         if self._wear is not None:
             layout.set_time(self.recording, frame, t)
             return
-        self.recording.reset_time()  # of what else this thread has shown
+        self.recording.reset_time()  # removes other timelines of this thread
         self.recording.set_time("frame", sequence=frame)
         self.recording.set_time(layout.DYE_TIMELINE, duration=t * self.painter.speed)
 
     def take_cloth(self, payload: bytes) -> None:
-        """Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
+        """Set the cloth. Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
         self.painter.take_cloth(payload)
         self.shown = None
         if self._wear is None:
@@ -88,7 +88,7 @@ class DyedCloth:
         self._draw(frame, t, payload)
 
     def flush(self) -> None:
-        """Show the frame that waits, if one does."""
+        """Show the waiting frame, if any."""
         if self._waiting is not None:
             self._draw(*self._waiting)
 
@@ -110,7 +110,7 @@ class DyedCloth:
             self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
 
     def _arrange_window(self) -> None:
-        """When the dyes are known."""
+        """Arrange the window once the dyes are known."""
         if self._wear is not None:
             self._arrange()
             return
@@ -137,15 +137,15 @@ class DyedCloth:
 
 
 def viewer_painter(loaded: Loaded) -> DyePainter:
-    """The painter of a scene's dye for the viewer. Raises BadInput where it has none."""
+    """Return the painter of a scene's dye for the viewer. Raises BadInput for a scene without dye."""
     dressed = loaded.scene.dye is not None and loaded.scene.dye.object is not None
     return DyePainter(loaded, most=TEXTURE_PIXELS if dressed else MOST_PIXELS)
 
 
 def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:
-    """What a user should know about the picture, as Markdown."""
+    """Return an explanation of the picture for the user, as Markdown."""
     _, ny, nx = shape
-    shown = {
+    content = {
         "all": "all dye, mobile and fixed",
         "fixed": "the dye that fibre has fixed, and no other",
         "mobile": "the dye that is mobile, and not what fibre has fixed",
@@ -153,7 +153,7 @@ def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:
     return f"""# {scene}
 {nx} x {ny} cells of {1e3 * painter.size:.3g} mm in two layers; a pixel is {1e6 * painter.pixel:.3g} um wide.
 
-**Picture**: {shown}.
+**Picture**: {content}.
 
 **Curves**: amounts in full cells. Mobile and fixed are what the cloth holds, total is both, and
 supplied is what it was given so far: total and supplied lie on each other.

@@ -1,4 +1,4 @@
-"""A rerun file, written as messages come, or from a recording."""
+"""Writing of rerun files, from messages as they arrive, or from a recording."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ PIPES = Path("/dev/fd")
 
 
 class RerunFile:
-    """Writes `path` + ".part", which gets its name when it is whole.
+    """Writes `path` + ".part", which is renamed when it is complete.
 
-    run  the recording's id in rerun. Every message handed to `feed` is written.
+    run  the recording's id in rerun. Every message given to `feed` is written.
 
-    Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
+    Raises BadInput if the file cannot be created, RunFailed if writing fails later (disk
     full).
     """
 
@@ -62,12 +62,12 @@ class RerunFile:
             raise self._failed(self._copy.error)
 
     def abort(self) -> None:
-        """Stop writing and leave nothing behind."""
+        """Stop writing and delete the file."""
         self._close()
         part_of(self.path).unlink(missing_ok=True)
 
     def finish(self) -> Path:
-        """Write what is left and give the file its name. Raises RunFailed if it cannot be written."""
+        """Write the rest and rename the file. Raises RunFailed if it cannot be written."""
         self.bridge.flush()
         error = self._close()
         if error is not None:
@@ -76,7 +76,7 @@ class RerunFile:
         return self.path
 
     def _close(self) -> Exception | None:
-        """Let everything reach the disk; what went wrong."""
+        """Flush and close the file, and return the first error."""
         try:
             self._recording.flush(timeout_sec=FLUSH_SECONDS)
             self._recording.disconnect()
@@ -92,10 +92,10 @@ class RerunFile:
 
 
 def _save(recording: rr.RecordingStream, file: BinaryIO) -> _Copy | None:
-    """Let a recording write to an open file, through a pipe where the system has them.
+    """Connect a recording to an open file, through a pipe if the system has /dev/fd.
 
-    rerun's own writer stops without a word when the disk is full, and then neither flushing nor
-    leaving the program ever ends. So it writes to a pipe, which never fails.
+    rerun's own writer stops silently when the disk is full, and then neither flushing nor
+    exiting the program ever ends. So it writes to a pipe, which never fails.
     """
     if not PIPES.is_dir():
         recording.save(file.name)
@@ -111,7 +111,7 @@ def _save(recording: rr.RecordingStream, file: BinaryIO) -> _Copy | None:
 
 
 class _Copy(threading.Thread):
-    """Copies a pipe to a file until its end; after an error it goes on reading, and drops."""
+    """Copies a pipe to a file until its end; after an error it keeps reading, and discards the data."""
 
     def __init__(self, source: int, file: BinaryIO) -> None:
         super().__init__(daemon=True)
@@ -137,7 +137,7 @@ def convert(recording: Recording, path: Path) -> Path:
         view = View()
     with ExitStack() as stack:
         painter = None
-        if recording.scene.get("dye"):  # its files are there meanwhile
+        if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
         file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter)
         marks = recording.marks()

@@ -1,4 +1,4 @@
-"""How the viewer's window is arranged, and where its eye stands."""
+"""Layout of the viewer's window, and its eye."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.view import View
 
 TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
-"""Time of the scene; that of the dyeing, where there is nothing but a cloth that is dyed."""
+"""Timelines of the scene, and of the dyeing in scenes of dye alone; entity of the dyed cloth's picture."""
 YARNS = "/render/yarns"
-"""Pictures of yarns by rays."""
+"""Entity of ray-traced pictures of yarns."""
 LEGEND = "/legend"
-"""The scale of the colours of tension."""
+"""Entity of the colour scale of tension."""
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
 CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]]
-"""Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
+"""Colours that are distinguishable with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
 TOTAL = [128, 128, 128]
-"""To be seen on the dark and the light theme."""
+"""Grey that is visible on the dark and the light theme."""
 PLAY_SECONDS = 10.0
 MOST_ROWS = 4
-"""Plots of dyes below each other; more of them are behind tabs."""
+"""Most plots of dyes in a column; more are put into tabs."""
 BACKGROUND, LINES = [226, 230, 234], [120, 126, 134, 90]
 GRID = 0.1
-"""From one line of the floor to the next [m]."""
+"""Spacing of the floor's lines [m]."""
 
 
 @dataclass(frozen=True)
 class Eye:
-    """Where the viewer looks from and at, (3,) [m], and the height of the lowest that there is [m]."""
+    """Position and target of the viewer's eye, (3,) [m], and the height of the lowest point [m]."""
 
     position: Float
     target: Float
@@ -45,9 +45,9 @@ class Eye:
 
 
 def stage(cloth: Float, pinned: NDArray[np.bool_], bodies: Float) -> Float:
-    """Points (n, 3) that should be in view, from the first frame of cloth and bodies.
+    """Return points (n, 3) that should be in view, from the first frame of cloth and bodies.
 
-    Cloth that is pinned stays about there, but may swing down: as far below its pins as it reaches now.
+    Pinned cloth may swing down: as far below its pins as it extends from them at first.
     """
     if not pinned.any():
         return np.concatenate([cloth, bodies])
@@ -57,7 +57,7 @@ def stage(cloth: Float, pinned: NDArray[np.bool_], bodies: Float) -> Float:
 
 
 def fit_eye(points: Float, view: View) -> Eye:
-    """An eye that has the ball round all finite points (n, 3) in view, y up; the scene's view wins."""
+    """Fit an eye to the sphere around all finite points (n, 3), y up; fields of the scene's view take precedence."""
     cloud = points[np.isfinite(points).all(axis=1)]
     if not len(cloud):
         cloud = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
@@ -74,9 +74,9 @@ def arrange(
     eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
     meets: bool = False, ground: bool = False, felt: bool = False,
 ) -> Any:  # fmt: skip
-    """The blueprint: the scene large on the left, with the `legend` of its links' tension below and the `pictures` of
-    its yarns beside it, if any; curves, log and report on the right. `meets`: cloth meets cloth. What stands on no
-    `ground` of its own has a grid below it. `felt`: it is told what bodies feel.
+    """Return the blueprint: the scene large on the left, with the `legend` of its links' tension below and the
+    `pictures` of its yarns next to it, if any; curves, log and report on the right. `meets`: cloth collides with cloth.
+    A scene without a `ground` has a grid below it. `felt`: contact forces on bodies are shown.
     """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
@@ -109,10 +109,10 @@ def arrange(
 
 
 def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:
-    """The blueprint of a dyed cloth: its picture large on the left; curves of each dye beside it.
+    """Return the blueprint of a dyed cloth: its picture large on the left, curves of each dye on the right.
 
-    `shape` is that of the picture [pixels]. Curves show all of the dyeing's `duration` [s], which is played within
-    PLAY_SECONDS: by themselves they would show a minute, and play hours.
+    `shape` is that of the picture [pixels]. Curves show the whole `duration` of the dyeing [s], which is played within
+    PLAY_SECONDS: rerun's defaults show a minute, and play for hours.
     """
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True, duration=duration) for name in dyes]
     time = curves("Wall time to compute a frame [ms]", "time", duration=duration)
@@ -129,15 +129,15 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live:
 
 
 def curves(name: str, what: str, legend: bool = False, duration: float | None = None) -> Any:
-    """A plot of what is logged below /plots, from the start to `duration` [s] where it is given."""
-    all_of_it = None
+    """Return a plot of the entity `what` below /plots, from the start to `duration` [s] if given."""
+    time_axis = None
     if duration is not None:
         start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in (0.0, duration))
-        all_of_it = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+        time_axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
     return rrb.TimeSeriesView(
         name=name,
         origin=entity("plots", *what.split("/", 1)),
-        axis_x=all_of_it,
+        axis_x=time_axis,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
 
@@ -166,22 +166,22 @@ def _blueprint(main: Any, plots: list[Any], live: bool, timeline: str = TIMELINE
 
 
 def set_time(recording: Any, frame: int, t: float) -> None:
-    """What is logged next belongs to a frame at t [s] of the scene."""
+    """Set the time of the following log calls: a frame at t [s] of the scene."""
     recording.set_time("frame", sequence=frame)
     recording.set_time(TIMELINE, duration=t)
 
 
 def entity(*parts: str) -> str:
-    """A path in rerun, whatever characters the names have."""
+    """Return a path in rerun of names with any characters."""
     return "/" + str(rr.new_entity_path(list(parts))).lstrip("/")
 
 
 def names(labels: list[str], widths: list[float] | None = None) -> Any:
-    """Names and colours of a plot's curves; a curve named "total" is grey."""
+    """Return names and colours of a plot's curves; a curve named "total" is grey."""
     colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
     return rr.SeriesLines(names=labels, colors=colours, widths=widths or [2.0] * len(labels))
 
 
 def number(value: float | None) -> float:
-    """What a message says as null is not finite; curves have a gap there."""
+    """Return NaN for null, which stands for an infinite value in messages; curves have a gap there."""
     return math.nan if value is None else value

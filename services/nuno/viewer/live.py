@@ -1,4 +1,4 @@
-"""A live view that never holds up a run."""
+"""A live view that never slows a run."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from nuno_schemas.messages import FRAMES, STATE
 from nuno_schemas.view import View
 
 RING_BYTES = 64 * 2**20
-"""Frames on their way to the viewer; when they take more, the oldest are skipped. A window takes
-seconds to open: short runs of small cloth wait here meanwhile, and are shown whole."""
+"""Most bytes of frames on their way to the viewer; beyond that the oldest are skipped. A window takes
+seconds to open: short runs of small cloth wait here meanwhile, and are shown completely."""
 FINISH_SECONDS, FINISH_MOST = 5.0, 20.0
-"""How long the viewer may take for one of the last frames, and for all of them,"""
+"""Longest wait for one of the last frames, and for all of them, once the viewer is connected [s]."""
 CONNECT_SECONDS = 20.0
-"""once it is connected: a first import may take longer than a short run."""
+"""Longest wait for the connection [s]: a first import may take longer than a short run."""
 
 Item = tuple[str, int, float, bytes]
 
 
 class Ring:
-    """Messages between two threads: every one is kept but frames, which give way to newer ones."""
+    """Queue of messages between two threads: all are kept except frames, which are dropped for newer ones."""
 
     def __init__(self, limit: int = RING_BYTES) -> None:
         self._limit, self._bytes = limit, 0
@@ -51,7 +51,7 @@ class Ring:
             self._changed.notify()
 
     def get(self) -> Item | None:
-        """The next message; None when the ring is closed and empty."""
+        """Return the next message; None when the ring is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
             if not self._items:
@@ -61,7 +61,7 @@ class Ring:
             return item
 
     def close(self, forget: bool = False) -> None:
-        """Take nothing more; with `forget`, drop what is left."""
+        """Accept no more messages; with `forget`, drop the remaining ones."""
         with self._changed:
             self._closed = True
             if forget:
@@ -71,17 +71,17 @@ class Ring:
 
 
 def _weight(item: Item) -> int:
-    """Bytes that count against the ring's limit: those of frames."""
+    """Return the bytes that count against the ring's limit: those of frames."""
     return len(item[3]) if item[0] in FRAMES else 0
 
 
 class LiveView:
-    """Hands messages to a process that shows them; see `nuno.viewer.stream`.
+    """Passes messages to a process that shows them, `nuno.viewer.stream`.
 
     view      "window", "web" or the address of an open viewer
-    scene     of a dyed cloth, as `stream.scene_of` writes it
-    leader    the topic of which a frame has one message
-    announce  called with what there is to tell the user ("warning" or "start", text)
+    scene     scene of a dyed cloth, as `stream.scene_of` writes it
+    leader    the topic with one message per frame
+    announce  called with messages for the user ("warning" or "start", text)
 
     `feed` returns at once, whatever the viewer does. `finish` waits until the viewer is connected, at most
     CONNECT_SECONDS, and then while frames are shown, at most FINISH_MOST, and FINISH_SECONDS for a viewer
@@ -104,7 +104,7 @@ class LiveView:
         self._announce, self._leader = announce, leader
         self._ring = Ring()
         self._connected = threading.Event()
-        # -P: a module of the user's folder must not stand in for one of ours.
+        # -P: a module of the user's folder must not replace one of ours.
         command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json(), scene]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
@@ -116,17 +116,17 @@ class LiveView:
 
     @property
     def skipped(self) -> int:
-        """Frames that were not shown, so far."""
+        """Number of frames that were not shown so far."""
         return self.frames - self.shown
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
-        """Pass one message on, without waiting."""
+        """Pass on one message, without waiting."""
         self.frames += topic == self._leader
         self._ring.put((topic, frame, t, payload))
 
     def finish(self, stays: bool = True) -> None:
-        """Wait, not for long, until the last frames are shown; the viewer itself `stays` open, or ends as it does
-        where this process is killed.
+        """Wait for a limited time until the last frames are shown; the viewer itself `stays` open, or ends as when this
+        process is killed.
         """
         if stays:
             self._ring.put((END, 0, 0.0, b""))
@@ -165,15 +165,15 @@ class LiveView:
         for line in stdout:
             if not line.startswith(b"{"):
                 continue
-            said = json.loads(line)
-            self.shown = said.get("shown", self.shown)
-            if "connected" in said:
+            status = json.loads(line)
+            self.shown = status.get("shown", self.shown)
+            if "connected" in status:
                 self._connected.set()
-            if "pid" in said:
-                self.pid, self.page = said["pid"], said["page"]
+            if "pid" in status:
+                self.pid, self.page = status["pid"], status["page"]
                 self._announce("start", f"the viewer is at {self.page}" if self.page else "the viewer is open")
-            if "error" in said:
-                self._fail(said["error"])
+            if "error" in status:
+                self._fail(status["error"])
         if self._process.wait() != 0:
             self._fail("it ended unexpectedly")
         self._connected.set()
@@ -186,8 +186,8 @@ class LiveView:
 
 
 def keep_page(view: str | None, answer: Mapping[str, Any], stays: bool = True) -> None:
-    """Leave the page of a web view there until the user ends it (Ctrl-C), or end it at once where it is not to stay;
-    `answer` is the viewer service's last.
+    """Keep the page of a web view open until the user ends it (Ctrl-C), or, unless it `stays`, end it at once; `answer`
+    is the viewer service's last.
     """
     if view != "web" or not answer.get("pid"):
         return

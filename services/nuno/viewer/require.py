@@ -1,4 +1,4 @@
-"""What viewing needs, checked before a run starts."""
+"""Requirements of viewing, checked before a run starts."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ ADDRESS = "rerun+http://"
 
 
 def has_screen() -> bool:
-    """Whether a window can be opened here."""
+    """Return whether a window can be opened here."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def add_view(parser: argparse.ArgumentParser, told: str) -> None:
-    """Flags of commands that show a run; `told` is what --no-view does."""
+def add_view(parser: argparse.ArgumentParser, no_view: str) -> None:
+    """Add the flags of commands that show a run; `no_view` is the help text of --no-view."""
     view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
-    shown = "show it in rerun: a window (default where there is a screen) or web on loopback"
-    view.add_argument("--view", nargs="?", const="window", choices=VIEWS, help=shown)
-    view.add_argument("--no-view", action="store_true", help=told)
+    words = "show it in rerun: a window (default where there is a screen) or web on loopback"
+    view.add_argument("--view", nargs="?", const="window", choices=VIEWS, help=words)
+    view.add_argument("--no-view", action="store_true", help=no_view)
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
 
 
 def choose_view(args: argparse.Namespace) -> str | None:
-    """How a run is shown: a window where there is a screen and nothing else is asked for. Raises BadInput."""
+    """Return the view of a run: by default a window, if there is a screen and no other output. Raises BadInput."""
     view: str | None = args.view
     if view is None and not args.no_view and args.save is None and has_screen():
         view = "window"
@@ -39,10 +39,10 @@ def choose_view(args: argparse.Namespace) -> str | None:
 
 
 def require(view: str | None, save: Path | None, option: str = "--save") -> None:
-    """Raises BadInput where a run could not be shown (`view`) or written (`save`) as asked.
+    """Raise BadInput if a run could not be shown (`view`) or written (`save`) as requested.
 
     view  "window", "web", the address of a viewer that is open already, or None
-    save  a rerun file to write, or None; `option` is what asks for it
+    save  a rerun file to write, or None; `option` is the flag for it
     """
     if view is None and save is None:
         return

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 VIEWED = [topic for topic in TOPICS.values() if topic.recorded and topic.name not in CHECKPOINTS] + [EVENTS]
 CLOTHS = (FABRIC.name, CLOTH.name)
-"""What frames are about."""
+"""Topics that describe the cloth of frames."""
 MOST_EARLY = 64
-"""Messages that a live view keeps until the cloth is known. A file keeps all: the simulation waits for it."""
+"""Most messages that a live view keeps until the cloth is known. A file keeps all: the simulation waits for it."""
 DRAIN_SECONDS = 0.1
-"""How long the bus must be quiet, after the end of a run, until nothing more is on its way."""
+"""Silence of the bus after the end of a run that means that no more messages will come [s]."""
 
 
 class Viewer:
@@ -40,29 +40,29 @@ class Viewer:
         self.seconds = 0.0
         self.frames = 0
         self.early: list[Message] | None = []
-        """What came before the cloth did."""
+        """Messages from before the cloth is known."""
         scene = context.loaded.scene
-        self.awaited = {name for name, there in ((FABRIC.name, scene.moves), (CLOTH.name, scene.dye)) if there}
+        self.awaited = {name for name, exists in ((FABRIC.name, scene.moves), (CLOTH.name, scene.dye)) if exists}
         options, view = context.options, context.loaded.scene.view
         self.file: Any = None
         if options.save is not None:
             from nuno.viewer.file import RerunFile
 
             self.file = RerunFile(options.save, context.bus.run, view, painter=_painter(context.loaded))
-        again = scene_of(context.loaded)
+        dyed_scene = scene_of(context.loaded)
         self.leader = STATE.name if scene.moves else CONCENTRATION.name
         self.live: LiveView | None = None
         if options.view:
-            self.live = LiveView(options.view, context.bus.run, view, context.event, again, self.leader)
+            self.live = LiveView(options.view, context.bus.run, view, context.event, dyed_scene, self.leader)
         self.acknowledges = context.bus.service in options.must_see
-        # Without a file a viewer may come late, and then sees what is new.
+        # Without a file a viewer may join late, and then sees only new messages.
         self.inbox = Inbox(context.bus, VIEWED, newest_only=self.file is None)
 
     def handle(self, message: Message) -> None:
-        """Show one message, after the cloth that it is about.
+        """Show one message, after the description of its cloth.
 
-        zenoh keeps no order between topics, and a frame without its cloth could not be drawn. A
-        viewer that comes late never hears of the cloth, and waits for nothing.
+        zenoh keeps no order between topics, and a frame without its cloth cannot be drawn. A
+        viewer that joins late never gets the description, and stops waiting after MOST_EARLY.
         """
         if self.early is not None:
             self.early.append(message)
@@ -96,7 +96,7 @@ class Viewer:
         self.seconds += time.perf_counter() - start
 
     def drain(self) -> None:
-        """Handle what is still on its way."""
+        """Handle all messages that are still on their way."""
         while isinstance(item := self.inbox.get(DRAIN_SECONDS), Message):
             self.handle(item)
         for message in self.early or ():
@@ -104,8 +104,8 @@ class Viewer:
         self.early = None
 
     def close(self, stays: bool = True) -> dict[str, Any]:
-        """End the views; what they showed. A live view's viewer `stays` open. Raises RunFailed if the file could not be
-        written.
+        """End the views, and return a summary. A live view's viewer `stays` open. Raises RunFailed if the file could
+        not be written.
         """
         summary: dict[str, Any] = {"frames": self.frames, "seconds": self.seconds}
         if self.file is not None:
@@ -140,12 +140,12 @@ def main(context: Context) -> None:
 
 
 def with_own_textures(fabric: bytes, files: Mapping[str, Path]) -> bytes:
-    """A fabric message that names the images of this viewer's scene.
+    """Return a fabric message with the paths of images in this viewer's scene.
 
     The simulation names an image by its path on its own disk, at the time of the run. Here the
-    scene may lie elsewhere (another host), or in a recording whose files were unpacked. A path
-    counts as the scene's file whose name it ends in; any other is not read: a message must not
-    pick files here. What is not a fabric message stays as it is, for the views to refuse.
+    scene may be elsewhere (another host), or in a recording whose files were unpacked. A path
+    stands for the scene's file with whose name it ends; any other is not read: a message must not
+    select files here. Other messages are returned unchanged, for the views to refuse.
     """
     try:
         arrays, text = decode_arrays(fabric)

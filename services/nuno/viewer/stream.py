@@ -1,7 +1,7 @@
 """The process between a run and a live viewer: it may hang or die without harm to the run.
 
-Reads frames from its standard input, each a JSON line {topic, frame, t, size} and `size` bytes,
-and writes JSON lines about itself to its standard output. It starts the viewer, too, which stays
+It reads frames from its standard input, each a JSON line {topic, frame, t, size} and `size` bytes,
+and writes JSON lines about its status to its standard output. It also starts the viewer, which stays
 open when the run is over.
 """
 
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
     from nuno.scene.scene_file import Loaded
 
 START_SECONDS = 20.0
-"""How long a viewer may take until it listens."""
+"""Longest wait until a viewer listens [s]."""
 FLUSH_SECONDS = 10.0
-"""How long it may take to accept one frame."""
+"""Longest wait until a viewer accepts one frame [s]."""
 GOODBYE_SECONDS = 2.0
 END = "end"
-"""Topic of the last message, after which the viewer stays open: where none comes, the run was killed."""
+"""Topic of the last message, after which the viewer stays open: without it the run was killed."""
 LOOPBACK = "127.0.0.1"
 
 
-def say(**what: Any) -> None:
-    """Tell the run one thing."""
-    sys.stdout.write(json.dumps(what) + "\n")
+def say(**status: Any) -> None:
+    """Send a status to the run."""
+    sys.stdout.write(json.dumps(status) + "\n")
     sys.stdout.flush()
 
 
 def port_or_free(port: int) -> int:
-    """`port` where nothing listens on it, for addresses that do not change; else any free one."""
+    """Return `port` if nothing listens on it, so that addresses do not change; else any free one."""
     return free_port() if listens(port) else port
 
 
 def listens(port: int, host: str = LOOPBACK) -> bool:
-    """Whether somebody accepts connections there."""
+    """Return whether a port accepts connections."""
     try:
         socket.create_connection((host, port), timeout=1.0).close()
     except OSError:
@@ -55,10 +55,10 @@ def listens(port: int, host: str = LOOPBACK) -> bool:
 
 
 def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
-    """Start rerun on loopback: the process, the address to stream to, the page ("" for a window).
+    """Start rerun on loopback; return the process, the address to stream to, and the page ("" for a window).
 
-    The real binary, because the console script would leave it behind on a signal; a session of
-    its own, so that an interrupt of the run does not close the window.
+    It starts the binary, because the console script would leave it running on a signal, in a new
+    session, so that an interrupt of the run does not close the window.
     """
     import rerun_cli
 
@@ -84,7 +84,7 @@ def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
 
 
 def connect(address: str, run: str) -> Any:
-    """A recording stream to a viewer. Raises OSError where nobody listens."""
+    """Return a recording stream to a viewer. Raises OSError if none listens."""
     import rerun as rr
 
     from nuno.viewer.bridge import APPLICATION
@@ -99,10 +99,10 @@ def connect(address: str, run: str) -> Any:
 
 
 def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | None = None) -> int:
-    """Log what comes until the input ends; frames shown. Raises EOFError where it ends without END.
+    """Log messages until the input ends; return the number of shown frames. Raises EOFError without END.
 
-    Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
-    which then skips frames, and keeps this process from collecting what nobody takes.
+    Each frame is flushed with a time limit: so a slow viewer slows the run's ring, which then
+    skips frames, and this process does not accumulate frames.
     """
     from nuno.bus.encodings import BadMessage
     from nuno.viewer.bridge import Bridge
@@ -129,19 +129,19 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
 
 
 def read_painter(scene: str) -> DyePainter | None:
-    """What draws the dyed cloth of a scene, given as `scene_of` writes it; None for "". Raises BadInput."""
+    """Return the painter of a dyed scene in the form of `scene_of`; None for "". Raises BadInput."""
     if not scene:
         return None
     from nuno.scene import scene_file
     from nuno.viewer.dyed import viewer_painter
 
-    said = json.loads(scene)
-    roots = [Path(root) for root in said["roots"]]
-    return viewer_painter(scene_file.read(Path(said["path"]), said["overrides"], roots))
+    source = json.loads(scene)
+    roots = [Path(root) for root in source["roots"]]
+    return viewer_painter(scene_file.read(Path(source["path"]), source["overrides"], roots))
 
 
 def scene_of(loaded: Loaded) -> str:
-    """Where a scene of dye can be read again; "" for any other."""
+    """Return the source of a scene of dye, from which it can be read again; "" for any other scene."""
     if loaded.dye is None:
         return ""
     roots = [str(root) for root in loaded.files.roots]
@@ -149,9 +149,9 @@ def scene_of(loaded: Loaded) -> str:
 
 
 def main(mode: str, run: str, view: str, scene: str = "") -> None:
-    """Show what comes on standard input in a new viewer ("window", "web") or the one at an address."""
+    """Show the frames of standard input in a new viewer ("window", "web") or the one at an address."""
     if hasattr(os, "nice"):
-        # The viewer inherits it: on a machine with few cores the solver goes first.
+        # The viewer inherits it: on a machine with few cores the solver has priority.
         os.nice(5)
     viewer = None
     try:
@@ -162,7 +162,7 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
         recording = connect(address, run)
         say(connected=True)
         pump(sys.stdin.buffer, recording, View.model_validate_json(view), read_painter(scene))
-        # A viewer that is left without a word shows an error; one that hangs is not waited for.
+        # Without a disconnect the viewer shows an error; a viewer that hangs is not waited for.
         goodbye = threading.Thread(target=recording.disconnect, daemon=True)
         goodbye.start()
         goodbye.join(GOODBYE_SECONDS)
@@ -171,7 +171,7 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
             viewer.kill()
     except Exception as error:
         say(error=str(error) or type(error).__name__)
-    # Leaving in the ordinary way would wait for a viewer that may never answer.
+    # A normal exit would wait for a viewer that may never answer.
     sys.stdout.flush()
     os._exit(0)
 

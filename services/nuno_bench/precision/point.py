@@ -1,4 +1,4 @@
-"""Measured settings of solvers: their errors as shares of the scene's own scale, and what follows from all of them."""
+"""Measured settings of solvers: their errors relative to the scene's scale, and the conclusions from all of them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from nuno_schemas.fabric import Float
 
 DONE = "done"
 RAN_AWAY = 2.0
-"""A run that comes this many times its scale away from the reference has left it, whatever chaos does."""
+"""Distance from the reference, in scales, at which a run has left it, even for chaotic motion."""
 ABOVE = 3.0
-"""Errors are known to a third from this multiple of the floor on."""
+"""Multiple of the floor from which on errors are known to a third."""
 TARGETS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 ASYMPTOTIC = 0.1
-"""Orders are fitted below this share of the scale: a run that is wholly off has no order."""
+"""Largest error for fits of orders, relative to the scale: larger errors have no order."""
 FITTED = 4
-"""Of the finest resolved points an order is fitted over, at most."""
+"""Most points of a fit of an order: the finest resolved ones."""
 FLOOR_HEADINGS = ("in", "floor", "errors above it", "verdict")
 CHOICE_HEADINGS = ("error at most", "fastest", "setting", "time [s]", "next ones [s]")
 
 
 @dataclass(frozen=True)
 class Error:
-    """Shares of the scale: at the last compared frame, root mean square and largest over the frames.
+    """Errors relative to the scale: at the last compared frame, root mean square and largest over the frames.
 
-    Of the leading quantity final and l2 are root mean squares over the vertices or cells too, and linf is that of
+    For the leading quantity final and l2 are also root mean squares over the vertices or cells, and linf is that of
     the farthest one.
     """
 
@@ -47,10 +47,10 @@ class Point:
 
     outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself),
              "cut" (out of time)
-    seconds  of each repeat, in the solver's own calls [s]
-    finer    the step [s], of an adaptive solver the tolerance
-    share    of the stability limit that the step is, None where there is no step or nothing limits it
-    errors   by quantity, where the run reached its end
+    seconds  wall time of each repeat, in the solver's own calls [s]
+    finer    the step [s], or the tolerance of an adaptive solver
+    share    step over the stability limit, None without a step or a limit
+    errors   by quantity, if the run reached its end
     history  by quantity, the error at every compared frame but the first, to four digits
     """
 
@@ -81,58 +81,58 @@ class Point:
         return self.outcome == DONE
 
     def error(self, quantity: str) -> float | None:
-        """Its l2 error in a quantity, None where there is none."""
+        """Return the l2 error of a quantity, or None."""
         return self.errors[quantity].l2 if quantity in self.errors else None
 
 
 POINT = TypeAdapter(Point)
-"""Reads what dataclasses.asdict made, in which a number that is not finite may be text."""
+"""Reads the result of dataclasses.asdict, in which a number that is not finite may be text."""
 
 
 def measure_errors(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Error]:
-    """Errors by quantity, divided by the reference's `scales`; of the leading one over the first `frames` frames, and
-    only where there are some beside the start.
+    """Return errors by quantity over the reference's `scales`; of the leading one over the first `frames` frames, if
+    there are any after the start.
 
-    Nothing where a run did not reach the end: its errors would be those of another stretch of time.
+    Empty for a run that did not reach the end: its errors would be those of a shorter time.
     """
     if len(run.t) < len(reference.t):
         return {}
     over = errors_over_frames(run, reference, scales, frames)
-    found = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
+    errors = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
     leading = reference.leading
-    if leading in found:
+    if leading in errors:
         farthest = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2).max() / scales[leading]
-        found[leading] = replace(found[leading], linf=float(farthest))
-    return found
+        errors[leading] = replace(errors[leading], linf=float(farthest))
+    return errors
 
 
 def errors_over_frames(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Float]:
-    """The error at every compared frame but the first, by quantity; of the leading one its root mean square."""
-    found: dict[str, Float] = {}
+    """Return the error at every compared frame but the first, by quantity; of the leading one its root mean square."""
+    errors: dict[str, Float] = {}
     if frames > 1:
-        found[reference.leading] = _apart(run, reference)[1:frames] / scales[reference.leading]
+        errors[reference.leading] = _distances(run, reference)[1:frames] / scales[reference.leading]
     for name, values in reference.values.items():
-        found[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
-    return found
+        errors[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
+    return errors
 
 
 def ran_away(run: Series, reference: Series, size: float) -> float | None:
-    """When a run was first RAN_AWAY times `size` from the reference [s], or None."""
-    frames = np.flatnonzero(~(_apart(run, reference) <= RAN_AWAY * size))
+    """Return the time at which a run was first RAN_AWAY times `size` from the reference [s], or None."""
+    frames = np.flatnonzero(~(_distances(run, reference) <= RAN_AWAY * size))
     return float(run.t[frames[0]]) if frames.size else None
 
 
-def _apart(run: Series, reference: Series) -> Float:
-    """Root mean square distance at each of the run's frames (f,)."""
-    apart: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1))
-    return apart
+def _distances(run: Series, reference: Series) -> Float:
+    """Return the root mean square distance at each of the run's frames, shape (f,)."""
+    distances: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1))
+    return distances
 
 
 class Judgement(NamedTuple):
-    """Whether the reference can tell the errors of a quantity, in words under FLOOR_HEADINGS.
+    """Whether the reference is exact enough for the errors of a quantity, in words under FLOOR_HEADINGS.
 
-    resolved counts points above ABOVE times the floor, of all. The verdict is judged, where all errors are known; in
-    part, where some are too near the floor; failed, where all are.
+    resolved counts points above ABOVE times the floor, of all. The verdict is "judged" if all errors are resolved, "in
+    part" if some are too near the floor, "failed" if all are.
     """
 
     quantity: str
@@ -142,52 +142,52 @@ class Judgement(NamedTuple):
 
 
 def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgement]:
-    """One judgement per quantity."""
+    """Return one judgement per quantity."""
     judged = []
     for name, floor in floors.items():
         errors = [error for point in points if (error := point.error(name)) is not None]
-        known, total = sum(error > ABOVE * floor.l2 for error in errors), len(errors)
-        verdict = "no point" if not total else "judged" if known == total else "in part" if known else "failed"
-        judged.append(Judgement(name, f"{floor.l2:.1e}", f"{known} of {total}", verdict))
+        resolved, total = sum(error > ABOVE * floor.l2 for error in errors), len(errors)
+        verdict = "no point" if not total else "judged" if resolved == total else "in part" if resolved else "failed"
+        judged.append(Judgement(name, f"{floor.l2:.1e}", f"{resolved} of {total}", verdict))
     return judged
 
 
 def fit_order(points: Sequence[Point], quantity: str, floor: float) -> float | None:
-    """Slope of the error over the step, or over the tolerance, by logarithms of the finest resolved points.
+    """Return the slope of the logarithm of the error over that of the step or tolerance, of the finest resolved points.
 
     None with fewer than three of them.
     """
-    found = sorted(
+    finest = sorted(
         (point.finer, error)
         for point in points
         if (error := point.error(quantity)) is not None and ABOVE * floor < error < ASYMPTOTIC and not point.beyond
     )[:FITTED]
-    if len(found) < 3:
+    if len(finest) < 3:
         return None
-    steps, errors = np.log(np.array(found)).T
+    steps, errors = np.log(np.array(finest)).T
     return float(np.polyfit(steps, errors, 1)[0])
 
 
 def by_solver(points: Sequence[Point]) -> dict[str, list[Point]]:
-    """Points of each solver from coarse to fine, solvers in the order of their first point."""
-    found: dict[str, list[Point]] = {}
+    """Return the points of each solver from coarse to fine, with solvers in the order of their first point."""
+    groups: dict[str, list[Point]] = {}
     for point in points:
-        found.setdefault(point.solver, []).append(point)
-    return {name: sorted(own, key=lambda point: -point.finer) for name, own in found.items()}
+        groups.setdefault(point.solver, []).append(point)
+    return {name: sorted(group, key=lambda point: -point.finer) for name, group in groups.items()}
 
 
 def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[list[str]]:
-    """Which solver is fastest within each target that the floor allows to judge, under CHOICE_HEADINGS.
+    """Return the fastest solver for each target that is resolved above the floor, under CHOICE_HEADINGS.
 
-    A point that is fastest for several targets stands at the tightest of them. What is stable only by luck is no
-    choice.
+    A point that is fastest for several targets is listed at the tightest of them. Points beyond the stability limit
+    are left out.
     """
     rows: list[list[str]] = []
-    known = [(p, e) for p in points if (e := p.error(quantity)) is not None and p.seconds and not p.beyond]
+    candidates = [(p, e) for p in points if (e := p.error(quantity)) is not None and p.seconds and not p.beyond]
     tighter: tuple[str, str] | None = None
     for target in sorted(target for target in TARGETS if target >= ABOVE * floor):
         best: dict[str, Point] = {}
-        for point in sorted((p for p, error in known if error <= target), key=lambda p: p.median):
+        for point in sorted((p for p, error in candidates if error <= target), key=lambda p: p.median):
             best.setdefault(point.solver, point)
         ranked = list(best.values())
         if ranked and (first := ranked[0]).key != tighter:

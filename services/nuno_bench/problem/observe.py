@@ -1,7 +1,7 @@
-"""A scene stepped by any solver, without services, and what is observed of it at every frame.
+"""Runs of a scene by any solver, without services, with observables at every frame.
 
 The cloth, its forces and the bodies' poses are built once for a scene and shared by all its runs;
-a solver's memory, friction anchors among it, belongs to one run.
+a solver's memory, such as friction anchors, belongs to one run.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from nuno_schemas.system import StepLimit, StepReport, System
 
 POSITIONS = "positions"
 KEPT_TRAJECTORIES = 4
-"""Reference, its check, its twin and the run being judged lie in memory together."""
+"""Number of trajectories in memory: reference, its check, its twin and the run that is judged."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene ready to be run by any solver; poses are those of all frames, None where no body exists."""
+    """A scene ready to be run by any solver; poses are those of all frames, None without bodies."""
 
     loaded: Loaded
     system: System
@@ -48,7 +48,7 @@ class Problem:
         "drop": "way of the centre of mass along gravity",
         "strain": "mean strain of the springs",
     }
-    """What is compared of the whole cloth, and what each is."""
+    """Observables of the whole cloth, with descriptions."""
     scaled: ClassVar[str] = (
         "Errors are shares of the cloth's size (positions, centre of mass, drop), of the largest change of any kind of "
         "energy (energy), or strains; each is the root mean square over the frames."
@@ -69,12 +69,12 @@ class Problem:
 
     @cached_property
     def free(self) -> Any:
-        """(n,) bool: vertices that nothing holds or carries."""
+        """(n,) bool: vertices that are neither held nor carried."""
         return ~self.fabric.pinned
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the cloth's box at the start [m], 1 where it has none."""
+        """Diagonal of the cloth's bounding box at the start [m], 1 without cloth."""
         if self.fabric.number == 0:
             return 1.0
         return float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) or 1.0
@@ -86,26 +86,26 @@ class Problem:
         return solver.plugin, solver.config
 
     def describe(self) -> str:
-        """How large it is, in words."""
+        """Describe the size of the problem."""
         return f"{self.fabric.number:,} vertices"
 
     def limit(self, plugin: Any, config: BaseModel) -> StepLimit:
-        """A solver's limit at the start. Raises BadInput where it refuses the scene."""
-        found: StepLimit = plugin.limit(config, self.system, build.start_state(self.fabric))
-        return found
+        """Return a solver's limit at the start. Raises BadInput if it refuses the scene."""
+        limit: StepLimit = plugin.limit(config, self.system, build.start_state(self.fabric))
+        return limit
 
     def own_steps(self, limit: StepLimit) -> int:
-        """Steps a frame that the scene itself says, of its own solver. Raises BadInput where no step is stable."""
+        """Return the steps per frame of the scene's own solver. Raises BadInput if no step is stable."""
         return choose_step(self.loaded, limit.dt, limit.resolved)[0]
 
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:
-        """The scene by one solver; see simulate."""
+        """Run the scene by one solver, with `simulate`."""
         return simulate(self, plugin, config, steps, most_seconds=most_seconds)
 
     def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
-        """Seconds that a solver's first call takes, compiling or loading included, then `taken` of its steps.
+        """Return the wall time of a solver's first call, with compiling or loading, and of `taken` of its steps [s].
 
-        Raises BadInput where the solver refuses its configuration.
+        Raises BadInput if the solver refuses its configuration.
         """
         state = build.start_state(self.fabric)
         memory = plugin.prepare(config, self.system, state)
@@ -117,7 +117,7 @@ class Problem:
         return moments[2] - moments[0], moments[3] - moments[2]
 
     def scales(self, reference: Series) -> dict[str, float]:
-        """What errors are divided by: the cloth's size [m]; the largest change of any kind of energy in the
+        """Return the scales of errors: the cloth's size [m]; the largest change of any kind of energy in the
         reference [J]; 1 for strains.
         """
         change = float(np.abs(reference.parts - reference.parts[0]).max(initial=0.0)) or 1.0
@@ -125,20 +125,20 @@ class Problem:
         return {**sizes, "energy": change, "strain": 1.0}
 
     def pair(self, frame: int) -> tuple[Poses, Poses] | None:
-        """Poses at the start and the end of a frame."""
+        """Return the poses at the start and the end of a frame."""
         start, end = self.poses[frame], self.poses[frame + 1]
         return (start, end) if start is not None and end is not None else None
 
     def still(self) -> tuple[Poses, Poses] | None:
-        """Poses of the start, twice: for measuring without a step."""
+        """Return the poses of the start twice, for measuring without a step."""
         start = self.poses[0]
         return (start, start) if start is not None else None
 
 
 def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
-    """Build cloth, bodies and forces; `threads` (0: all cores) step them, to the same bits.
+    """Build cloth, bodies and forces; `threads` (0: all cores) step them, with the same bits for any number.
 
-    Raises BadInput for a scene without anything that moves, or too large to keep.
+    Raises BadInput for a scene without free vertices, or too large for the memory.
     """
     fabric, pieces = build.build_fabric(loaded)
     if fabric.number == 0 or bool(fabric.pinned.all()):
@@ -153,7 +153,7 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
 
 
 def check_memory(loaded: Loaded, numbers: int) -> None:
-    """Raises BadInput where so many numbers of every frame do not fit into memory, for all runs that are kept."""
+    """Raise BadInput if this many numbers per frame do not fit into memory, for all runs that are kept."""
     wanted = KEPT_TRAJECTORIES * (loaded.scene.frames + 1) * numbers * 8
     available = psutil.virtual_memory().available
     if wanted > available // 2:
@@ -168,9 +168,9 @@ def check_memory(loaded: Loaded, numbers: int) -> None:
 
 @dataclass(frozen=True)
 class Series:
-    """What is compared, at the frames that were reached.
+    """Compared quantities at the reached frames.
 
-    leading            what x holds, by name
+    leading            name of the quantity x
     t       (f,)       [s]
     x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.problem.dye
     values  per observable: "centre" (f, 3) centre of mass of the free vertices [m], "drop" (f, 1)
@@ -188,12 +188,12 @@ class Series:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: what was seen, how it ended, and what it took.
+    """One run: its series, its end, and its cost.
 
-    status   "ok", "diverged", "unconverged", "failed" (the solver itself), or "cut" where it exceeded its time
-    seconds  in the solver's own calls [s]
+    status   "ok", "diverged", "unconverged", "failed" (the solver itself), or "cut" (it exceeded its time)
+    seconds  wall time in the solver's own calls [s]
     totals   steps, rejected steps, iterations, as far as the solver counts them
-    reports  of the frames that were reached, the start among them; of cloth
+    reports  reports of the reached frames, including the start; of cloth only
     """
 
     series: Series
@@ -205,7 +205,7 @@ class Run:
 
 
 def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepReport]) -> Series:
-    """The series of a run, from the positions (n, 3) and the reports of its frames, the start among them."""
+    """Return the series of a run, from the positions (n, 3) and the reports of its frames, including the start."""
     mass, gravity = problem.fabric.mass[problem.free], problem.system.gravity
     x = np.array([one[problem.free] for one in places])
     parts = np.array([[float(report.energy[kind]) for kind in sorted(report.energy)] for report in reports])
@@ -222,7 +222,7 @@ def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepRep
 
 
 def lengths_at_rest(fabric: Fabric) -> tuple[Int, Float]:
-    """Vertices (s, 2) that springs and sides of a membrane's triangles join, and their lengths at rest [m]."""
+    """Return the vertices (s, 2) of springs and sides of a membrane's triangles, and their rest lengths [m]."""
     springs, membrane = fabric.springs, fabric.membrane
     parts = [] if springs is None else [(springs.pairs(), springs.per_spring(springs.rest))]
     parts += [] if membrane is None else [membrane.edges()]
@@ -234,9 +234,9 @@ def simulate(
     problem: Problem, plugin: Any, config: BaseModel, steps: int, disturbance: Float | None = None,
     most_seconds: float = math.inf,
 ) -> Run:  # fmt: skip
-    """Run a scene by one solver with `steps` steps a frame (for an adaptive one: the least).
+    """Run a scene by one solver with `steps` steps per frame (for an adaptive one: at least).
 
-    disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput where the solver
+    disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput if the solver
     refuses its configuration.
     """
     state = build.start_state(problem.fabric)
@@ -261,7 +261,7 @@ def simulate(
 
 
 def run_own(loaded: Loaded) -> Run:
-    """A scene by its own solver, at its own step. Raises RunFailed where it does not end well."""
+    """Run a scene by its own solver, at its own step. Raises RunFailed unless it ends with "ok"."""
     problem, chosen = make_problem(loaded), loaded.integrator
     steps = problem.own_steps(problem.limit(chosen.plugin, chosen.config))
     run = problem.run(chosen.plugin, chosen.config, steps)
@@ -273,13 +273,13 @@ def run_own(loaded: Loaded) -> Run:
 def advance_all(
     problem: Any, advance: Callable[[int], tuple[Any, float]], add: Callable[[Any], None], most_seconds: float
 ) -> tuple[str, str, float, Mapping[str, int]]:
-    """Frame by frame to the end, or to where it stops: a run's status, message, seconds and totals.
+    """Advance frame by frame until the end or a failure; return a run's status, message, seconds and totals.
 
-    `advance` takes the number of the frame that it ends with and gives its report, and the seconds of the solver's
-    calls alone; `add` keeps what is seen at the end of a frame.
+    `advance` takes the number of the frame at its end, and returns the report and the wall time of the solver's calls;
+    `add` keeps the observation of a frame.
     """
     seconds, totals = 0.0, Counter[str]()
-    # What a diverging run overflows is its result, not a mistake to warn of.
+    # Overflow in a diverging run is a result, not a reason for a warning.
     with np.errstate(all="ignore"):
         for frame in range(1, problem.frames + 1):
             begun = time.perf_counter()

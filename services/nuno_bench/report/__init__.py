@@ -1,1 +1,1 @@
-"""How what was measured is shown: results, tables, pages with their data, sections of the documentation, plots."""
+"""Presentation of measurements: results, tables, pages with their data, sections of the documentation, plots."""

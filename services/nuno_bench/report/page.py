@@ -1,7 +1,7 @@
-"""A report as values: tables, figures, pictures and facts, from which come its HTML page, its JSON and its CSV.
+"""Reports of tables, figures, pictures and facts, written as HTML, JSON and CSV.
 
-`page.html` beside this file is the one template. Sections of the documentation are made from the same values, put there
-by the command that measured them and by nobody else.
+`page.html` next to this file is the only template. Sections of the documentation are made from the same values, and
+only written by the command that measured them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from nuno_schemas.errors import BadInput
 
 BAD = ("failed", "missed", "diverged", "contradicts", "slower")
 GOOD = ("bar met", "aim met", "agrees", "faster")
-"""Words that are coloured where a cell begins with them."""
+"""Words that colour a cell that begins with them."""
 LONG = 26
 """Cells with more characters than this wrap."""
 MANY = 8
@@ -33,7 +33,7 @@ MANY = 8
 
 @dataclass(frozen=True)
 class Table:
-    """headings, rows of text, and a sentence above them."""
+    """A table: headings, rows of text, and a sentence above them."""
 
     kind: ClassVar[str] = "table"
     headings: Sequence[str]
@@ -44,7 +44,7 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Of each column whether it holds numbers alone, which stand to the right."""
+        """Whether each column contains only numbers, and is aligned to the right."""
         return [all(not row[c] or row[c][0] in "-+<>=.0123456789−≤≥" for row in self.rows)
                 for c in range(len(self.headings))]  # fmt: skip
 
@@ -54,13 +54,13 @@ class Table:
         return " ".join(["prose"] * self.prose + ["many"] * (len(self.headings) > MANY)) or None
 
     def look(self, cell: str, numeric: bool) -> str | None:
-        """Classes of a cell in the page's style sheet."""
+        """Return the classes of a cell in the page's style sheet."""
         names = ["number"] * numeric + ["long"] * (len(cell) > LONG)
         names += ["bad"] * _begins(cell, BAD) + ["good"] * _begins(cell, GOOD)
         return " ".join(names) or None
 
     def text(self) -> str:
-        """Columns aligned for a screen, numbers to the right."""
+        """Return the table as text with aligned columns, numbers to the right."""
         lines = [list(self.headings), *map(list, self.rows)]
         widths = [max(len(line[c]) for line in lines) for c in range(len(self.headings))]
         lines.insert(1, ["-" * width for width in widths])
@@ -69,17 +69,17 @@ class Table:
         return "\n".join("  ".join(line).rstrip() for line in padded)
 
     def markdown(self) -> str:
-        """A pipe table."""
+        """Return the table as a Markdown pipe table."""
         lines = [self.headings, ["---"] * len(self.headings), *self.rows]
         return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """svg markup, and the sentence below it, which also describes it to those who do not see it.
+    """SVG markup, and the caption below it, which is also its text alternative.
 
-    name tells it apart from other figures of a section of the documentation, where it becomes a file, and is its
-    file's name where it is saved from a page.
+    name distinguishes it from other figures of a section of the documentation, and is the name of its file there and
+    when it is saved from a page.
     """
 
     kind: ClassVar[str] = "figure"
@@ -124,19 +124,19 @@ Sections = Sequence[tuple[str, Sequence[Part]]]
 
 
 def render(title: str, lead: str, sections: Sections) -> str:
-    """The whole page."""
+    """Return the page as HTML."""
     return _template().render(title=title, lead=lead, sections=sections)
 
 
 @dataclass(frozen=True)
 class Report:
-    """All that a measurement gives to read.
+    """The report of a measurement.
 
-    sections  of the page; tables without rows and sections without anything are left out, `about` comes last
-    about     how it was made, by name
-    data      all that was found, for JSON, to which `about` is added
-    brief     what of it goes into a section of the documentation, before `about`
-    rows      lines of the CSV by column; where one has no such column, its place is empty
+    sections  sections of the page; empty tables and sections are left out, `about` comes last
+    about     circumstances of the measurement, by name
+    data      all results, for JSON, to which `about` is added
+    brief     parts for a section of the documentation, before `about`
+    rows      lines of the CSV by column; missing columns are left empty
     """
 
     title: str
@@ -148,13 +148,13 @@ class Report:
     rows: Sequence[Mapping[str, Any]] = ()
 
     def page(self) -> str:
-        """As HTML."""
+        """Return the page as HTML."""
         kept = [(heading, nonempty(parts)) for heading, parts in self.sections]
         sections = [(heading, parts) for heading, parts in kept if parts]
         return render(self.title, self.lead, [*sections, ("Made by", [Facts(self.about)])])
 
     def write(self, html: Path | None, data: Path | None, docs: Path | None, name: str) -> None:
-        """Write the page, the data as JSON, and the section of this name of the page `docs`; say what is written."""
+        """Write the page, the data as JSON, and the section of this name of the page `docs`; print the paths."""
         if html is not None:
             html.parent.mkdir(parents=True, exist_ok=True)
             html.write_text(self.page(), encoding="utf-8")
@@ -168,7 +168,7 @@ class Report:
                 print(f"written {path}")
 
     def write_beside(self, base: Path, docs: Path | None = None, name: str = "") -> None:
-        """Page, data and rows beside each other, `base` and an ending each; and the documentation's section."""
+        """Write page, data and rows next to each other, as `base` with an ending; and the documentation's section."""
         html, data, table = (base.with_name(base.name + ending) for ending in (".html", ".json", ".csv"))
         self.write(html, data, docs, name)
         if self.rows:
@@ -180,17 +180,17 @@ class Report:
 
 
 def nonempty(parts: Sequence[Part]) -> list[Part]:
-    """Those that say something: neither empty text nor tables without rows."""
+    """Return the parts without empty texts and tables without rows."""
     return [part for part in parts if (part.rows if isinstance(part, Table) else part)]
 
 
 def marks(name: str) -> tuple[str, str]:
-    """The comments between which a measured section of a documentation's page stands."""
+    """Return the comments that enclose a measured section of a documentation page."""
     return f"<!-- measured: {name} -->", f"<!-- end: {name} -->"
 
 
 def check_section(path: Path | None, name: str) -> None:
-    """Raises BadInput where a page does not exist or has no such section; None is no page, and fine."""
+    """Raise BadInput if a page does not exist or has no such section; None stands for no page, and is valid."""
     if path is None:
         return
     begin, end = marks(name)
@@ -200,9 +200,9 @@ def check_section(path: Path | None, name: str) -> None:
 
 
 def replace_section(path: Path, name: str, parts: Sequence[Part]) -> None:
-    """Put the parts, a blank line between them, in the place of what a page's measured section holds.
+    """Replace the content of a page's measured section by the parts, separated by blank lines.
 
-    Figures become files in the folder `pictures` beside the page, named after the section and themselves, on white
+    Figures become files in the folder `pictures` next to the page, named after the section and themselves, on white
     because pages may be dark.
     """
     check_section(path, name)
@@ -238,5 +238,5 @@ def _begins(text: str, words: Sequence[str]) -> bool:
 
 
 def _text(text: str) -> Markup:
-    """Escaped; what stands between backticks is code."""
+    """Escape a text; parts between backticks become code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))

@@ -1,4 +1,4 @@
-"""Panels of curves as inline SVG, by matplotlib, in one sober style; failures are marked, never left out.
+"""Panels of curves as inline SVG, by matplotlib, in a common style; failures are marked, never left out.
 
 nuno_bench.report.rerun draws the same panels into a rerun file.
 """
@@ -27,15 +27,15 @@ STYLE = Path(__file__).parent / "figures.mplstyle"
 
 @dataclass(frozen=True)
 class Curve:
-    """A named series x, y (m,), or, where it is `loose`, points without a line.
+    """A named series x, y (m,), or, if `loose`, points without a line.
 
-    Where y is infinite, a cross stands above the panel: what happened at x has no place on its axis.
+    An infinite y is shown by a cross above the panel.
 
     colour  an index into COLOURS, or #rrggbb; a dashed curve pairs with the solid one of the same colour
-    ended   why it stops early, which is marked at its last finite point
-    marker  matplotlib's mark of each point, of `size` [points]; hollow (m,) says which are not filled
+    ended   reason for an early end, which is marked at the last finite point
+    marker  matplotlib's marker of each point, of `size` [points]; hollow (m,): whether it is not filled
     spread  (m, 2) smallest and largest x of each point, drawn as a bar
-    labels  (m,) what is said of each point, for a viewer
+    labels  (m,) label of each point, for a viewer
     """
 
     name: str
@@ -53,13 +53,13 @@ class Curve:
 
     @property
     def shade(self) -> str:
-        """Its colour as #rrggbb."""
+        """The curve's colour as #rrggbb."""
         return COLOURS[self.colour % len(COLOURS)] if isinstance(self.colour, int) else self.colour
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one pair of axes, of which `log` says which are logarithmic: "", "x", "y" or "xy"."""
+    """Curves on one pair of axes; `log` names the logarithmic ones: "", "x", "y" or "xy"."""
 
     title: str
     curves: Sequence[Curve]
@@ -69,12 +69,12 @@ class Panel:
 
 
 def require_matplotlib() -> None:
-    """Raises BadInput where figures cannot be drawn."""
+    """Raise BadInput if figures cannot be drawn."""
     options.require_package("pages with figures need", "matplotlib")
 
 
 def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:
-    """SVG of panels, so many a row, each so many inches high, with one legend; axes alike where they are `shared`."""
+    """Return the SVG of panels in `columns`, each of a height [inches], with one legend and equal axes if `shared`."""
     plt = pyplot()
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
@@ -95,7 +95,7 @@ def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared:
 
 
 def _draw_panel(axis: Any, panel: Panel, first: bool) -> None:
-    """Why a curve ends is written in the first panel only, and marked in all."""
+    """Draw a panel; the reason for the end of a curve is written in the first panel only, and marked in all."""
     axis.set_xscale("log" if "x" in panel.log else "linear")
     axis.set_yscale("log" if "y" in panel.log else "linear")
     for curve in panel.curves:
@@ -131,12 +131,12 @@ def _draw_curve(axis: Any, curve: Curve) -> None:
 
 
 def marker_of(i: int) -> str:
-    """The mark of curve i, which has COLOURS[i]: those that share a colour have marks of their own."""
+    """Return the marker of curve i, which has COLOURS[i]: curves of the same colour have different markers."""
     return MARKERS[(i + i // len(COLOURS)) % len(MARKERS)]
 
 
 def pyplot() -> Any:
-    """matplotlib.pyplot, drawing without a screen. Raises BadInput where it is missing."""
+    """Return matplotlib.pyplot for drawing without a screen. Raises BadInput if it is missing."""
     require_matplotlib()
     import matplotlib
 
@@ -147,7 +147,7 @@ def pyplot() -> Any:
 
 
 def svg(figure: Any, salt: str) -> str:
-    """Markup that may stand in HTML: no prologue, no metadata, identifiers of its own."""
+    """Return the SVG markup for HTML: no prologue, no metadata, unique identifiers."""
     import matplotlib.pyplot as plt
 
     stream = io.StringIO()

@@ -1,7 +1,7 @@
 """Panels of curves as a rerun file, the same that nuno_bench.report.plots draws as SVG.
 
-rerun has no logarithmic axes and no plots but over a timeline. So each panel is a plane of WIDTH by HEIGHT units that
-draws its own frame, and what a point stands for is said where it is pointed at.
+rerun has no logarithmic axes, and plots only over a timeline. So each panel is a plane of WIDTH by HEIGHT units that
+draws its own frame, and points show their labels under the pointer.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from nuno_schemas.fabric import Float
 WIDTH, HEIGHT, MARGIN = 9.0, 6.0, 1.5
 GRID, INK = [205, 209, 215], [40, 43, 48]
 LEAST = 1e-17
-"""On a logarithmic axis values below it, such as 0, are drawn there."""
+"""Least value on a logarithmic axis: smaller ones, such as 0, are drawn there."""
 DOT, RULE, LETTER = -4.0, -1.0, -0.1
-"""Radii; below 0 they are in points of the screen instead of the plane's units."""
+"""Radii; negative ones are in points of the screen instead of the plane's units."""
 
 
 def write(path: Path, application: str, tabs: Mapping[str, Sequence[Panel]]) -> None:
-    """Log the panels of each tab, and the views that show them; the file gets its name when it is whole."""
+    """Log the panels of each tab, and their views; the file is renamed when it is complete."""
     views = [rrb.Grid(*(_view((name, panel.title), panel) for panel in panels), name=name)
              for name, panels in tabs.items()]  # fmt: skip
     recording = rr.RecordingStream(application, send_properties=False)
@@ -53,10 +53,10 @@ def _view(place: Sequence[str], panel: Panel) -> Any:
 
 
 class Axis:
-    """Places the values of all curves of a panel between 0 and `length`, and names a few of them at `ticks`."""
+    """Maps the values of all curves of a panel to 0 to `length`, with names at `ticks`."""
 
     def __init__(self, values: Float, log: bool, length: float) -> None:
-        """Whole decades around the values of a logarithmic axis."""
+        """Fit the axis to values; a logarithmic axis covers whole decades."""
         self.log, self.length = log, length
         scaled = self._scaled(values)
         scaled = scaled[np.isfinite(scaled)]
@@ -70,7 +70,7 @@ class Axis:
         self.ticks = self._placed(ticks)
 
     def at(self, values: Float) -> Float:
-        """Places (m,) of values (m,); what is infinite stands a little above the end."""
+        """Return the positions (m,) of values (m,); infinite ones are a little above the end."""
         return self._placed(self._scaled(values))
 
     def _scaled(self, values: Float) -> Float:
@@ -82,13 +82,13 @@ class Axis:
 
 
 def axes_of(panel: Panel) -> tuple[Axis, Axis]:
-    """Of x and of y."""
+    """Return the axes of x and y."""
     x, y = np.concatenate([np.zeros((2, 0)), *(np.stack([curve.x, curve.y]) for curve in panel.curves)], axis=1)
     return Axis(x, "x" in panel.log, WIDTH), Axis(y, "y" in panel.log, HEIGHT)
 
 
 def _log_panel(recording: Any, place: Sequence[str], panel: Panel) -> None:
-    """A frame with lines at its ticks; dots and line of each curve; right of them its name, in its colour."""
+    """Log a frame with lines at its ticks; points and line of each curve; to the right its name, in its colour."""
 
     def log(shown: Any, *what: str) -> None:
         recording.log(entity(*place, *what), shown, static=True)

@@ -1,4 +1,4 @@
-"""What a measurement gives: all its samples, what they are held against, and whether that was met."""
+"""Results of measurements: all samples, their bars, and whether these were met."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from nuno_bench.report.page import Table
 from nuno_schemas.errors import BadInput, RunFailed
 
-SAID = 360
+MOST_REASON = 360
 """Most characters of a reason in a table."""
 SAME_TIME = 1.1
 """Medians within a tenth of each other count as the same, as everywhere in the benches."""
@@ -19,11 +19,11 @@ SAME_TIME = 1.1
 class Result:
     """One measured quantity.
 
-    samples          one value per repeat, in `unit`; empty where the measurement failed
-    bar, aim         what must and what should be reached: at least, or at most where `at_most`
-    compile_seconds  first call, compiling or loading included; it is in no sample [s]
-    limit            what the hardware could do at best, in the same unit
-    failure          why there are no samples
+    samples          one value per repeat, in `unit`; empty if the measurement failed
+    bar, aim         values that must and should be reached: at least, or at most if `at_most`
+    compile_seconds  first call, with compiling or loading, which is not in the samples [s]
+    limit            theoretical limit of the hardware, in the same unit
+    failure          reason for missing samples
     """
 
     case: str
@@ -44,12 +44,12 @@ class Result:
 
     @property
     def more_is_better(self) -> bool:
-        """Of rates, which are so much a second; of times, ratios and whatever else is counted, less is."""
+        """Whether more is better: for rates per second, but not for times, ratios and other counts."""
         return self.unit.endswith("/s")
 
     @property
     def verdict(self) -> str:
-        """failed, missed, bar met, aim met, or "" where nothing is asked."""
+        """failed, missed, bar met, aim met, or "" without a bar."""
         if self.failure or not self.samples:
             return "failed"
         if self.bar is None:
@@ -66,7 +66,7 @@ HEADINGS = ("case", "what", "median", "min - max", "unit", "bar", "aim", "of lim
 
 
 def table(results: Sequence[Result], caption: str = "") -> Table:
-    """One row of text per result, under HEADINGS."""
+    """Return a table with one row per result, under HEADINGS."""
     return Table(HEADINGS, [_row(result) for result in results], caption)
 
 
@@ -82,20 +82,20 @@ def _row(result: Result) -> list[str]:
 
 
 def spread_of(samples: Sequence[float]) -> str:
-    """Smallest and largest."""
+    """Return the smallest and largest sample as text."""
     return f"{number(min(samples))} - {number(max(samples))}" if len(samples) > 1 else "once"
 
 
 def factor(a: float, b: float) -> float:
-    """By how much two errors or times differ, at least 1."""
+    """Return the factor between two errors or times, at least 1."""
     low, high = sorted((a, b))
     return high / low if low > 0.0 else (1.0 if high == 0.0 else float("inf"))
 
 
 def apart(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth.
+    """Return whether two sets of repeats do not overlap, and their medians differ by more than a tenth.
 
-    Of a time that was taken once the spread is not known, so nothing is said of it.
+    The spread of a single time is unknown, so the answer is no.
     """
     if min(len(a), len(b)) < 2:
         return False
@@ -104,7 +104,7 @@ def apart(a: Sequence[float], b: Sequence[float]) -> bool:
 
 
 def number(value: float) -> str:
-    """Three significant digits, without an exponent where a person would not write one."""
+    """Return three significant digits, without an exponent for numbers of common size."""
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         digits = f"{value:.3g}"
         return digits if "e" not in digits else f"{value:,.0f}"
@@ -112,6 +112,6 @@ def number(value: float) -> str:
 
 
 def reason_of(error: BadInput | RunFailed) -> str:
-    """Why a solver is left out, on one line, without the middle of what a compiler has to say."""
-    said = error.problem if isinstance(error, BadInput) else " ".join(str(error).split())
-    return said if len(said) <= SAID else f"{said[: SAID * 2 // 3]} ... {said[-SAID // 3 :]}"
+    """Return the reason for leaving out a solver, on one line, without the middle of long compiler messages."""
+    text = error.problem if isinstance(error, BadInput) else " ".join(str(error).split())
+    return text if len(text) <= MOST_REASON else f"{text[: MOST_REASON * 2 // 3]} ... {text[-MOST_REASON // 3 :]}"

@@ -1,1 +1,1 @@
-"""What sweeps share: where points are computed (here, in processes, on a cluster), and how they are kept."""
+"""Tools of sweeps: executors of points (here, in processes, on a cluster), and storage of results."""

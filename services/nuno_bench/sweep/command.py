@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run all combinations, print the table; 1 where one was not done."""
+    """Run all combinations and print the table; return 1 if any of them was not finished."""
     over = dict[str, list[Any]]()
     for key, values in map(values_of, args.over):
         if key in over:
@@ -55,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def values_of(item: str) -> tuple[str, list[Any]]:
-    """A field's key and the values that are given for it, as YAML has them. Raises BadInput."""
+    """Return a field's key and its values, parsed as YAML. Raises BadInput."""
     key, equals, text = item.partition("=")
     if not key or not equals:
         remedy = "for example --over solver.dt='1/6000 s, 1/3000 s'"

@@ -1,7 +1,7 @@
-"""Where the points of a sweep are computed: in this process, in several of this machine, or on a Dask cluster.
+"""Executors of a sweep's points: in this process, in several processes, or on a Dask cluster.
 
-A task is plain data, and what computes it a function of a module: both can be pickled, and neither needs a path of
-this machine. Results are the same bits wherever they come from; only times differ.
+A task is plain data, computed by a function of a module: both can be pickled, and neither needs a path of this machine.
+Results have the same bits on every executor; only times differ.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from nuno_schemas.errors import BadInput
 Task = TypeVar("Task")
 Found = TypeVar("Found")
 PACKAGES = ("nuno", "numpy", "numba", "llvmlite")
-"""Those on which the bits of a result depend."""
+"""Packages on which the bits of a result depend."""
 PATIENCE = 60.0
-"""How long nothing may be done before it is asked whether anybody is left who does it [s]."""
+"""Time without a result after which the workers are checked [s]."""
 
 
 @dataclass(frozen=True)
 class Lost:
-    """A task whose process was lost whenever it was tried."""
+    """Result of a task whose process was lost in every attempt."""
 
     reason: str
 
@@ -42,33 +42,33 @@ class Lost:
 
 
 Done = tuple[Task, Found | BadInput | Lost]
-"""A task and what came of it."""
+"""A task and its result."""
 
 
 class Executor:
-    """Computes tasks one after another, in this process; others derive from it.
+    """Computes tasks one after another, in this process; base of other executors.
 
-    `where` says in words where; `width` is how many tasks go on at once, now.
+    `where` describes the place; `width` is the present number of simultaneous tasks.
     """
 
     where = "one after another"
     width = 1
 
     def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
-        """Each task with what `call` makes of it, as they are done; a BadInput that it raises is a result.
+        """Yield each task with the result of `call`, as they finish; a BadInput that it raises is a result.
 
         Tasks are taken from the iterable only when they can be started. A task whose process is lost is run
-        again. Raises RunFailed where no task can be computed any more; what else `call` raises ends the run.
+        again. Raises RunFailed if no task can be computed any more; other errors of `call` end the run.
         """
         for task in tasks:
             yield task, attempt(call, task)
 
     def close(self) -> None:
-        """End what goes on."""
+        """End all tasks."""
 
 
 class Processes(Executor):
-    """So many processes of this machine, started when there is work for them; they end with this one."""
+    """`width` processes of this machine, started when there is work for them; they end with this one."""
 
     def __init__(self, width: int) -> None:
         self.width, self.where, self._pool = width, f"{width} processes", _start(width)
@@ -83,17 +83,17 @@ class Processes(Executor):
 
         for task, future in as_completed(submit, tasks, lambda: self.width):
             try:
-                found = future.result()
+                result = future.result()
             except BrokenProcessPool:
-                # A lost process takes all that its pool was at along, and whose it was is not said: each is
-                # tried again by itself.
-                found = _alone(call, task)
-            yield task, found
+                # A lost process ends all tasks of its pool, and the guilty one is unknown: each is tried again
+                # by itself.
+                result = _alone(call, task)
+            yield task, result
 
     def close(self) -> None:
         _kill(self._pool)
         del self._pool
-        gc.collect()  # its semaphores go with it, also where the program ends without looking back
+        gc.collect()  # frees its semaphores, even if the program ends at once
 
 
 def as_completed(
@@ -102,9 +102,9 @@ def as_completed(
     width: Callable[[], int],
     check: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Task, Future[Any]]]:
-    """Each task with its future, which is done; at most `width()` go on at once.
+    """Yield each task with its finished future; at most `width()` run at once.
 
-    `check` is called where nothing was done for PATIENCE seconds, and raises where nothing will be.
+    `check` is called after PATIENCE seconds without a result, and raises if none will come.
     """
     waiting, busy = iter(tasks), dict[Future[Any], Task]()
     try:
@@ -139,7 +139,7 @@ def _start(width: int) -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """A process ends with the one that started it, whose part it is to handle an interrupt."""
+    """Ignore interrupts, which the parent process handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow, daemon=True).start()
 
@@ -151,7 +151,7 @@ def _follow() -> None:
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
-    """End its processes, whatever they are at; a shutdown would wait for them (Python 3.14 has kill_workers)."""
+    """Kill the pool's processes; a shutdown would wait for them (Python 3.14 has kill_workers)."""
     for process in list((pool._processes or {}).values()):
         process.kill()
         process.join()
@@ -159,7 +159,7 @@ def _kill(pool: ProcessPoolExecutor) -> None:
 
 
 def attempt(call: Callable[[Task], Found], task: Task) -> Found | BadInput:
-    """What `call` makes of a task, or why the task is refused."""
+    """Return the result of `call` for a task, or the error that refuses it."""
     try:
         return call(task)
     except BadInput as error:
@@ -167,10 +167,10 @@ def attempt(call: Callable[[Task], Found], task: Task) -> Found | BadInput:
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that a result may depend on, by name; of solvers those of their packages."""
-    found = {"Python": ".".join(platform.python_version_tuple()[:2])}
-    found |= {name: version(name) for name in PACKAGES}
+    """Return the versions of everything that a result may depend on, by name; of solvers those of their packages."""
+    numbers = {"Python": ".".join(platform.python_version_tuple()[:2])}
+    numbers |= {name: version(name) for name in PACKAGES}
     for group, kind in (("nuno.integrators", "solver"), ("nuno.dye_solvers", "dye solver")):
         names = sorted(registry.installed(group))
-        found |= {f"{kind} {name}": registry.package_version(group, name) for name in names}
-    return found
+        numbers |= {f"{kind} {name}": registry.package_version(group, name) for name in names}
+    return numbers

@@ -64,12 +64,12 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What came of all combinations, in their order, the first field's values changing last.
+    """Results of all combinations, in their order, with the first field's values changing last.
 
     over  values of each field, by its key
-    rows  of each combination: its values by key, FIGURES in SI units, the last frame's series, STATE, WHY, DIGEST, and
-          the PICTURE as a PNG in base64
-    folder, where, others  where it is kept, if anywhere, and computed, and what else the machine did meanwhile
+    rows  row of each combination: its values by key, FIGURES in SI units, the last frame's series, STATE, WHY, DIGEST,
+          and the PICTURE as a PNG in base64
+    folder, where, others  folder or None, executor in words, and the machine's other load
     """
 
     scene: str
@@ -80,29 +80,29 @@ class Sweep:
     others: machine.Others
 
     def keep(self) -> None:
-        """Write page, JSON and CSV into its folder, if it has one; once its processes are over, whose times count."""
+        """Write page, JSON and CSV into the folder, if any; after the end of the processes, whose time counts."""
         if self.folder is not None:
             self.report(machine.about(self.others, where=self.where)).write_beside(self.folder / "sweep")
 
     def to_dataframe(self) -> DataFrame:
-        """The rows without pictures. Raises BadInput without pandas."""
+        """Return the rows without pictures. Raises BadInput without pandas."""
         return table_of(self.lines())
 
     def lines(self) -> list[Row]:
-        """The rows without pictures, each with all columns."""
+        """Return the rows without pictures, each with all columns."""
         names = dict.fromkeys(name for row in self.rows for name in row if name != PICTURE)
         return [{name: row.get(name, "") for name in names} for row in self.rows]
 
     def table(self) -> page.Table:
-        """The values and what came of them, without what is the same, or lacking, in all rows."""
+        """Return a table of the values and results, without columns that are equal or empty in all rows."""
         lines = self.lines()
-        own = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE]
-        others = [name for name in (lines[0] if lines else ()) if name not in (*own, DIGEST, WHY)]
-        shown = own + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
+        keys = [name for name in (lines[0] if lines else ()) if name in self.over or name == STATE]
+        others = [name for name in (lines[0] if lines else ()) if name not in (*keys, DIGEST, WHY)]
+        shown = keys + [name for name in others if len(lines) == 1 or len({repr(line[name]) for line in lines}) > 1]
         return page.Table(list(map(heading, shown)), [[_cell(line[name]) for name in shown] for line in lines])
 
     def report(self, about: Mapping[str, str]) -> page.Report:
-        """Its page, JSON and CSV."""
+        """Return the report with page, JSON and CSV."""
         images = [page.Image(f"data:image/png;base64,{row[PICTURE]}", self._label(row))
                   for row in self.rows if row.get(PICTURE)]  # fmt: skip
         lead = f"{self.scene}, run for each combination of {', '.join(self.over)}."
@@ -146,36 +146,36 @@ def sweep(
     side: str = "scene",
     jobs: int = 1,
     dask: str | None = None,
-    told: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
     **fields: Any,
 ) -> Sweep:
     """Run a scene for each combination of values: nuno.sweep("hanging-sheet", {"objects.0.model.fabric": ["denim",
     "jacket"], "solver.dt": ["1/6000 s", "1/3000 s"]}, duration="1 s").
 
-    The scene, its overrides, roots and fields as in `nuno.run`. What is done is kept in the folder `out`, if one is
-    given, where `resume` goes on with it, and where page, JSON and CSV are written at the end. side: what is drawn of
-    each end: "scene" by the scene's own camera, a side of `Result.picture`, or "" for nothing. jobs: processes of this
-    machine; more than one are for a notebook, or a script whose work is below `if __name__ == "__main__":`. dask: a
-    scheduler's address, whose workers compute instead. `told` hears what is done.
+    The scene, its overrides, roots and fields are as in `nuno.run`. Finished runs are kept in the folder `out`, if
+    given, from which `resume` continues, and to which page, JSON and CSV are written at the end. side: the picture of
+    each end: "scene" by the scene's own camera, a side of `Result.picture`, or "" for none. jobs: processes of this
+    machine; more than one need a notebook, or a script with its work below `if __name__ == "__main__":`. dask: address
+    of a scheduler, whose workers compute instead. `progress` is called with a line of text after each run.
 
-    A run that is refused, fails or is lost has a row that says so. Raises BadInput where a value is refused whatever
-    the others are, before anything runs.
+    A run that is refused, fails or is lost has a row with the reason. Raises BadInput, before anything runs, for a
+    value that is refused in every combination.
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
         with closing(chosen(jobs if dask is None else None, dask)) as where:
-            place = Place(where, None if out is None else Path(out), resume, told or _unheard)
+            place = Place(where, None if out is None else Path(out), resume, progress or _ignore)
             made = run_all(found, over, place, side)
         made.keep()
         return made
 
 
-def _unheard(text: str) -> None:
+def _ignore(text: str) -> None:
     pass
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a sweep is computed, where it is kept and gone on with, and who hears of it."""
+    """Executor of a sweep, folder of its finished runs, whether it resumes, and the function that reports progress."""
 
     where: Executor
     folder: Path | None
@@ -184,7 +184,7 @@ class Place:
 
 
 def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side: str) -> Sweep:
-    """See `sweep`."""
+    """Run all combinations of values, as `sweep` does, for a loaded scene."""
     over = _values(over)
     if side not in ("", "scene", *SIDES):
         raise BadInput("no such side", field="--side", value=side, remedy=nearest(side, ("scene", *SIDES)))
@@ -198,40 +198,40 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
     texts = [tuple(as_texts([one])) for one in combinations]
     _check(packed, combinations, texts)
     # As a list: of two sweeps over the same fields in another order, other combinations have the same number.
-    told_by = [[key, list(map(repr, values))] for key, values in over.items()]
-    about = {"scene": packed.digest, "over": told_by, "side": side, "versions": versions()}
+    fields = [[key, list(map(repr, values))] for key, values in over.items()]
+    about = {"scene": packed.digest, "over": fields, "side": side, "versions": versions()}
     kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume)
-    found: dict[int, Row] = {} if kept is None else {line["number"]: line["row"] for line in kept.lines}
+    done: dict[int, Row] = {} if kept is None else {line["number"]: line["row"] for line in kept.lines}
     others, threads = machine.Others(), 1 if place.where.width > 1 else 0
-    left = [Point(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in found]
-    for point, came in place.where.run(measure, left):
-        row = _refused(came) if isinstance(came, BadInput | Lost) else came
-        found[point.number] = {**combinations[point.number], **row}
+    left = [Point(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in done]
+    for point, result in place.where.run(measure, left):
+        row = _refused(result) if isinstance(result, BadInput | Lost) else result
+        done[point.number] = {**combinations[point.number], **row}
         if kept is not None:
-            kept.add({"number": point.number, "row": found[point.number]})
+            kept.add({"number": point.number, "row": done[point.number]})
         why = f", {row[WHY]}" if WHY in row else ""
-        place.say(f"{len(found)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
-    rows = [found[i] for i in range(len(texts))]
+        place.say(f"{len(done)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
+    rows = [done[i] for i in range(len(texts))]
     return Sweep(scene.scene.name, over, rows, place.folder, place.where.where, others)
 
 
 def _values(over: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
-    """Lists of plain values. Raises BadInput for none, and for a text, whose letters are hardly meant."""
-    found = dict[str, list[Any]]()
+    """Return lists of plain values. Raises BadInput for no values, and for a string, which is probably a mistake."""
+    lists = dict[str, list[Any]]()
     if not isinstance(over, Mapping):
         raise BadInput("a sweep goes over a mapping of fields to values", field="--over", value=over)
     for key, values in over.items():
         if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
             problem, remedy = "a field is swept over a list of values", f"{{{key!r}: [{values!r}]}}"
             raise BadInput(problem, field="--over", value=values, remedy=remedy)
-        found[key] = [value.item() if isinstance(value, np.generic) else value for value in values]
-    if not found or not all(found.values()):
+        lists[key] = [value.item() if isinstance(value, np.generic) else value for value in values]
+    if not lists or not all(lists.values()):
         raise BadInput("nothing to sweep over", field="--over", remedy="name fields and their values")
-    return found
+    return lists
 
 
 def _check(packed: Packed, combinations: Sequence[Mapping[str, Any]], texts: Sequence[tuple[str, ...]]) -> None:
-    """Raises BadInput for a value with which every combination is refused as it is read."""
+    """Raise BadInput for a value with which every combination is refused when it is read."""
     refusals: dict[int, BadInput | None] = {}
 
     def refusal(i: int) -> BadInput | None:
@@ -244,18 +244,18 @@ def _check(packed: Packed, combinations: Sequence[Mapping[str, Any]], texts: Seq
         return refusals[i]
 
     for text in dict.fromkeys(text for each in texts for text in each):
-        own = [i for i, each in enumerate(texts) if text in each]
-        if all(refusal(i) is not None for i in own):
-            raise cast(BadInput, refusal(own[0]))
+        uses = [i for i, each in enumerate(texts) if text in each]
+        if all(refusal(i) is not None for i in uses):
+            raise cast(BadInput, refusal(uses[0]))
 
 
-def _refused(came: BadInput | Lost) -> Row:
-    why = "; ".join(" ".join(line.split()) for line in str(came).removeprefix(f"{GIVEN}: ").splitlines())
-    return {STATE: "lost" if isinstance(came, Lost) else "refused", WHY: why}
+def _refused(error: BadInput | Lost) -> Row:
+    why = "; ".join(" ".join(line.split()) for line in str(error).removeprefix(f"{GIVEN}: ").splitlines())
+    return {STATE: "lost" if isinstance(error, Lost) else "refused", WHY: why}
 
 
 def measure(point: Point) -> Row:
-    """Run one combination. Raises BadInput where it is refused."""
+    """Run one combination. Raises BadInput if it is refused."""
     with (
         warnings.catch_warnings(),
         tempfile.TemporaryDirectory(prefix="nuno-") as folder,

@@ -1,4 +1,4 @@
-"""Where the points of a sweep are computed, as a command's arguments say: here, in processes, or on a Dask cluster."""
+"""Choice of a sweep's executor by a command's arguments: this process, several processes, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nuno_bench.sweep.executor import Done, Executor, Found, Lost, Processes, Ta
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONNECT_SECONDS, WORKER_SECONDS = 4.0, 60.0
-"""How long a scheduler may take to answer, and be without a worker: a cluster that grows by need starts with none."""
+"""Longest wait for a scheduler's answer, and for its first worker [s]: an adaptive cluster starts with none."""
 START = "dask scheduler   # and on each machine, with nuno installed: dask worker tcp://HOST:8786"
 
 
@@ -30,17 +30,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def opened(args: argparse.Namespace) -> Iterator[Executor]:
-    """The executor that the arguments ask for, all cores where they ask for none.
+    """Yield the executor chosen by the arguments, by default on all cores.
 
-    Raises BadInput for numbers and combinations that no executor has, and, within seconds, where a cluster cannot be
-    reached or has another version of nuno.
+    Raises BadInput for invalid numbers and combinations, and, within seconds, if a cluster cannot be reached or has
+    another version of nuno.
     """
     with closing(chosen(args.jobs, args.dask)) as made:
         yield made
 
 
 def chosen(jobs: int | None, dask: str | None) -> Executor:
-    """So many processes, all cores by default, or a cluster at an address. Raises BadInput."""
+    """Return an executor of `jobs` processes, by default on all cores, or a cluster's. Raises BadInput."""
     if jobs is not None and dask is not None:
         raise BadInput("either --jobs or --dask says where points are computed", value=f"{jobs}, {dask}")
     if dask is not None:
@@ -52,17 +52,17 @@ def chosen(jobs: int | None, dask: str | None) -> Executor:
 
 
 class Cluster(Executor):
-    """A client of the scheduler at `address`. As many tasks are handed out as the workers have threads.
+    """A client of the scheduler at `address`. It submits as many tasks as the workers have threads.
 
-    A task whose worker is lost is run again by the scheduler, as often as its own allowed-failures says.
-    Raises BadInput where nothing answers, no worker comes, or a worker has other versions than this process.
+    The scheduler runs a task whose worker is lost again, up to its allowed-failures. Raises BadInput if nothing
+    answers, no worker joins, or a worker has other versions than this process.
     """
 
     def __init__(self, address: str) -> None:
         if importlib.util.find_spec("distributed") is None:
             raise BadInput("Dask is not installed", field="--dask", value=address, remedy="pip install 'nuno[sweep]'")
-        # What goes wrong is said here; its own log would show traces beside it. A scene's files go with its task:
-        # workers have no other way to them.
+        # Errors are reported here; Dask's log would add tracebacks. A scene's files are sent with its task, since
+        # workers cannot read them otherwise.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         warnings.filterwarnings("ignore", "Sending large graph")
         self.address, self._client = address, _connect(address)
@@ -108,15 +108,15 @@ class Cluster(Executor):
         self._client.close(timeout=CONNECT_SECONDS)
 
     def _check_versions(self) -> None:
-        """Raises BadInput where a worker that there is has other versions than this process, or no nuno."""
+        """Raise BadInput if a present worker has other versions than this process, or no nuno."""
         here = versions()
         for worker, there in self._client.run(versions, on_error="return").items():
             if isinstance(there, Exception):
                 there = here | {"nuno": f"none ({there})"}
-            if said := [f"{n}: {here.get(n)} here, {there.get(n)} there" for n in {**here, **there}
-                        if there.get(n) != here.get(n)]:  # fmt: skip
+            if differing := [f"{n}: {here.get(n)} here, {there.get(n)} there" for n in {**here, **there}
+                             if there.get(n) != here.get(n)]:  # fmt: skip
                 raise BadInput(f"the worker {worker} has other versions than this process, and its results may differ",
-                               field="--dask", value="; ".join(said),
+                               field="--dask", value="; ".join(differing),
                                remedy="install the same versions on all machines")  # fmt: skip
 
     def _check_workers(self) -> None:
@@ -128,18 +128,18 @@ def _connect(address: str) -> Any:
     import distributed
 
     async def ask() -> str:
-        """What kind of server is there."""
+        """Return the kind of the server at the address."""
         async with distributed.rpc(address, timeout=CONNECT_SECONDS) as server:
             return str((await server.identity())["type"])
 
     try:
-        # A client would wait for ever for somebody who accepts a connection and then says nothing.
+        # A client would wait for ever for a server that accepts a connection and never answers.
         kind = asyncio.run(asyncio.wait_for(ask(), CONNECT_SECONDS))
         if kind != "Scheduler":
             raise ValueError(f"a {kind} answers there")
         return distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="nuno")
     except (OSError, ValueError, TypeError, TimeoutError) as error:
-        said = str(error).splitlines()[0] if str(error) else "no answer"
-        raise BadInput(f"no Dask scheduler can be reached: {said}", field="--dask", value=address,
+        reason = str(error).splitlines()[0] if str(error) else "no answer"
+        raise BadInput(f"no Dask scheduler can be reached: {reason}", field="--dask", value=address,
                        limit=f"waited at most {CONNECT_SECONDS:g} s",
                        remedy=f"start one with {START}") from None  # fmt: skip

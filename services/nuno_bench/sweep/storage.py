@@ -1,4 +1,4 @@
-"""What a sweep is given and keeps: a scene with its files as plain data, and what is finished, line by line on disk."""
+"""Input and storage of a sweep: a scene with its files as plain data, and finished results, line by line on disk."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from nuno_schemas.errors import BadInput
 
 @dataclass(frozen=True)
 class Packed:
-    """A scene's own text, the user's overrides, and its files by the names that it gives them.
+    """A scene's text, the user's overrides, and its files by their names in the scene.
 
-    name  what errors call the scene
+    name  name of the scene in errors
     """
 
     name: str
@@ -31,7 +31,7 @@ class Packed:
 
     @property
     def digest(self) -> str:
-        """Of everything but the name: what a sweep's results belong to."""
+        """Digest of everything but the name, which identifies a sweep's results."""
         return hashlib.blake2b(repr((self.text, self.overrides, self.files)).encode(), digest_size=16).hexdigest()
 
 
@@ -41,7 +41,7 @@ def pack(path: Path, overrides: Sequence[str] = ()) -> Packed:
 
 
 def pack_loaded(loaded: Loaded) -> Packed:
-    """A scene that has been read, and the files that it names. Raises BadInput."""
+    """Pack a loaded scene, and read the files that it names. Raises BadInput."""
     files = sorted(assets(loaded).items())
     for name, _ in files:
         if Path(name).is_absolute():
@@ -53,9 +53,9 @@ def pack_loaded(loaded: Loaded) -> Packed:
 
 @contextmanager
 def unpacked(packed: Packed, overrides: Sequence[str] = ()) -> Iterator[Loaded]:
-    """The scene, its files in a folder of their own meanwhile. Raises BadInput.
+    """Yield the scene, with its files in a temporary folder. Raises BadInput.
 
-    A name such as `../mesh.obj` was refused when the scene was packed: no file lands outside the folder.
+    A name such as `../mesh.obj` was refused when the scene was packed: no file is written outside the folder.
     """
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         scene = Path(folder) / "scene.yaml"
@@ -66,27 +66,27 @@ def unpacked(packed: Packed, overrides: Sequence[str] = ()) -> Iterator[Loaded]:
 
 
 def require_kept(paths: Sequence[Path]) -> None:
-    """Raises BadInput where there is no sweep at all to go on with."""
+    """Raise BadInput if there is no sweep to resume."""
     if not any(path.is_file() for path in paths):
         raise BadInput("there is no sweep to go on with", field="--resume", value=", ".join(map(str, paths)),
                        remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
 
 
 class Kept:
-    """JSON objects, one a line, under a first line that says what they belong to.
+    """JSON objects, one per line, after a first line that identifies their sweep.
 
-    lines  what an interrupted sweep had finished: empty unless it is resumed
+    lines  finished results of an interrupted sweep: empty unless it is resumed
     """
 
     def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """Start anew, or go on where `resume` and there is a file.
+        """Start a new file, or continue an existing one if `resume`.
 
-        Raises BadInput where it is another sweep's, and where nothing can be written.
+        Raises BadInput for the file of another sweep, and if nothing can be written.
         """
         self.path, head, self.lines = path, dict(identity), list[dict[str, Any]]()
         if resume and path.is_file():
             for line in path.read_text(encoding="utf-8").split("\n"):
-                # The last line may be half written; what it held is measured again.
+                # The last line may be incomplete; its result is measured again.
                 with suppress(ValueError):
                     self.lines.append(json.loads(line))
             before = self.lines.pop(0) if self.lines else {}
