@@ -21,8 +21,8 @@ from nuno_schemas.messages import CLOTH, STATUS
 class DyeDriver(Driver):
     """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
 
-    def __init__(self, context: Context, dyeing: DyeRun, attendant: FrameWatchdog) -> None:
-        super().__init__(context, dyeing, attendant, STATUS if context.loaded.scene.moves else None)
+    def __init__(self, context: Context, dyeing: DyeRun, watchdog: FrameWatchdog) -> None:
+        super().__init__(context, dyeing, watchdog, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         if (every := self.scene.record.dye_every) is not None:
             self.every = self.scene.in_frames(every)
@@ -106,8 +106,8 @@ def _finite(value: float) -> float | None:
 
 def main(context: Context) -> None:
     """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
-    attendant = FrameWatchdog(context)
-    dyeing = DyeRun(context.loaded, context.options.threads, leave=attendant.leave)
+    watchdog = FrameWatchdog(context)
+    dyeing = DyeRun(context.loaded, context.options.threads, leave=watchdog.leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
-    DyeDriver(context, dyeing, attendant).serve()
+    DyeDriver(context, dyeing, watchdog).serve()

@@ -303,7 +303,7 @@ class Supervisor:
                 if self.broken:
                     break
                 self._lose(name, str(failure))
-        answers[SUPERVISOR] = {name: self.inbox.counts.told()[name] for name in ("missing", "refused")}
+        answers[SUPERVISOR] = {name: self.inbox.counts.nonzero()[name] for name in ("missing", "refused")}
         self.alive.undeclare()
         return answers
 
