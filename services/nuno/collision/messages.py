@@ -13,9 +13,9 @@ from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
 from nuno_schemas.skin import Skin
 
-GEOMETRY_QUESTION = "collision/ask/geometry"
-POSES_QUESTION = "collision/ask/poses"
-TOLD_QUESTION = "collision/ask/told"
+GEOMETRY_QUERY = "collision/ask/geometry"
+POSES_QUERY = "collision/ask/poses"
+LIVE_BODIES_QUERY = "collision/ask/told"
 """What to ask for the bodies, and which of them are told where to be: as JSON, of each its joints and its key."""
 
 NUMBERS = ("size", "tolerance", "band")

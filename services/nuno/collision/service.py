@@ -16,9 +16,9 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.distance import penetration
 from nuno.collision.live import Followers
 from nuno.collision.messages import (
-    GEOMETRY_QUESTION,
-    POSES_QUESTION,
-    TOLD_QUESTION,
+    GEOMETRY_QUERY,
+    LIVE_BODIES_QUERY,
+    POSES_QUERY,
     decode_poses,
     encode_geometry,
     encode_poses,
@@ -170,10 +170,10 @@ class Collision:
             self.inbox.refuse(question)
             question.refuse("the scene has no bodies")
             return
-        if question.name == GEOMETRY_QUESTION:
+        if question.name == GEOMETRY_QUERY:
             question.answer(encode_geometry(self.bodies.geometry))
             return
-        if question.name == TOLD_QUESTION:
+        if question.name == LIVE_BODIES_QUERY:
             told = self.followers.told() if self.followers is not None else {}
             question.answer_json({"bodies": self.bodies.geometry.bodies, "told": told})
             return
@@ -295,9 +295,9 @@ def main(context: Context) -> None:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
-    inbox.answer(GEOMETRY_QUESTION)
-    inbox.answer(TOLD_QUESTION)
-    inbox.answer(POSES_QUESTION)
+    inbox.answer(GEOMETRY_QUERY)
+    inbox.answer(LIVE_BODIES_QUERY)
+    inbox.answer(POSES_QUERY)
 
     def handle(message: Message) -> None:
         try:

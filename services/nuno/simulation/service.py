@@ -19,7 +19,7 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.start_checks import start_warnings
 from nuno.cloth.tension import tension_arrays
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
-from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
+from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import SETTLED, settled_cloth
 from nuno.service import Context
@@ -45,12 +45,12 @@ def ask_geometry(context: Context) -> Geometry:
     """
     while context.watch.wait_for({"collision"}, 0.1):
         context.require_supervisor()
-    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
+    return decode_geometry(context.bus.ask(GEOMETRY_QUERY))
 
 
 def ask_poses(context: Context, frame: int) -> PendingReply:
     """Send the query for a frame's poses."""
-    return context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), PATIENCE)
+    return context.bus.ask_ahead(POSES_QUERY, json.dumps({"frame": frame}).encode(), PATIENCE)
 
 
 def take_poses(context: Context, frame: int, reply: PendingReply) -> Poses:
