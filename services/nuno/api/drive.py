@@ -121,13 +121,8 @@ def _live_body(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
     if body not in bodies:
         raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, bodies))
     if body not in live:
-        problem, or_take = (
-            f"{body} has no motion: {{plugin: topic}}",
-            f"or take {' or '.join(live)}" if live else "",
-        )
-        raise BadInput(
-            problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(live)}{or_take}"
-        )
+        problem, hint = (f"{body} has no motion: {{plugin: topic}}", f"or take {' or '.join(live)}" if live else "")
+        raise BadInput(problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(live)}{hint}")
     return tuple(live[body]["joints"]), str(live[body]["key"])
 
 

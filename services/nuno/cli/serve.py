@@ -124,7 +124,7 @@ def _route(args: argparse.Namespace) -> int:
     services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}
     with sessions.hub(args.listen, args.config, list(services) or None) as session:
         print(f"router at {args.listen}", flush=True)
-        laggards = SlowConsumers(session, services)
+        slow_consumers = SlowConsumers(session, services)
         while not stop.wait(LOOK_SECONDS):
-            laggards.look(lambda text: print(text, file=sys.stderr, flush=True))
+            slow_consumers.look(lambda text: print(text, file=sys.stderr, flush=True))
     return 0

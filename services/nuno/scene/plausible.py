@@ -22,12 +22,10 @@ Found = tuple[Path, float, Plausible]
 
 def implausible_numbers(loaded: Loaded) -> list[str]:
     """Return warnings of bare numbers out of the ranges that their quantities declare (`nuno_schemas.units`)."""
-    texts = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
+    out = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
     for chosen in loaded.chosen:
-        texts += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
-    return (
-        texts if len(texts) <= MOST else [*texts[:MOST], f"and {len(texts) - MOST:,} more bare numbers are implausible"]
-    )
+        out += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
+    return out if len(out) <= MOST else [*out[:MOST], f"and {len(out) - MOST:,} more bare numbers are implausible"]
 
 
 def with_doubts(loaded: Loaded, place: str, error: BadInput) -> BadInput:
