@@ -169,7 +169,7 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
     return _lowest(points, geometry, poses, range(len(geometry.kind)))
 
 
-def beside(points: Float, geometry: Geometry, poses: Poses, name: str) -> Beside:
+def body_distances(points: Float, geometry: Geometry, poses: Poses, name: str) -> Beside:
     """Return a body by name, with the distances of points (n, 3) from each of its frames."""
     number = geometry.bodies.index(name)
     frames = [i for i, frame in enumerate(geometry.frames) if frame.split("/", 1)[0] == name]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
-from nuno.collision.distance import beside
+from nuno.collision.distance import body_distances
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.chosen_plugins import Chosen
@@ -194,7 +194,7 @@ class Changing(Stepper):
             remedy = nearest(name, bodies) if bodies else "give the scene the body"
             raise BadInput("there is no such body", field="body", value=name, remedy=remedy)
         outcome_on_body: Outcome = chosen.plugin.apply_beside(
-            chosen.config, fabric, state, beside(state.x, self.geometry, self.poses, name)
+            chosen.config, fabric, state, body_distances(state.x, self.geometry, self.poses, name)
         )
         return outcome_on_body
 

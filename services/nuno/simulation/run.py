@@ -68,7 +68,7 @@ class Simulation(Changing):
         simulate = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
         settled = settle(self.loaded, simulate)
         self.rested = settled.objects
-        self.fabric, self.pieces, arranged = build.build_told(self.loaded, geometry, poses, self.rested)
+        self.fabric, self.pieces, arranged = build.build_with_facts(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled.facts, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
