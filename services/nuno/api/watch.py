@@ -56,7 +56,7 @@ class Watching:
         self._life.wait_for(present, TOKENS_SECONDS)
         if not present and not announced:
             self.close()
-            remedy = "check the run's id, as it was told where it was started"
+            remedy = "check the run's id, as printed where it was started"
             raise BadInput("no such run is going on there", field="run", value=run, limit=endpoint, remedy=remedy)
         self._local_run = run if announced else ""
 
@@ -108,7 +108,7 @@ def watch(run: str = "last", *topics: str, connect: str | None = None, config: s
             if not isinstance(topic, str) or not any(_below(topic, name) for name in published):
                 raise BadInput("no such topic", field="topics", value=topic, remedy=nearest(str(topic), published))
         if connect and run == runs.LAST:
-            problem, remedy = "which run of another host is meant is not said", "give its id, as it was told there"
+            problem, remedy = "which run of another host is meant is not said", "give its id, as printed there"
             raise BadInput(problem, field="run", value=run, remedy=remedy)
         name, endpoint = (run, connect) if connect else runs.find(run)
     return Watching(name, endpoint, topics, config, announced=not connect)

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
     add_flags(parser, {"--mp4": ("FILE", "draw an animation at the end: .mp4 (needs nuno[video]) or .gif", Path)})
-    paced = "no frame is sooner than the clock says; one that is late is told of"
+    paced = "no frame is sooner than the clock says; the run warns of a late one"
     parser.add_argument("--real-time", action="store_true", help=paced)
     parser.add_argument("--report", action="store_true", help="print all of the report, and why something is left out")
     paused = "wait before the first frame until: nuno control RUN resume"

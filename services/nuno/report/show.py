@@ -117,7 +117,7 @@ def _follower_text(counts: Report) -> str:
     """Return the counts of poses for a body that is moved from outside, in words."""
     text = f"{counts['heard']:,} poses came, {counts['used']:,} were used, {counts['refused']:,} refused"
     text += f", {counts['left_out']:,} left out for newer ones" if counts["left_out"] else ""
-    behind = f", {counts['behind']:,} in which it was not yet where it was told to be" if counts["behind"] else ""
+    behind = f", {counts['behind']:,} in which it was not yet at its goal" if counts["behind"] else ""
     return f"{text}; {counts['without']:,} frames without any{behind}; longest silence {counts['silence']:.2g} s"
 
 

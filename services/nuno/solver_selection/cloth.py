@@ -140,7 +140,7 @@ def _reads_velocity(system: System) -> bool:
 
 
 def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, out: list[Selection]) -> None:
-    """Append selections to `found`, from the cheapest step on, until none can be cheaper. Raises Spent."""
+    """Append selections to `out`, from the cheapest step on, until none can be cheaper. Raises Spent."""
     promise = PROMISE[accuracy]
     if start is not None:
         out.append(_settle(trials, start, promise, math.inf))

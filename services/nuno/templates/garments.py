@@ -28,7 +28,7 @@ COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
 
 
 class Garment(NamedTuple):
-    """An object's name, its pattern's file beside the scene, and its fabric."""
+    """An object's name, its pattern's file in the scene's folder, and its fabric."""
 
     name: str
     pattern: str
