@@ -66,13 +66,11 @@ class Tensions:
         """
         if "edge_k" not in arrays:
             return None
-        number, neighbours = len(mine), arrays["edge_beside"]
+        number, around = len(mine), arrays["edge_beside"]
         values_by_name = {name: arrays.get(f"edge_{name}") for name in ("rest", "k", "mu", "lock", "k_lock")}
         if any(values is not None and len(values) != number for values in values_by_name.values()):
             raise ValueError("the arrays of yarns' tension differ in length")
-        if neighbours.shape != (number, 2) or (
-            neighbours.size and not (neighbours.min() >= -1 and neighbours.max() < number)
-        ):
+        if around.shape != (number, 2) or (around.size and not (around.min() >= -1 and around.max() < number)):
             raise ValueError("a link beside another that is not there")
         if not arrays["edge_k"][mine].any():
             return None
@@ -81,7 +79,7 @@ class Tensions:
         # The last number is that of a missing neighbour, -1.
         numbers = np.append(np.where(mine, np.cumsum(mine) - 1, -1), -1).astype(np.int32)
         selected: Any = {name: None if values is None else values[mine] for name, values in values_by_name.items()}
-        return Tensions(**selected, beside=numbers[neighbours[mine]], most=most)
+        return Tensions(**selected, beside=numbers[around[mine]], most=most)
 
     def __call__(self, stretch: NDArray[np.floating]) -> Float:
         """Return tensions (e,) [N] at elongations (e,), |d| / rest - 1."""

@@ -166,7 +166,7 @@ class Followers:
             if left > 0.0:
                 follower.tally.behind += 1
                 limit = f"{follower.live.fastest:g} m/s and {follower.live.fastest_turn:g} rad/s at most"
-                text = f"has a goal farther away than it gets in a frame, by {left:.0%} of the way"
+                text = f"has a goal farther on than it gets in a frame, by {left:.0%} of the way"
                 self._say(follower, "jump", f"{text}: it follows at {limit}", frame)
         self._began = None
 
