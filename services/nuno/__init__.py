@@ -1,9 +1,9 @@
 """Textile simulation as services.
 
-`nuno.run(scene)` simulates, `nuno.plan(scene)` says what that would do and cost, `nuno.Scene` is a scene as an object;
-`nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` go on with it, and `nuno.states`
-gives its frames as they were, in float64, with what acted on them; `nuno.sweep` runs a scene for many values;
-`nuno.watch` listens to a run that goes on, and `nuno.drive` moves a body in it.
+`nuno.run(scene)` simulates, `nuno.plan(scene)` describes a run and its cost, `nuno.Scene` is a scene as an object;
+`nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` use it, and `nuno.states` returns
+its frames in float64, with the forces in them; `nuno.sweep` runs a scene for many values; `nuno.watch` receives the
+messages of an active run, and `nuno.drive` moves a body in it.
 """
 
 from __future__ import annotations

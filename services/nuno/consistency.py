@@ -1,7 +1,7 @@
-"""What the services of a run must have in common, wherever each has read it: the scene, its files, versions.
+"""Consistency of the services of a run: the same scene, files and versions in each.
 
-Each service reads the scene itself, on its own host or a moment later than another; where one has another scene, the
-run would still go on, and its recording would not tell what was simulated.
+Each service reads the scene itself, on its own host or a moment later than another; with another scene in one of them,
+the run would still go on, and its recording would be wrong.
 """
 
 from __future__ import annotations
@@ -23,94 +23,94 @@ from nuno_schemas.errors import BadInput, RunFailed
 
 PREMISES = "premises"
 PATIENCE = 60.0
-"""How long an answer may take [s]: large files are read for it."""
+"""Timeout of a reply [s], for which large files may be read."""
 CHANGE_RESULTS = ("python", "nuno", "numpy", "numba", "llvmlite")
 """Packages whose versions can change a result."""
 RESUMING = ("simulation", "dye", "recorder")
-"""Services that go on from a recording where the run does."""
+"""Services that resume a recording if the run does."""
 NOTHING = "nothing"
 REMEDY = "give its host the same scene and files, and each service the same --set and --root"
 
 
 Premises = dict[str, Any]
-"""What one service starts from: each value of its scene as validated, in SI units and with all defaults, by its field;
-`file NAME`, the sha256 of what the scene names; `version NAME`, of a package or of a plugin that the scene names;
-whether it `resumes`; and whether solver and step are `decided`, which not every service needs. JSON can say it all."""
+"""Inputs of one service: each validated value of its scene, in SI units and with all defaults, by its field;
+`file NAME`, the sha256 of a file of the scene; `version NAME`, of a package or of a plugin of the scene;
+whether it `resumes`; and whether solver and step are `decided`, which not every service needs. All are JSON-able."""
 
 
 def premises_of(loaded: Loaded, resumes: bool) -> Premises:
-    """Those of a service that has read this scene. Raises BadInput for a file that has changed since, or is gone."""
+    """Return the premises of a service with this scene. Raises BadInput for a file that has changed, or is gone."""
     scene = loaded.scene.model_dump(mode="json")
     for chosen in loaded.chosen:
-        # What a plugin is given stands in the scene as it was written: 10 cm here, 0.1 there.
+        # A plugin's configuration is in the scene as it was written: 10 cm in one, 0.1 in another.
         place = tuple(map(number_or_name, parts_of(chosen.field)))
         item_at(scene, place).update(chosen.config.model_dump(mode="json"))
     packages = {name: version for name, version in versions().items() if name in CHANGE_RESULTS}
-    found = leaves(scene) | {"decided": not loaded.scene.undecided, "resumes": resumes}
-    found |= {f"version {name}": version for name, version in (packages | plugins(loaded)).items()}
+    premises = leaves(scene) | {"decided": not loaded.scene.undecided, "resumes": resumes}
+    premises |= {f"version {name}": version for name, version in (packages | plugins(loaded)).items()}
     for name, path in assets(loaded).items():
         try:
             if stamp_of(path) != loaded.files.stamps[name]:
                 raise BadInput("it has changed since it was read", str(path), remedy="start the run again")
             with path.open("rb") as stream:
-                found[f"file {name}"] = hashlib.file_digest(stream, "sha256").hexdigest()
+                premises[f"file {name}"] = hashlib.file_digest(stream, "sha256").hexdigest()
         except OSError as error:
             raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
-    return found
+    return premises
 
 
 def leaves(value: object, field: str = "") -> Premises:
-    """Each value that is no mapping or list by its field, as `bodies[0].collider.radius`."""
+    """Return each value that is no mapping or list, by its field, as `bodies[0].collider.radius`."""
     if isinstance(value, Mapping):
-        items = [(f"{field}.{name}" if field else str(name), one) for name, one in value.items()]
+        items = [(f"{field}.{name}" if field else str(name), item) for name, item in value.items()]
     elif isinstance(value, list):
-        items = [(f"{field}[{i}]", one) for i, one in enumerate(value)]
+        items = [(f"{field}[{i}]", item) for i, item in enumerate(value)]
     else:
         return {field: value}
-    return {name: leaf for inner, one in items for name, leaf in leaves(one, inner).items()}
+    return {name: leaf for inner, item in items for name, leaf in leaves(item, inner).items()}
 
 
 def offer_premises(bus: Bus, loaded: Loaded, resumes: bool) -> None:
-    """Answer whoever asks, in a thread of the session; nothing is read for a run in which nobody does."""
+    """Answer queries for the premises, in a thread of the session; files are read only for a query."""
     key = bus.key(f"{PREMISES}/{bus.service}")
 
     def answer(query: zenoh.Query) -> None:
-        question = Query(PREMISES, key, query)
+        request = Query(PREMISES, key, query)
         try:
-            question.answer_json(premises_of(loaded, resumes))
+            request.answer_json(premises_of(loaded, resumes))
         except BadInput as error:
-            question.answer_json({"problem": str(error)})
+            request.answer_json({"problem": str(error)})
 
     bus.offers.append(bus.session.declare_queryable(key, answer))
 
 
 def check_premises(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) -> list[str]:
-    """Have each service start from the same as `loaded`; what is to be said of versions that differ.
+    """Check that each service has the same premises as `loaded`; return notes on different versions.
 
     Raises BadInput for another scene or file, RunFailed, with the service as its peer, where one does not answer.
     """
-    questions = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
-    own = json.loads(json.dumps(premises_of(loaded, resumes)))  # as the others come
+    replies = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
+    ours = json.loads(json.dumps(premises_of(loaded, resumes)))  # in the form of the replies
     notes = []
-    for name, asked in questions.items():
+    for name, reply in replies.items():
         try:
-            theirs = json.loads(asked.answer())
+            theirs = json.loads(reply.answer())
         except RunFailed as error:
             raise RunFailed(str(error), peer=name) from None
         if "problem" in theirs:
             raise BadInput(f"the {name} service cannot begin: {theirs['problem']}")
-        notes += compare(name, theirs, own)
-        # What the supervisor's host lacks, the others must agree on.
-        own = {field: value for field, value in theirs.items() if field.startswith("file ")} | own
+        notes += compare(name, theirs, ours)
+        # Files that the supervisor's host lacks must agree between the others.
+        ours = {field: value for field, value in theirs.items() if field.startswith("file ")} | ours
     return notes
 
 
-def compare(service: str, theirs: Premises, own: Premises) -> list[str]:
-    """Versions that differ, in words. Raises BadInput for the first value of the scene, or file, that does."""
-    choosing = () if theirs.get("decided") and own["decided"] else ("solver", "accuracy", "dye.solver")
+def compare(service: str, theirs: Premises, ours: Premises) -> list[str]:
+    """Return notes on different versions. Raises BadInput for the first different value of the scene, or file."""
+    choosing = () if theirs.get("decided") and ours["decided"] else ("solver", "accuracy", "dye.solver")
     notes = []
-    for field in {**theirs, **own}:
-        there, here = theirs.get(field, NOTHING), own.get(field, NOTHING)
+    for field in {**theirs, **ours}:
+        there, here = theirs.get(field, NOTHING), ours.get(field, NOTHING)
         kind, _, name = field.partition(" ")
         if there == here or field == "decided" or (kind in ("file", "version") and NOTHING in (there, here)):
             continue

@@ -1,4 +1,4 @@
-"""What can be written of a recording, by what is asked for: files, and how they are to be."""
+"""Export of a recording to files, by a request with their names and settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from nuno.exports.dyed_pictures import Changes
 
 Length = str | float
-"""With its unit, or in metres."""
+"""A length with its unit, or in metres."""
 MESHES = (".obj", ".ply", ".glb")
 FILES = {
     "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
@@ -44,7 +44,7 @@ FILES = {
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
     "scene": "the scene as it was run, .yaml",
 }
-"""What can be written, by its flag."""
+"""Kinds of files, by their flags."""
 WRITERS = {
     **{name: f"nuno.exports.tables:export_{name}" for name in ("npz", "forces", "csv", "scene")},
     "yarns": "nuno.exporting:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
@@ -53,23 +53,23 @@ WRITERS = {
     **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),
     "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
 }  # fmt: skip
-"""What writes each, in this order."""
+"""Function that writes each kind of file; the order is that of writing."""
 WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
-"""Of these, what is of a whole run."""
+"""Kinds of files of a whole run."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
-"""Of these, beside MESHES, what a cloth that is dyed alone has not: it has no shape."""
+"""Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
 ENDINGS: dict[str, tuple[str, ...]] = {
     "npz": (".npz",), "forces": (".npz",), "csv": (".csv",), "png": (".png",), "scene": (".yaml",),
     "yarns": (".npz", ".obj"), "pattern": (".svg", ".pdf"),
 }  # fmt: skip
-"""Of these, what the names of single files end in."""
+"""Endings of the names of single files."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
 class ExportRequest(BaseModel):
-    """Files by the names of FILES, and settings, as flags of `nuno export` have them."""
+    """A request of files by the names of FILES, and settings, with the names of the flags of `nuno export`."""
 
     model_config = ConfigDict(extra="forbid")
     npz: Path | None = None
@@ -108,31 +108,29 @@ class ExportRequest(BaseModel):
 
 
 def ask(**fields: Any) -> ExportRequest:
-    """What is asked for. Raises BadInput for a name or a value that is none, by its flag."""
+    """Return a validated request. Raises BadInput for an invalid name or value, by its flag."""
     try:
         return ExportRequest(**fields)
     except ValidationError as error:
-        found = explain(error, fields, (), "export", {}, ExportRequest)
-        raise replace(found, file=None, field=f"--{found.field}") from None
+        explained = explain(error, fields, (), "export", {}, ExportRequest)
+        raise replace(explained, file=None, field=f"--{explained.field}") from None
 
 
 def show_progress(done: int, total: int) -> None:
-    """On one line of a terminal; nothing where there is none."""
+    """Show progress on one line of a terminal, if there is one."""
     if sys.stderr.isatty():
         print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
 
 def write(recording: Recording, asked: ExportRequest, progress: Progress = show_progress) -> list[Path]:
-    """All that is asked for, or nothing; `progress` is told how far it is. Raises BadInput."""
+    """Write all requested files, or none; `progress` is called with the parts done and in all. Raises BadInput."""
     _check(recording, asked)
     with together():
         return _export(recording, asked, progress)
 
 
 def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> list[Path]:
-    """Write what is asked for, what takes long last: each writer takes of the settings those that it has. Raises
-    BadInput.
-    """
+    """Write the requested files, slow ones last; a writer gets the settings among its parameters. Raises BadInput."""
     settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
     settings |= {"size": _size(asked.size), "changes": _changes(asked)}
     for name, writer in WRITERS.items():
@@ -144,26 +142,26 @@ def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> l
         elif (suffix := f".{name}") in MESHES and path.suffix.lower() != suffix:
             writer, settings["suffix"] = "nuno.exports.meshes:export_meshes", suffix
         write = resolve_name(writer)
-        made = write(recording, path, **{key: settings[key] for key in signature(write).parameters if key in settings})
-        written += made if isinstance(made, list) else [made]
+        paths = write(recording, path, **{key: settings[key] for key in signature(write).parameters if key in settings})
+        written += paths if isinstance(paths, list) else [paths]
     return written
 
 
 def export_curves(recording: Recording, path: Path, asked: ExportRequest) -> Path:
-    """Write a knit's yarns as curves, and say what was done to them. Raises BadInput."""
+    """Write a knit's yarns as curves, and print facts about them. Raises BadInput."""
     from nuno.exports.curves import export_yarns
 
     form: Form = asked.form or "smooth"
-    given: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
-    if "," in str(given.get("radius", "")):
-        given["radius"] = given["radius"].split(",")
-    made = export_yarns(recording, path, asked.frame, form, given)
-    print(tell_yarns(form, made.facts), file=sys.stderr)
+    settings: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
+    if "," in str(settings.get("radius", "")):
+        settings["radius"] = settings["radius"].split(",")
+    outcome = export_yarns(recording, path, asked.frame, form, settings)
+    print(tell_yarns(form, outcome.facts), file=sys.stderr)
     return path
 
 
 def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
-    """What an operation did, in words."""
+    """Return the facts of an operation on yarns in words."""
     count = {name: f"{int(value):,}" for name, value in facts.items()}
     text = f"{form} yarns: {count['links']} links, {count['points']} points"
     if "deepest" not in facts:
@@ -175,7 +173,7 @@ def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
 
 
 def _check(recording: Recording, asked: ExportRequest) -> None:
-    """Raises BadInput where what is asked for does not go together, or is not what such a recording has."""
+    """Raise BadInput for settings that do not fit together, or do not fit the recording."""
     from nuno.exports.animations import check_animation
     from nuno.viewer.require import require
 
@@ -221,7 +219,7 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
 
 
 def _check_files(asked: ExportRequest) -> None:
-    """Raises BadInput for a file that could not be written, and for two of one name."""
+    """Raise BadInput for a file that could not be written, and for two of one name."""
     from nuno.exports.pictures import check_sides
 
     check_sides(_size(asked.size))
@@ -245,7 +243,7 @@ def _check_files(asked: ExportRequest) -> None:
 
 
 def _check_frames(recording: Recording, asked: ExportRequest) -> None:
-    """Raises BadInput for frames and times that are not in the recording, and the pressure of what is no knit."""
+    """Raise BadInput for frames and times that are not in the recording, and for pressure without a knit."""
     from nuno.exports.dyed_pictures import choose_amounts
     from nuno.exports.pictures import choose_frames, require_pressure
 
@@ -260,7 +258,7 @@ def _check_frames(recording: Recording, asked: ExportRequest) -> None:
 
 
 def _check_dye(recording: Recording, asked: ExportRequest) -> None:
-    """Raises BadInput where a recording of dyed cloth alone is asked for what moves, or one of cloth for dye."""
+    """Raise BadInput for files of moving cloth from a recording of dye, and the other way round."""
     if recording.dyed_alone:
         shapes = [name for name in (*SHAPED, *(m[1:] for m in MESHES)) if getattr(asked, name)]
         if shapes:
@@ -281,7 +279,7 @@ def _check_dye(recording: Recording, asked: ExportRequest) -> None:
 
 
 def _changes(asked: ExportRequest) -> Changes:
-    """Of all pictures but those of a style, whose own settings are none of theirs."""
+    """Return the changes for pictures; settings of a style are only for its own pictures."""
     from nuno.exports.dyed_pictures import Changes
 
     overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))

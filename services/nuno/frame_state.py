@@ -1,4 +1,4 @@
-"""Frames of a recording as they were, in float64: between checkpoints they are simulated again, to the same bits."""
+"""Frames of a recording in float64: between checkpoints they are simulated again, to the same bits."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from nuno_schemas.system import Forces
 class FrameState:
     """One frame of a run.
 
-    x (n, 3) [m] and v (n, 3) [m/s] are float64 with the run's own bits, of which digest is the hash. fabric has
-    masses, springs and all else that does not change from frame to frame, as it is at this one; forces what acts,
-    where that was asked for. Of a cloth that is dyed phi and fixed are (dyes, 2, ny, nx); of one that is dyed alone
-    there are no vertices and no fabric, and digest is that of the amounts.
+    x (n, 3) [m] and v (n, 3) [m/s] are float64 with the run's own bits, and digest is their hash. fabric has masses,
+    springs and all other constants at this frame; forces are those in the frame, if requested. phi and fixed of dyed
+    cloth are (dyes, 2, ny, nx); cloth that is only dyed has no vertices and no fabric, and digest is that of the
+    amounts.
     """
 
     frame: int
@@ -43,7 +43,7 @@ class FrameState:
 
 @dataclass(frozen=True)
 class Acted(FrameState):
-    """A moment with what acted in it: of cloth that moves, which then has a fabric and forces."""
+    """A frame of moving cloth with its fabric and forces."""
 
     fabric: Fabric
     forces: Forces
@@ -52,28 +52,28 @@ class Acted(FrameState):
 def states(
     recording: Recording, frames: Iterable[int] | None = None, forces: bool = False, threads: int = 0
 ) -> Iterator[FrameState]:
-    """Frames by their numbers (default: all), in order, each from the nearest checkpoint before it.
+    """Yield frames by number (default: all), in order, each from the nearest checkpoint before it.
 
-    What is simulated again is what was recorded: each frame's digest is compared. Raises BadInput for a recording
-    without a scene, for a frame that is not in it, where this version or processor comes to other bits, and for the
-    forces of cloth that is dyed alone.
+    Each frame's digest is compared with the recorded one. Raises BadInput for a recording without a scene, for a frame
+    that is not in it, where this version or processor computes other bits, and for the forces of cloth that is only
+    dyed.
     """
-    known = {frame: digest for frame, digest in recording.marks().values() if digest}
-    wanted = sorted(known if frames is None else set(frames))
+    recorded = {frame: digest for frame, digest in recording.marks().values() if digest}
+    wanted = sorted(recorded if frames is None else set(frames))
     for frame in wanted:
-        if frame not in known:
-            raise recording.no_frame(frame, known)
+        if frame not in recorded:
+            raise recording.no_frame(frame, recorded)
     with restored_scene(recording) as loaded:
         if forces and not loaded.scene.moves:
             raise BadInput("a cloth that is dyed alone feels no forces", loaded.file, field="forces", value=forces)
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
         for frame in wanted:
             at = {name: part.at(frame) for name, part in parts.items()}
-            yield _moment(frame, at.get("cloth"), at.get("dye"), forces)
+            yield _frame_state(frame, at.get("cloth"), at.get("dye"), forces)
 
 
-def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> FrameState:
-    """`cloth` is a simulation, `dye` a dyeing, None for what the scene has not."""
+def _frame_state(frame: int, cloth: Any, dye: Any, forces: bool) -> FrameState:
+    """Return the present frame of `cloth`, a simulation, and `dye`, a dyeing; None for a missing one."""
     phi, fixed = (dye.state.phi.copy(), dye.state.fixed.copy()) if dye is not None else (None, None)
     if cloth is None:
         none = np.zeros((0, 3))
@@ -93,26 +93,26 @@ class _Part:
         self._times = {frame: time for time, (frame, _) in marks.items()}
         self._digests = dict(marks.values())
         self._changed = {event.frame for event in control_events(recording)}
-        self._again: Resimulation | None = None
+        self._resimulation: Resimulation | None = None
 
     def at(self, frame: int) -> Stepper:
-        """The same at a frame. Raises BadInput where its digest is another."""
-        again, path = self._again, str(self._recording.path)
-        if again is None or not again.stepper.frame <= frame <= again.stepper.frame + 1:
+        """Return the stepper at a frame. Raises BadInput where its digest differs."""
+        resimulation, path = self._resimulation, str(self._recording.path)
+        if resimulation is None or not resimulation.stepper.frame <= frame <= resimulation.stepper.frame + 1:
             number, start = self._nearest(frame)
-            if again is None or not number <= again.stepper.frame <= frame:
-                if again is not None:  # the first time, with what has not begun yet
+            if resimulation is None or not number <= resimulation.stepper.frame <= frame:
+                if resimulation is not None:  # the first time, with the stepper at its start
                     self._stepper = self._make()
-                again = self._again = Resimulation(self._recording, self._stepper, start)
-        again.go_to(frame)
-        if not again.comes_to(self._digests.get(frame)):
-            part = again.stepper.part
+                resimulation = self._resimulation = Resimulation(self._recording, self._stepper, start)
+        resimulation.go_to(frame)
+        if not resimulation.comes_to(self._digests.get(frame)):
+            part = resimulation.stepper.part
             problem = f"simulated again, frame {frame} of the {part} comes out otherwise than it was recorded"
             raise BadInput(problem, path, remedy="nuno verify says where, and what is another than it was then")
-        return again.stepper
+        return resimulation.stepper
 
     def _nearest(self, frame: int) -> tuple[int, Recorded | None]:
-        """Frame and message of the last checkpoint from which a frame can be reached; -1 and None from the start."""
+        """Return frame and message of the last checkpoint before a frame; -1 and None for the start."""
         log_time = self._times.get(frame, -1)
         while (message := self._recording.last(self._stepper.kept.name, log_time / 1e9)) is not None:
             number = next((n for n, time in self._times.items() if time == message.log_time), frame)

@@ -1,5 +1,5 @@
-"""What is said of cloth that passes through cloth or bodies, and of how near it comes to cloth: in reports, of
-recordings, at the end.
+"""Texts about crossings of cloth with cloth or bodies, and the least distance of cloth from cloth, for reports and
+recordings.
 """
 
 from __future__ import annotations
@@ -12,37 +12,37 @@ from nuno.recording.reader import Recording
 from nuno_schemas.messages import PENETRATION
 
 MOST_SPELLS = 20
-"""Of a recording that are shown to a person."""
+"""Most shown spells of a recording."""
 
 
-def passing(found: Mapping[str, Any]) -> str:
-    """Which object passes through which, and where [m]."""
-    one, other = found["objects"]
-    place = ", ".join(f"{value:.4g}" for value in found["place"])
+def passing(crossing: Mapping[str, Any]) -> str:
+    """Return which object passes through which, and where [m], in words."""
+    one, other = crossing["objects"]
+    place = ", ".join(f"{value:.4g}" for value in crossing["place"])
     return f"{one} through {'itself' if one == other else other} at [{place}] m"
 
 
-def problem(found: Mapping[str, Any] | None) -> str:
-    """What is wrong with a run by what the collision service found of its cloth; empty where nothing is."""
-    if found is None or not (first := found["first_crossing"]):
+def problem(results: Mapping[str, Any] | None) -> str:
+    """Return the problem of a run by the collision service's results; empty without crossings."""
+    if results is None or not (first := results["first_crossing"]):
         return ""
     where = f"first in frame {first['frame']} ({first['t']:.4g} s), {passing(first)}"
-    return f"crossed: cloth passes through {_what(found)} in {many(found['crossed'], 'frame')}, {where}"
+    return f"crossed: cloth passes through {_obstacles(results)} in {many(results['crossed'], 'frame')}, {where}"
 
 
-def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """The same as rows of a report."""
-    if found is None:
+def rows(facts: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """Return the collision service's results as rows of a report."""
+    if facts is None:
         return []
-    text = f"cloth passes through {_what(found)} in {found['crossed']:,} of {many(found['looked'], 'frame')}"
-    if found["allowed"]:
-        text += f", but for {', '.join(map(_both, found['allowed']))}, which may"
-    if first := found["first_crossing"]:
-        text += f", up to {many(found['crossings'], 'edge')} through triangles in one, first in frame {first['frame']}"
+    text = f"cloth passes through {_obstacles(facts)} in {facts['crossed']:,} of {many(facts['looked'], 'frame')}"
+    if facts["allowed"]:
+        text += f", but for {', '.join(map(_both, facts['allowed']))}, which may"
+    if first := facts["first_crossing"]:
+        text += f", up to {many(facts['crossings'], 'edge')} through triangles in one, first in frame {first['frame']}"
         return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
-    if not found["thickness"]:
+    if not facts["thickness"]:
         return [("crossings", text)]
-    thick, least = _millimetres(found["thickness"]), found["least_distance"]
+    thick, least = _millimetres(facts["thickness"]), facts["least_distance"]
     if least is None:
         return [("crossings", text), ("distance", f"cloth is never nearer to cloth than {thick}, its thickness")]
     near = f"cloth is pressed to within {_millimetres(least)} of cloth; it pushes back from {thick} on, its thickness"
@@ -50,13 +50,13 @@ def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def _both(pair: Sequence[str]) -> str:
-    """Two objects in words, which may be one."""
+    """Return two objects, or one and itself, in words."""
     return f"{pair[0]} and {'itself' if pair[0] == pair[1] else pair[1]}"
 
 
 def find_spells(recording: Recording) -> list[dict[str, Any]]:
-    """When cloth passes through cloth in a recording: first and last `frames` of each spell of frames, `t` [s] of both,
-    the most `crossings` in one, and the first `place` [m] with the `objects` of edge and triangle.
+    """Find spells of crossings in a recording: first and last `frames` of each, `t` [s] of both, the most `crossings`
+    in one frame, and the first `place` [m] with the `objects` of edge and triangle.
     """
     spells: list[dict[str, Any]] = []
     for message in recording.messages([PENETRATION.name]):
@@ -74,14 +74,14 @@ def find_spells(recording: Recording) -> list[dict[str, Any]]:
 
 
 def find_nearest(recording: Recording) -> dict[str, Any] | None:
-    """The least `distance` [m] of cloth from cloth in a recording, its `frame` and `t` [s]; None for none."""
+    """Return the least `distance` [m] of cloth from cloth in a recording, its `frame` and `t` [s]; None for none."""
     values = ((message.t, recording.said(message)) for message in recording.messages([PENETRATION.name]))
-    found = [(value["distance"], value.get("frame"), t) for t, value in values if value.get("distance") is not None]
-    return dict(zip(("distance", "frame", "t"), min(found), strict=True)) if found else None
+    distances = [(value["distance"], value.get("frame"), t) for t, value in values if value.get("distance") is not None]
+    return dict(zip(("distance", "frame", "t"), min(distances), strict=True)) if distances else None
 
 
 def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """What `nuno info` shows of these."""
+    """Return spells and the least distance as rows of `nuno info`."""
     lines = []
     for spell in spells[:MOST_SPELLS]:
         (first, last), (start, end) = spell["frames"], spell["t"]
@@ -100,9 +100,9 @@ def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) 
     return lines
 
 
-def _what(found: Mapping[str, Any]) -> str:
-    """What cloth is not to pass through."""
-    return " or ".join(["cloth", *found.get("bodies", ())])
+def _obstacles(results: Mapping[str, Any]) -> str:
+    """Return the objects of the cloth contact in words."""
+    return " or ".join(["cloth", *results.get("bodies", ())])
 
 
 def _millimetres(distance: float) -> str:

@@ -1,4 +1,4 @@
-"""What a `nuno` process sets up at its start, how it ends, and what it has only while it works."""
+"""Set-up and end of a `nuno` process, and its temporary folders."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ LARGE, KEPT = 1 << 22, 1 << 25
 
 PREFIX, HIDDEN = "nuno-scratch-", ".nuno-scratch-"
 YOUNG = 1.0
-"""Seconds in which whoever makes something comes to hold it."""
+"""Time within which the creator of a file or folder locks it [s]."""
 
 end_process = os._exit
-"""End the process at once, as nobody else may once `os._exit` is refused."""
+"""End the process at once; other code cannot once `os._exit` is refused."""
 
 T = TypeVar("T")
 LOOKS = 0.2
-"""How often it is looked for signals [s]."""
+"""Interval of the checks for signals [s]."""
 _refused = threading.local()
 _command: int | None = None
 """The process of the `nuno` command."""
 
 
 def working_folder() -> str:
-    """The folder that this process works in; empty where that has been removed."""
+    """Return the working folder of this process; empty if it has been removed."""
     with contextlib.suppress(OSError):
         return os.getcwd()
     return ""
@@ -50,9 +50,9 @@ def return_large_arrays() -> None:
     """Give arrays of LARGE bytes and more back to the system when they are freed, and keep the room of smaller ones,
     up to KEPT bytes of it at a time (glibc).
 
-    By default glibc raises the first limit to the largest array ever freed, and then keeps what a run needed only while
-    it was prepared: a third of the memory of a large sheet. And it gives back what lies free at the end of its heap
-    from 128 KB on: a look at a frame's crossings took two thirds of its time for the same room to be cleared anew.
+    By default glibc raises the first limit to the largest array ever freed, and then keeps memory that a run needed
+    only in its preparation: a third of that of a large sheet. And it returns free memory at the end of its heap from
+    128 KB on: a check of a frame's crossings took two thirds of its time for clearing the same memory again.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
@@ -61,21 +61,21 @@ def return_large_arrays() -> None:
 
 
 class _Stream(io.TextIOWrapper):
-    """Standard output, or standard error, where nothing fails because it cannot be written."""
+    """Standard output or standard error, whose write errors do not fail a run."""
 
     fault = ""
     """Why something could not be written."""
 
     def write(self, text: str) -> int:
-        """See io.TextIOWrapper."""
+        """Write a text; an error on standard error is ignored."""
         return self._note(lambda: super(_Stream, self).write(text)) or len(text)
 
     def flush(self) -> None:
-        """See io.TextIOWrapper."""
+        """Flush the buffer; an error on standard error is ignored."""
         self._note(super().flush)
 
     def close(self) -> None:
-        """Only flush: it is the command's, whose plugins may not close it."""
+        """Only flush: plugins may not close the command's streams."""
         self.flush()
 
     def _note(self, do: Callable[[], T]) -> T | None:
@@ -83,15 +83,15 @@ class _Stream(io.TextIOWrapper):
             return do()
         except OSError as error:
             if self.fileno() == 1:
-                if not isinstance(error, BrokenPipeError):  # whoever reads has enough
+                if not isinstance(error, BrokenPipeError):  # the reader has ended
                     self.fault = str(error.strerror)
                 raise
         return None
 
 
 def open_streams() -> None:
-    """Open the standard streams that are closed, on nothing: their numbers would be those of the next files and
-    sockets, which the system's libraries would then write to. What a stream's encoding lacks is written escaped.
+    """Open closed standard streams on the null device: otherwise the next files and sockets would have their numbers,
+    and the system's libraries would write to these. Characters outside a stream's encoding are escaped.
     """
     for number in range(3):
         try:
@@ -101,13 +101,13 @@ def open_streams() -> None:
     sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
     encoding = getattr(sys.stdout or sys.stderr, "encoding", "utf-8")
     for number, name in (1, "stdout"), (2, "stderr"):
-        own = open(number, "wb", closefd=False)  # noqa: SIM115
-        stream = _Stream(own, encoding, "backslashreplace", line_buffering=number == 2 or own.isatty())
+        raw = open(number, "wb", closefd=False)  # noqa: SIM115
+        stream = _Stream(raw, encoding, "backslashreplace", line_buffering=number == 2 or raw.isatty())
         setattr(sys, name, stream)
 
 
 def check_output() -> bool:
-    """Whether what was printed could be written so far, to the end of the buffer; what is wrong is said."""
+    """Flush standard output; return whether all of it could be written, and print the error if not."""
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.flush()
     fault = getattr(sys.stdout, "fault", "")
@@ -117,12 +117,12 @@ def check_output() -> bool:
 
 
 def import_no_own_files() -> None:
-    """Have the Python processes that this one starts import no file of the working folder, as a `queue.py` there."""
+    """Keep child Python processes from importing files of the working folder, as a `queue.py` there."""
     os.environ["PYTHONSAFEPATH"] = "1"
 
 
 def check_compiler() -> None:
-    """Raises BadInput for settings of the user's environment by which no kernel is compiled, or none can run."""
+    """Raise BadInput for environment variables that disable the compilation, or the threads, of kernels."""
     without, threads = os.environ.get("NUMBA_DISABLE_JIT", ""), os.environ.get("NUMBA_NUM_THREADS", "1")
     if without not in ("", "0"):
         problem = "numba is set to compile nothing, and nuno's kernels cannot do without"
@@ -134,20 +134,20 @@ def check_compiler() -> None:
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end by SIGTERM, which it does as on Ctrl-C."""
+    """The process received SIGTERM, and ends as on Ctrl-C."""
 
 
 SIGNALS = {"interrupted": "SIGINT (Ctrl-C)", "terminated": "SIGTERM"}
-"""What becomes of a run that is ended by a signal, by its state."""
+"""Signals that end a run, by its state."""
 
 
 def state_of(ended: KeyboardInterrupt) -> str:
-    """Which of SIGNALS."""
+    """Return the state in SIGNALS."""
     return "terminated" if isinstance(ended, Terminated) else "interrupted"
 
 
 def end_when_terminated() -> None:
-    """Take SIGTERM, which service managers and containers send, for what Ctrl-C is: an end in order."""
+    """Handle SIGTERM, which service managers and containers send, like Ctrl-C: an end in order."""
 
     def terminate(number: int, frame: FrameType | None) -> NoReturn:
         raise Terminated
@@ -157,9 +157,9 @@ def end_when_terminated() -> None:
 
 @contextlib.contextmanager
 def ending_at_once(after: int = 2) -> Iterator[None]:
-    """End the process at the second SIGINT or SIGTERM, whatever it is doing.
+    """End the process at the second SIGINT or SIGTERM, in any state.
 
-    Python runs handlers in the main thread alone, which may be compiling or waiting in foreign code; so a
+    Python runs handlers only in the main thread, which may be compiling or waiting in foreign code; so a
     thread counts the signals.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -180,23 +180,23 @@ def ending_at_once(after: int = 2) -> Iterator[None]:
 
 
 def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) -> T:
-    """What `work` gives or raises, from a thread of its own, so that a signal ends it at once, whatever it is doing:
-    Python runs handlers in the main thread alone, which may be compiling or in compiled code. `leave` is then called;
-    the thread ends with the process at the latest.
+    """Return or raise the result of `work` in a separate thread, so that a signal ends the wait at once: Python runs
+    handlers only in the main thread, which may be compiling or in compiled code. `leave` is then called; the thread
+    ends with the process at the latest.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()
     done: Future[T] = Future()
 
-    def body() -> None:
+    def run() -> None:
         try:
             done.set_result(work())
-        except BaseException as error:  # whatever it is, it is raised where it is waited for
+        except BaseException as error:  # any error is raised in the waiting thread
             done.set_exception(error)
 
     try:
-        threading.Thread(target=body, name="attended", daemon=True).start()
-        while not wait([done], LOOKS).done:  # a signal that came just before is else heard at the end
+        threading.Thread(target=run, name="attended", daemon=True).start()
+        while not wait([done], LOOKS).done:  # otherwise a signal just before would be handled at the end
             pass
         return done.result()
     finally:
@@ -222,7 +222,7 @@ _FAIL = ctypes.CFUNCTYPE(None)(_fail)
 
 
 def fail_on_exit() -> None:
-    """Have C's exit(), which compiled code of a plugin may call with code 0 in the middle of a run, end with code 1.
+    """Make C's exit(), which a plugin's compiled code may call with code 0 during a run, end with code 1.
 
     The `nuno` command itself ends by `leave`, without it.
     """
@@ -231,7 +231,7 @@ def fail_on_exit() -> None:
 
 
 def refuse_exit() -> None:
-    """Have `os._exit` raise SystemExit in all of this process, the command's: in threads that plugins start, too."""
+    """Make `os._exit` raise SystemExit in all of the command's process, also in threads of plugins."""
     global _command
     _command = os.getpid()
     os._exit = _refuse_exit
@@ -239,7 +239,7 @@ def refuse_exit() -> None:
 
 @contextlib.contextmanager
 def refusing_exit() -> Iterator[None]:
-    """Have `os._exit` raise SystemExit in this thread; it stays what it is for others, and for forked processes."""
+    """Make `os._exit` raise SystemExit in this thread, but not in others, nor in forked processes."""
     os._exit = _refuse_exit
     before = getattr(_refused, "process", None)
     _refused.process = os.getpid()
@@ -256,15 +256,15 @@ def _refuse_exit(status: int) -> NoReturn:
 
 
 def hold(handle: int) -> None:
-    """Hold an open file or folder until it is closed, or this process has ended. Not by its number: on a folder that
-    two hosts share, or two containers, that may be another's.
+    """Lock an open file or folder until it is closed, or this process ends. Rejected: the process's number, which may
+    be another's in a folder that two hosts or containers share.
     """
     with contextlib.suppress(OSError):  # a file system without locks
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def sweep(folder: Path, pattern: str) -> None:
-    """Take away what matches in a folder, is this user's, and is held by nobody."""
+    """Remove this user's matching files and folders that no process has locked."""
     for path in folder.glob(pattern):
         with contextlib.suppress(OSError):
             handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
@@ -280,7 +280,7 @@ def sweep(folder: Path, pattern: str) -> None:
 
 @contextlib.contextmanager
 def scratch(beside: Path | None = None) -> Iterator[Path]:
-    """A new folder, among the system's temporary ones or hidden in another, that is gone afterwards. Raises OSError."""
+    """Make a temporary folder, the system's or hidden in `beside`, and remove it afterwards. Raises OSError."""
     folder, prefix = (Path(tempfile.gettempdir()), PREFIX) if beside is None else (beside, HIDDEN)
     sweep(folder, f"{prefix}*")
     with tempfile.TemporaryDirectory(prefix=prefix, dir=folder, ignore_cleanup_errors=True) as name:
@@ -295,8 +295,8 @@ def scratch(beside: Path | None = None) -> Iterator[Path]:
 def leave(code: int) -> NoReturn:
     """End the process without Python's own shutdown.
 
-    zenoh's threads outlive their session. One that meets the interpreter while it shuts down is
-    ended by pthread_exit under Rust frames, which aborts the process ("exception not rethrown"):
-    seen in one of six runs.
+    zenoh's threads outlive their session. One that calls the interpreter during its shutdown is
+    ended by pthread_exit under Rust frames, which aborts the process ("exception not rethrown"),
+    as in one of six runs.
     """
     end_process(code if check_output() else code or 1)

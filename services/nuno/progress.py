@@ -1,4 +1,4 @@
-"""A progress line: simulated time, real-time factor, what is left."""
+"""A progress line: simulated time, real-time factor, remaining time."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from nuno_schemas.messages import FrameStatus
 from nuno_schemas.scene import Scene
 
 SETTLED = 2.0
-"""Wall time of frames that the first estimate is made of [s]; a shorter run needs none."""
+"""Wall time of the frames for the first estimate [s]; a shorter run needs none."""
 LATEST, OTHER = 0.25, 1.5
-"""Share of the time so far whose frames tell what is left; and by which factor an estimate differs that is said."""
+"""Share of the time so far whose frames give the estimate; and the factor by which a new shown estimate differs."""
 LEAST = 1.0
-"""What is left is told where it is longer than this [s]."""
+"""Least remaining time that is shown [s]."""
 
 
 class ProgressLine:
     """A bar on a terminal; elsewhere a line at the start and at each tenth.
 
-    What is left follows from the latest frames: the first ones of cloth that is put on take longer, those of cloth that
-    gets caught take shorter. The first estimate is a line of its own, after SETTLED, and so is one that differs.
+    The remaining time follows from the latest frames: the first ones of worn cloth take longer, those of caught cloth
+    are shorter. The first estimate is a separate line, after SETTLED, and so is one that differs.
     """
 
     def __init__(self, scene: Scene, bar: bool | None = None) -> None:
-        """bar: whether there is one; None: on a terminal."""
+        """bar: whether to show a bar; None shows it on a terminal."""
         self.scene, self.end = scene, scene.frames / scene.frame_rate
         self.start = 0.0
         self.tenth = -1
         self.estimate = 0.0
-        """Wall time of the run that was last said [s]."""
+        """Last shown estimate of the run's wall time [s]."""
         self.latest: deque[tuple[float, float]] = deque()
-        """When the latest frames were done [s], and which time of the scene they ended at [s]."""
+        """Wall time [s] and time of the scene [s] at the end of the latest frames."""
         self._terminal = sys.stderr.isatty() if bar is None else bar
         self._bar: Any = None
 
@@ -62,14 +62,14 @@ class ProgressLine:
             self._bar.stop()
 
     def update(self, status: FrameStatus | str) -> None:
-        """Show one frame's status, or a line that a service has to say."""
+        """Show one frame's status, or a message of a service."""
         if isinstance(status, str):
             print(status, file=sys.stderr)
             return
         self.show(status.t)
 
     def show(self, t: float) -> None:
-        """Show how far a run is [s]."""
+        """Show the progress at time t of the scene [s]."""
         now = time.perf_counter()
         if not self.start:
             self.start = now
@@ -91,12 +91,12 @@ class ProgressLine:
             self.tenth = tenth
             print(f"{done}  {rate}{f', {roughly(left)} left' if left > LEAST else ''}", file=sys.stderr)
 
-    def _estimate(self, whole: float, settled: bool) -> None:
-        """Say how long the run takes, `whole` [s], where that is not known yet, or is other than was said."""
-        before = self.estimate
-        if not settled or 1.0 / OTHER <= whole / (before or math.inf) <= OTHER:
+    def _estimate(self, total: float, settled: bool) -> None:
+        """Print the run's wall time `total` [s], if it is new, or differs from the last estimate."""
+        former = self.estimate
+        if not settled or 1.0 / OTHER <= total / (former or math.inf) <= OTHER:
             return
-        self.estimate, until = whole, self.scene.until
+        self.estimate, until = total, self.scene.until
         ends = "" if until == "duration" else f" at most, less where it comes to {until} before"
-        now = f", not {roughly(before)}: frames take {'longer' if whole > before else 'shorter'} now" if before else ""
-        print(f"the run takes {roughly(whole)}{ends}{now}", file=sys.stderr)
+        now = f", not {roughly(former)}: frames take {'longer' if total > former else 'shorter'} now" if former else ""
+        print(f"the run takes {roughly(total)}{ends}{now}", file=sys.stderr)

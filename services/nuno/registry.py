@@ -1,4 +1,4 @@
-"""Plugins by entry point: listed without importing any, imported only when a scene names one."""
+"""Registry of plugins by entry point: listing imports none, and a plugin is imported when a scene names it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
 OWN = "nuno"
-"""The distribution whose plugins are the project's own."""
+"""Distribution of the project's own plugins."""
 
 
 def installed(group: str) -> dict[str, EntryPoint]:
-    """Entry points of a group by name; of several of one name the one that `claims` gives first."""
+    """Return the entry points of a group by name; the first of `claims` if several have one name."""
     return {name: points[0] for name, points in claims(group).items()}
 
 
 def claims(group: str) -> dict[str, list[EntryPoint]]:
-    """For each name of a group the entry points that claim it, the project's own first: more than one is too many."""
+    """Return the entry points for each name of a group, the project's own first; more than one is an error."""
     return {name: list(points) for name, points in _claims(entry_points, group, tuple(sys.path)).items()}
 
 
@@ -31,33 +31,33 @@ def claims(group: str) -> dict[str, list[EntryPoint]]:
 def _claims(
     find: Callable[..., Iterable[EntryPoint]], group: str, path: tuple[str, ...]
 ) -> dict[str, list[EntryPoint]]:
-    """What `find` knows of a group, for as long as `path`, where it looks, is the same.
+    """Cache the entry points of a group, while the search path is the same.
 
-    It reads what every installed package says of itself, 10 ms each time, and a run asks a dozen times.
+    `find` reads the metadata of every installed package, in 10 ms, and a run calls it a dozen times.
     """
-    found: dict[str, list[EntryPoint]] = {}
+    points_by_name: dict[str, list[EntryPoint]] = {}
     for point in find(group=group):
-        points = found.setdefault(point.name, [])
+        points = points_by_name.setdefault(point.name, [])
         if all(point.value != other.value for other in points):
             points.append(point)
-    for points in found.values():
+    for points in points_by_name.values():
         points.sort(key=lambda point: (not is_own(point), package(point)))
-    return found
+    return points_by_name
 
 
-def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
-    """An instance of the plugin `name`. Raises BadInput if it is unknown, claimed twice or cannot be imported.
+def load(group: str, name: str, other_names: Iterable[str] = ()) -> Any:
+    """Return an instance of the plugin `name`. Raises BadInput if it is unknown, ambiguous or cannot be imported.
 
-    A plugin of another distribution is guarded (`nuno.plugin_contract.guards`). `beside` are words that may stand for
+    A plugin of another distribution is guarded (`nuno.plugin_contract.guards`). `other_names` are allowed in place of
     a plugin, such as "auto": the error for an unknown name lists them, too.
     """
-    found = claims(group)
-    if name not in found:
-        raise _unknown(group, name, [*found, *beside])
-    point, *others = found[name]
+    points_by_name = claims(group)
+    if name not in points_by_name:
+        raise _unknown(group, name, [*points_by_name, *other_names])
+    point, *others = points_by_name[name]
     if others:
-        owners = [package(one) for one in (point, *others)]
-        foreign = next(one for one in reversed((point, *others)) if not is_own(one) or one is point)
+        owners = [package(each) for each in (point, *others)]
+        foreign = next(each for each in reversed((point, *others)) if not is_own(each) or each is point)
         raise BadInput(
             f"two installed packages offer the plugin {name!r} in {group}",
             value=owners,
@@ -78,8 +78,8 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
 
 
 def offering(group: str, method: str, what: str) -> Any:
-    """The first installed plugin of a group that has a method besides the group's protocol. Raises BadInput where none
-    has, which says that none does `what`.
+    """Return the first installed plugin of a group with a method outside the group's protocol. Raises BadInput, which
+    names the method's purpose as `what`, without one.
     """
     for name in sorted(installed(group)):
         plugin = load(group, name)
@@ -99,32 +99,32 @@ def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInpu
 
 
 def package_version(group: str, name: str) -> str:
-    """`package version` that provides a plugin."""
+    """Return the `package version` that provides a plugin."""
     return package(installed(group)[name])
 
 
 def package(point: EntryPoint) -> str:
-    """`package version` that an entry point comes from."""
+    """Return the `package version` of an entry point."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
 
 
 def distribution(point: EntryPoint) -> str:
-    """Name of the package that an entry point comes from."""
+    """Return the name of an entry point's package."""
     return point.dist.name if point.dist else "unknown package"
 
 
 def is_own(point: EntryPoint) -> bool:
-    """Whether a plugin came with the project."""
+    """Return whether a plugin is the project's own."""
     return distribution(point) == OWN
 
 
-def _unknown(group: str, name: str, known: list[str]) -> BadInput:
-    """What was looked for and where; and where a plugin of that name is, if it is of another kind."""
+def _unknown(group: str, name: str, names: list[str]) -> BadInput:
+    """Return the error for an unknown plugin, with groups that have one of that name."""
     packages = sorted({package(point) for points in claims(group).values() for point in points})
     elsewhere = [f"{other} has one ({GROUPS[other]})" for other in GROUPS if other != group and name in claims(other)]
     return BadInput(
         f"no plugin {name!r} in {group} ({GROUPS[group]})",
         value=name,
         limit="; ".join([f"looked in {group} of {', '.join(packages) or 'no package'}", *elsewhere]),
-        remedy=nearest(name, known),
+        remedy=nearest(name, names),
     )

@@ -1,4 +1,4 @@
-"""Publishes a recording again, on the topics and in the order of the run it holds."""
+"""Replay of a recording: its messages are published again, on their topics and in order."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from nuno_schemas.messages import (
 )
 
 WINDOW = 4
-"""Frames that may be out before they are acknowledged."""
+"""Frames that may be sent before they are acknowledged."""
 DIGESTED = (*FRAMES, *STATUSES, *CHECKPOINTS)
-"""Topics whose headers carry the digest of the float64 state."""
+"""Topics whose headers have the digest of the float64 state."""
 
 Progress = Callable[[float], None]
 
 
 @dataclass
 class Replay:
-    """How to replay.
+    """A replay and its settings.
 
     rate      simulated seconds a second of wall time; None: as fast as the subscribers take it
-    start     simulation time [s] to begin at; what a viewer must know (cloth, bodies) comes first
-    loop      begin again at `start` when the end is reached
-    must_see  services that acknowledge every frame; nothing is sent far ahead of them
+    start     simulation time [s] to begin at; data that a viewer needs (cloth, bodies) comes first
+    loop      begin again at `start` after the end
+    must_see  services that acknowledge every frame, and that the replay waits for
     """
 
     rate: float | None = 1.0
@@ -54,15 +54,15 @@ class Replay:
     stop: threading.Event = field(default_factory=threading.Event)
     """Set it (from any thread) to end the replay after the present message."""
     sent: dict[str, int] = field(default_factory=dict)
-    """Messages sent per topic."""
+    """Number of sent messages by topic."""
 
     def run(self, bus: Bus, recording: Recording, progress: Progress | None = None) -> None:
         """Publish `recording` as the run of `bus`, until its end or `stop`.
 
         Headers are new: the run is the bus's, numbers count from 0 on, frame and digest come
-        from the status of each frame. `progress` is told each frame's time [s]. Raises BadInput
-        for a rate or start out of range, RunFailed where a service that must see every frame
-        dies or hangs.
+        from the status of each frame. `progress` is called with each frame's time [s]. Raises
+        BadInput for a rate or start out of range, RunFailed where a service in `must_see` dies or
+        hangs.
         """
         span, marks = self.check(recording)
         acks = _Acks(bus, self.must_see)
@@ -86,11 +86,11 @@ class Replay:
 
     @property
     def frames(self) -> int:
-        """Frames sent."""
+        """Number of sent frames."""
         return sum(self.sent.get(name, 0) for name in FRAMES)
 
     def check(self, recording: Recording) -> tuple[tuple[float, float], dict[str, dict[int, tuple[int, str]]]]:
-        """From when until when it lasts [s], and marks of its frames. Raises BadInput for what cannot be replayed."""
+        """Return start and end of a recording [s], and its marks. Raises BadInput if it cannot be replayed."""
         if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
             limit, remedy = "1e-6 to 1e6", "1 is real time"
             raise BadInput("no such rate", field="--rate", value=self.rate, limit=limit, remedy=remedy)
@@ -105,7 +105,7 @@ class Replay:
         return span, {"dye": recording.marks(DYE_STATUS.name), "": recording.marks()}
 
     def _wait(self, elapsed: float, begin: float) -> None:
-        """Sleep until `elapsed` simulated seconds are due; late messages go out at once."""
+        """Sleep until `elapsed` simulated seconds are due; late messages are sent at once."""
         if self.rate is not None:
             due = begin + max(elapsed, 0.0) / self.rate - time.perf_counter()
             if due > 0:
@@ -120,7 +120,7 @@ class Replay:
 
 
 def _from(recording: Recording, start: float) -> Iterator[Recorded]:
-    """All messages from `start` [s] on, after the last of each kind that a viewer needs."""
+    """Yield all messages from `start` [s] on, after the last ones that a viewer needs."""
     if start > recording.span[0]:
         rare = (recording.scene.get("record") or {}).get("dye_every") is not None
         for name in (FABRIC.name, GEOMETRY.name, BODIES.name, CLOTH.name, *([CONCENTRATION.name] if rare else [])):
@@ -144,7 +144,7 @@ class _Acks:
             raise RunFailed(f"not ready within {PATIENCE:g} s: {', '.join(sorted(missing))}")
 
     def wait(self, frames: int, stop: threading.Event) -> None:
-        """Until every service has acknowledged this many frames, or `stop`."""
+        """Wait until every service has acknowledged this number of frames, or `stop`."""
         quiet = time.monotonic()
         while min(self._seen.values(), default=frames) < frames and not stop.is_set():
             item = self._inbox.get(timeout=0.2)

@@ -1,8 +1,8 @@
-"""What every service of a run shares: its context, its life, and how it ends.
+"""Common parts of all services of a run: context, life cycle, end.
 
 A service declares its liveliness token once it listens, works until it is asked to finish, and
-answers that question with its counts. If it raises, the error goes out as an event and the token
-disappears, which ends the run; if the supervisor disappears, it ends by itself.
+replies to that query with its counts. If it raises, the error is published as an event and the token
+disappears, which ends the run; if the supervisor disappears, the service ends by itself.
 """
 
 from __future__ import annotations
@@ -37,33 +37,33 @@ MODULES = {
     "recorder": "nuno.recording.service",
     "viewer": "nuno.viewer.service",
 }
-"""Services by name; a module is imported only where its service runs. Each has `main(context)`."""
+"""Modules of the services by name; each has `main(context)`, and is imported only where its service runs."""
 
 
 LOOK_SECONDS = 0.5
-"""How often a service to which nothing comes looks whether it is still needed."""
+"""Interval of an idle service's checks whether the run goes on [s]."""
 
 
 @dataclass
 class Options:
-    """What the user chose for a run, beside the scene."""
+    """Options of a run that are not part of its scene."""
 
     record: Path | None = None
     save: Path | None = None
     """A rerun file to write."""
     view: str | None = None
-    """"window" or "web": show the run live; None: do not."""
+    """"window" or "web" show the run live; None shows nothing."""
     resume: Path | None = None
     threads: int = 0
     """Most threads for kernels; 0 = all."""
     must_see: tuple[str, ...] = ()
-    """Services that acknowledge every frame before the simulation runs far ahead."""
+    """Services that acknowledge every frame; the simulation waits for them."""
     temporary: bool = False
-    """Whether the recording is not to be kept."""
+    """Whether the recording is removed later."""
     real_time: bool = False
     """Whether frames wait for the clock."""
     folder: Path = field(default_factory=lambda: Path(working_folder()))
-    """Where paths begin: all threads share the working folder, and a plugin may leave it at any moment."""
+    """Base of relative paths: all threads share the working folder, and a plugin may change it at any time."""
 
     def __post_init__(self) -> None:
         if type(self.threads) is not int or self.threads < 0:
@@ -79,44 +79,44 @@ class Context:
     bus: Bus
     options: Options
     stop: threading.Event = field(default_factory=threading.Event)
-    """Set when the supervisor needs this service no more, though it may never have become ready."""
+    """Set when the supervisor no longer needs this service, even before it is ready."""
     watch: Watch = field(init=False)
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.bus)
 
     def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> None:
-        """Tell the run (and its recording) that something happened."""
+        """Publish an event to the run and its recording."""
         event = Event.model_validate(
             {"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args}
         )
         self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
 
     def acknowledge(self, frame: int, t: float) -> None:
-        """Say that this service, which must see every frame, has handled one."""
+        """Acknowledge a frame that this service has handled."""
         ack = Ack(service=self.bus.service, frame=frame)
         self.bus.publisher(ack_topic(self.bus.service)).put(ack.model_dump_json().encode(), frame, t)
 
     def orphaned(self) -> bool:
-        """Whether the supervisor was there and has gone."""
+        """Return whether the supervisor was alive and has gone."""
         return self.stop.is_set() or self.watch.gone(SUPERVISOR)
 
     def require_supervisor(self) -> None:
-        """Raises RunFailed where the supervisor was there and has gone."""
+        """Raise RunFailed if the supervisor was alive and has gone."""
         if self.orphaned():
             raise RunFailed("the supervisor has gone: its run ended without this service, or its process did")
 
     def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
-        """What this service sent and saw, for the report."""
+        """Return counts of sent and received messages, for the report."""
         counts: dict[str, Any] = {"sent": {name: p.sent for name, p in self.bus.publishers.items()}}
         counts["bus_seconds"] = sum(p.seconds for p in self.bus.publishers.values())
         if inbox is not None:
-            counts |= inbox.counts.told()
+            counts |= inbox.counts.nonzero()
         return counts
 
 
 def _event_topic(service: str) -> Topic:
-    """Every service numbers its own events."""
+    """Return a service's own topic of events, which it numbers."""
     return Topic(f"{EVENT.name}/{service}", EVENT.encoding, EVENT.schema)
 
 
@@ -125,29 +125,29 @@ def ack_topic(service: str) -> Topic:
 
 
 class Finish(BaseModel):
-    """The question that ends a service; the recorder's holds what else it needs to close the file."""
+    """The query that ends a service; the recorder's has the report and the counts for the file."""
 
     model_config = ConfigDict(strict=True)
     error: str = ""
     discard: bool = False
     expected: dict[str, int] = {}
-    """Messages sent per topic."""
+    """Messages sent by topic."""
     state: str = "done"
     report: dict[str, Any] | None = None
 
     @property
     def failure(self) -> str:
-        """Why the run failed; empty where it did not."""
+        """Reason of the run's failure; empty if it did not fail."""
         return self.error or ("" if self.state in ("done", "stopped") else f"it ended as {self.state}")
 
 
-def asks_to_finish(inbox: Inbox, question: Query) -> bool:
-    """Whether the run is over; a question that cannot be read is refused and counted."""
+def asks_to_finish(inbox: Inbox, query: Query) -> bool:
+    """Return whether the query ends the run; an invalid one is refused and counted."""
     try:
-        inbox.failure = Finish.model_validate_json(question.payload).failure
+        inbox.failure = Finish.model_validate_json(query.payload).failure
     except ValidationError as error:
-        inbox.refuse(question)
-        question.refuse(f"not a question to finish: {error.errors(include_url=False)[0]['msg']}")
+        inbox.refuse(query)
+        query.refuse(f"not a question to finish: {error.errors(include_url=False)[0]['msg']}")
         return False
     return True
 
@@ -159,10 +159,10 @@ def each_message(
     answer: Callable[[Query], None] | None = None,
     between: Callable[[], float] = lambda: LOOK_SECONDS,
 ) -> Query:
-    """Be alive, handle messages and questions as they come, until asked to finish.
+    """Declare the service alive, and handle messages and queries until the query to finish.
 
-    `between` is called between two of them; it says for how long [s] the next may be waited for, at most LOOK_SECONDS.
-    Returns that last question, still to be answered. Raises RunFailed if the supervisor goes.
+    `between` is called between two of them; it returns the longest wait for the next [s], at most LOOK_SECONDS.
+    Returns that last query, which is not answered yet. Raises RunFailed if the supervisor goes.
     """
     finish = f"finish/{context.bus.service}"
     inbox.answer(finish)
@@ -184,8 +184,8 @@ def each_message(
 def run_service(
     name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options, stop: threading.Event | None = None
 ) -> str:
-    """Run one service until it is asked to finish, or `stop`; why the run failed, empty where it did not. Raises what
-    the service raised.
+    """Run one service until the query to finish, or `stop`; return the reason of the run's failure, "" if it did not
+    fail. Raises the service's own errors.
     """
     bus = Bus(session, run, name)
     offer_health(bus)

@@ -1,4 +1,4 @@
-"""Re-simulates a recording and compares it, frame by frame, to the last bit."""
+"""Verification of a recording: it is simulated again and compared, frame by frame, to the last bit."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from nuno_schemas.errors import BadInput, RunFailed
 
 Progress = Callable[[float], None]
 MEMORY = "the solver's memory, "
-"""Of contact, friction, earlier steps: no part of a digest, and what all later frames depend on."""
+"""Prefix of quantities of contact, friction and earlier steps: not in the digest, but all later frames need them."""
 NUMBERS = ("frame", "t", "steps", "dt")
-"""Of a checkpoint, beside its arrays."""
+"""Numbers of a checkpoint, besides its arrays."""
 MANY = 100
-"""Times as many steps a frame as were recorded are another scene's."""
+"""Factor over the recorded steps a frame from which the scene counts as another."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first value, in the order of the array, that is another one in the recording.
+    """The first value, in the order of the array, that differs in the recording.
 
-    frame      where it was seen: of what differs in a frame whose float64 state is not kept, a later one
+    frame      where it was seen: a later one if the float64 state of the first different frame is not recorded
     quantity   position, velocity, mobile dye, fixed dye, an array of the solver's memory; or number of values
     index      in words: vertex 3, axis y
-    kept       where the recorded value is from: a checkpoint (float64), or what was published (float32)
+    kept       source of the recorded value: a checkpoint (float64), or a published message (float32)
     number     of values that differ, of `of`; farthest: the largest of their differences
     """
 
@@ -55,15 +55,14 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verification:
-    """What a comparison found.
+    """The result of a comparison.
 
-    compared is the number of frames that were compared and equal, of a dyed garment the cloth's, and dyed that of
-    its dye; frame the first one that differs (None: all are equal), by its digest or by what is kept of it.
-    part is what differs, cloth or dye. difference is None also where digests differ and nothing that is kept up to
-    the recording's end shows how. others are versions, the processor and plugins that the recording was made with and
-    that are not those here, where it differs. published and kept count what was compared beside the digests: messages
-    of positions or amounts, and checkpoints. lacks is what could not be compared, since it is not there; incomplete
-    says why the recording is not complete (cut, damaged, its run terminated), and is empty where it is.
+    compared is the number of compared and equal frames, for a dyed garment the cloth's, and dyed that of its dye; frame
+    is the first different one (None: all are equal), by its digest or its recorded data. part is the part that differs,
+    cloth or dye. difference is None also where digests differ and no recorded data up to the end shows how. others are
+    versions, processor and plugins of the recording that differ here, if the frames do. published and kept count
+    further compared messages: positions or amounts, and checkpoints. lacks are missing messages; incomplete says why
+    the recording is not complete (cut, damaged, its run terminated), and is empty where it is.
     """
 
     compared: int
@@ -80,57 +79,57 @@ class Verification:
 
 
 def steppers(loaded: Loaded, threads: int = 0) -> dict[str, Callable[[], Stepper]]:
-    """What makes a scene's cloth and its dye, each at its start and stepped without services, by their names.
+    """Return functions that make the steppers of a scene's cloth and dye, at the start and without services, by name.
 
-    Each raises BadInput for a scene that would not start.
+    Each raises BadInput for a scene that cannot start.
     """
-    found: dict[str, Callable[[], Stepper]] = {}
+    makers: dict[str, Callable[[], Stepper]] = {}
     if loaded.scene.moves:
         from nuno.simulation.run import Simulation
 
-        found[Simulation.part] = partial(Simulation.with_bodies, loaded, threads)
+        makers[Simulation.part] = partial(Simulation.with_bodies, loaded, threads)
     if loaded.dye is not None:
         from nuno.dye.run import DyeRun
 
-        found[DyeRun.part] = partial(DyeRun, loaded, threads)
-    return found
+        makers[DyeRun.part] = partial(DyeRun, loaded, threads)
+    return makers
 
 
 def verify(recording: Recording, threads: int = 0, progress: Progress | None = None) -> Verification:
-    """Simulate a recording's scene again, with its control events, and compare all that is kept of each frame:
-    its digest, what was published, and checkpoints.
+    """Simulate a recording's scene again, with its control events, and compare all recorded data of each frame:
+    its digest, published arrays, and checkpoints.
 
-    `progress` is told each time [s]. Raises BadInput for a recording without scene or digests.
+    `progress` is called with each time [s]. Raises BadInput for a recording without scene or digests.
     """
     with restored_scene(recording) as loaded:
         loaded.settled = None  # from the scene alone
         lacks = find_lacks(recording)
-        found = Verification(0, lacks=lacks, incomplete=shortcoming(recording, lacks))
+        result = Verification(0, lacks=lacks, incomplete=shortcoming(recording, lacks))
         for part, make in steppers(loaded, threads).items():
-            now = compare(recording, Resimulation(recording, make()), progress)
+            part_result = compare(recording, Resimulation(recording, make()), progress)
             dyed = part == "dye" and loaded.scene.moves
-            own = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
-            kept, published = found.kept + now.kept, found.published + now.published
-            found = replace(own, published=published, kept=kept, lacks=lacks, incomplete=found.incomplete)
-            if found.frame is not None:
-                return replace(found, others=_others(recording, loaded))
-        return found
+            counted = replace(part_result, compared=result.compared, dyed=part_result.compared) if dyed else part_result
+            kept, published = result.kept + part_result.kept, result.published + part_result.published
+            result = replace(counted, published=published, kept=kept, lacks=lacks, incomplete=result.incomplete)
+            if result.frame is not None:
+                return replace(result, others=_others(recording, loaded))
+        return result
 
 
-def compare(recording: Recording, again: Resimulation, progress: Progress | None = None) -> Verification:
+def compare(recording: Recording, resimulation: Resimulation, progress: Progress | None = None) -> Verification:
     """Step through the frames of a recording. Raises BadInput where it has no digests, RunFailed where
     damage hides them.
     """
-    found, equal, stepper = None, 0, again.stepper
+    result, equal, stepper = None, 0, resimulation.stepper
     seen = Counter[str]()
     for digest, frame, messages in _frames(recording, stepper):
-        again.go_to(frame)
-        same = again.comes_to(digest) if found is None else stepper.digest() == digest
-        difference = _first_difference(recording, again, digest, messages)
-        if found is None and (difference is not None or not same):
-            found = Verification(equal, frame, stepper.t, stepper.part)
-        if found is not None and difference is not None:
-            return replace(found, difference=difference)
+        resimulation.go_to(frame)
+        equal_digest = resimulation.comes_to(digest) if result is None else stepper.digest() == digest
+        difference = _first_difference(recording, resimulation, digest, messages)
+        if result is None and (difference is not None or not equal_digest):
+            result = Verification(equal, frame, stepper.t, stepper.part)
+        if result is not None and difference is not None:
+            return replace(result, difference=difference)
         equal += 1
         seen.update(message.topic for message in messages)
         if progress is not None:
@@ -139,23 +138,23 @@ def compare(recording: Recording, again: Resimulation, progress: Progress | None
         if recording.damage:
             raise RunFailed(f"{recording.path}: no frame is left to compare, for it is {recording.damage}")
         raise BadInput("the recording holds no digests to compare", str(recording.path))
-    return found or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])
+    return result or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])
 
 
 def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, list[Recorded]]]:
-    """Digest and number of each frame whose status is there, and what is kept of it. Raises BadInput for a frame that
-    the scene has not, or that is not made of steps like the recorded one: it would take another time, or for ever.
+    """Yield digest, number and messages of each frame with a status. Raises BadInput for a frame that the scene does
+    not have, or with far fewer steps than the scene's, which might take forever.
     """
     rate, last = stepper.loaded.scene.frame_rate, stepper.loaded.scene.frames
     topics = (stepper.status.name, stepper.published.name, stepper.kept.name)
     for _, group in groupby(recording.messages(topics), key=lambda message: message.log_time):
         messages = list(group)
-        said = next((m for m in messages if m.topic == stepper.status.name), None)
-        status = {} if said is None else recording.said(said)
-        if said is not None and status["digest"]:
-            with recording.damage_reported(said):
+        head = next((m for m in messages if m.topic == stepper.status.name), None)
+        status = {} if head is None else recording.said(head)
+        if head is not None and status["digest"]:
+            with recording.damage_reported(head):
                 # Times are whole nanoseconds.
-                if not (abs(said.t * rate - status["frame"]) < 1e-6 + 1e-9 * rate and 0 <= status["frame"] <= last):
+                if not (abs(head.t * rate - status["frame"]) < 1e-6 + 1e-9 * rate and 0 <= status["frame"] <= last):
                     raise BadMessage(f"frame {status['frame']} is not of that time, or beyond the scene's last, {last}")
                 if stepper.steps > MANY * status["steps"] > 0:
                     raise BadMessage(f"a frame of {status['steps']} steps, of which the scene has {stepper.steps:,}")
@@ -163,21 +162,21 @@ def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, 
 
 
 def _first_difference(
-    recording: Recording, again: Resimulation, digest: str, messages: list[Recorded]
+    recording: Recording, resimulation: Resimulation, digest: str, messages: list[Recorded]
 ) -> Difference | None:
-    """Of the state here from what is kept of the frame: of its float64 arrays, or else of what was published."""
-    stepper = again.stepper
+    """Return the first difference of the state from the frame's recorded float64 arrays, or else published ones."""
+    stepper = resimulation.stepper
     for message in (m for m in messages if m.topic == stepper.kept.name):
         theirs, ours = recording.checkpoint(message), stepper.keep()
-        for name in NUMBERS[: 2 if again.changing else None]:
+        for name in NUMBERS[: 2 if resimulation.changing else None]:
             here, there = ours.text[name], theirs.text.get(name, math.nan)
             if here != there:
                 what, gap = f"{name} of the checkpoint", abs(here - there)
                 return Difference(stepper.frame, what, "beside its arrays", here, there, "checkpoint", 1, 1, gap)
         pairs = [(ours.state, theirs.state)]
-        if not again.changing:  # else it may be kept with its changes, which make the solver's memory anew
+        if not resimulation.changing:  # otherwise it may include its changes, which rebuild the solver's memory
             pairs.append((ours.memory, theirs.memory))
-        # That of a change made after the frame is of another state.
+        # A checkpoint after a change in this frame has another state.
         for (here, there), memory in zip(pairs, ("", MEMORY), strict=False):
             if theirs.digest == digest and (found := _compare(stepper, here, there, "checkpoint", memory)):
                 return found
@@ -190,7 +189,7 @@ def _first_difference(
 
 
 def _compare(stepper: Stepper, ours: Arrays, theirs: Arrays, kept: str, memory: str = "") -> Difference | None:
-    """`memory` is what quantities begin with that are not of the state."""
+    """Return the first difference of arrays; `memory` is the prefix of quantities outside the state."""
     for name in {**theirs, **ours}:
         here, recorded = (np.asarray(arrays.get(name, ()), np.float64) for arrays in (ours, theirs))
         quantity = memory + name if memory else stepper.quantities[name]

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from nuno.scene import scene_file
-from nuno.simulation.costs import MOMENTS, Stage
+from nuno.simulation.costs import MOST_STARTS, Stage
 from nuno.simulation.run import Simulation
 from nuno.stepping.stepper import hash_of
 
@@ -41,14 +41,14 @@ def test_frames_that_are_stepped_again_are_those_of_the_run(solver: str, tmp_pat
     """To the last bit, with all that contact has in the middle of it; and without contact they are not."""
     simulation, after = fall(tmp_path, solver)
     stage = Stage(simulation.loaded.integrator, simulation.system, simulation.steps, simulation.dt)
-    moments, every = simulation.costs.moments, simulation.costs.every
+    starts, every = simulation.costs.starts, simulation.costs.every
     assert every == 4
-    assert len(moments) == FRAMES / every <= MOMENTS
+    assert len(starts) == FRAMES / every <= MOST_STARTS
     touched = False
-    for number, moment in enumerate(moments):
-        state, report = stage.replay(moment)
+    for number, start in enumerate(starts):
+        state, report = stage.replay(start)
         assert hash_of([state.x, state.v]) == after[number * every]
-        other, _ = stage.replay(moment, ("cloth_contact",))
+        other, _ = stage.replay(start, ("cloth_contact",))
         if report.counts["cloth_contacts"]:
             touched = True
             assert hash_of([other.x, other.v]) != after[number * every]

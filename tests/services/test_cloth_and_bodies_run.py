@@ -173,7 +173,7 @@ def test_cloth_that_starts_in_a_body_is_untangled_from_it(deep: float, across: i
     moved = np.linalg.norm(freed.fabrics[0].position - start.fabrics[0].position, axis=1)
     far = np.linalg.norm(start.fabrics[0].position[:, [0, 2]], axis=1) > 0.045
     assert moved.max() < 4.0 * deep + 4e-3 and (across == 7 or not moved[far].any())
-    assert freed.told[0]["facts"]["crossings"] > 0.0
+    assert freed.facts[0]["facts"]["crossings"] > 0.0
 
 
 def test_cloth_without_triangles_cannot_meet_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -104,7 +104,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
         with attendant.frame(number, 0.1 * number):
             if number == 5:
                 wait_until(lambda: bool(said))
-                time.sleep(3 * watchdog.LOOKS)
+                time.sleep(3 * watchdog.CHECK_INTERVAL)
     attendant.close()
     ((kind, text, frame),) = said
     assert kind == "warning" and frame == 5 and not attendant.leave[0]
@@ -117,8 +117,8 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
     attendant = FrameWatchdog(context)
     attendant.prepared()
-    attendant.hear(question)
-    time.sleep(watchdog.PATIENCE + 4 * watchdog.LOOKS)
+    attendant.note_query(question)
+    time.sleep(watchdog.PATIENCE + 4 * watchdog.CHECK_INTERVAL)
     assert not attendant.leave[0]
     with attendant.frame(1, 0.1):
         wait_until(lambda: bool(attendant.leave[0]))
@@ -129,7 +129,7 @@ def test_preparation_is_left_where_the_supervisor_goes() -> None:
     context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
     attendant = FrameWatchdog(context)
     wait_until(lambda: bool(attendant.leave[0]))
-    wait_until(lambda: all(thread.name != "dye attendant" for thread in threading.enumerate()))
+    wait_until(lambda: all(thread.name != "dye watchdog" for thread in threading.enumerate()))
 
 
 def test_trials_end_with_their_budget_and_what_is_known_is_taken(tmp_path: Path) -> None:

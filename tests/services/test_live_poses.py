@@ -20,7 +20,7 @@ from test_readme import ROOT, blocks
 
 import nuno
 from nuno.bus.sessions import spoke
-from nuno.collision.messages import POSES_QUESTION, decode_poses
+from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import resumed_scene
 from nuno.scene import scene_file, shipped
@@ -207,7 +207,7 @@ def test_bodies_are_not_asked_ahead_of_what_they_are_told(tmp_path: Path) -> Non
     run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
     run.wait_until_paused()
     with spoke(run.endpoint) as session, nuno.drive(run.run, "hand") as ball:
-        (reply,) = session.get(f"nuno/{run.run}/{POSES_QUESTION}", payload=b'{"frame": 15}', timeout=20.0)
+        (reply,) = session.get(f"nuno/{run.run}/{POSES_QUERY}", payload=b'{"frame": 15}', timeout=20.0)
         assert reply.err is not None and "told where to be in frame 1 next" in reply.err.payload.to_string()
         for position, rotation in poses():
             ball.send(position, rotation)

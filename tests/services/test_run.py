@@ -141,7 +141,7 @@ def test_of_services_that_are_gone_the_one_that_said_why_is_named() -> None:
         cut_off=str, errors=errors, bus=SimpleNamespace(ask_json=lambda *question: {}),
         watch=SimpleNamespace(alive=set), strange=set(), plan=SimpleNamespace(services=()), progress=None,
         _drain=lambda timeout=0.0: False,
-        say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), laggards=None,
+        say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), slow_consumers=None,
         _hear=lambda names: False, _why=lambda name: errors.get(name, oversight.GONE),
     )  # fmt: skip
     said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched))

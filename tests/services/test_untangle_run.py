@@ -156,4 +156,4 @@ def test_a_garment_that_starts_in_itself_is_untangled() -> None:
     after = build.build_start(scene_file.read(path, [*low, "operations=[{plugin: untangle}]"]))
     assert crosses(before, before.position)
     assert not crosses(before, after.fabrics[0].position)
-    assert after.told[0]["facts"]["largest"] < 0.03
+    assert after.facts[0]["facts"]["largest"] < 0.03

@@ -1,4 +1,4 @@
-"""A body of a run that goes on, told where to be: by a tracker, a robot's program, or whoever plays one."""
+"""A live body: its poses come from a tracker, a robot's program, or a script, while the run goes on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nuno.api.words import in_python
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.collision.live import read_poses
-from nuno.collision.messages import TOLD_QUESTION
+from nuno.collision.messages import LIVE_BODIES_QUERY
 from nuno.stepping.driver import CONTROL
 from nuno.supervision import runs
 from nuno.supervision.supervisor import CONTROL_TIMEOUT
@@ -24,30 +24,30 @@ from nuno_schemas.live import BodyPoses
 
 STILL = (1.0, 0.0, 0.0, 0.0)
 LOOK = 0.1
-"""How often a run that is waited for is looked for [s]."""
+"""Interval of the checks for an awaited run [s]."""
 T = TypeVar("T")
 
 
 class Driving:
-    """What moves one body, and takes hold of cloth with it; it can be closed, and used with `with`."""
+    """Moves one body, and attaches cloth to it; it can be closed, and used with `with`."""
 
     def __init__(self, run: str, body: str, endpoint: str, connect: bool, config: str | None, end: float) -> None:
-        """connect: whether the run is another host's, of which nothing is noted here; end: as drive's wait is over."""
+        """connect: whether the run is on another host, without an entry here; end: monotonic time of the wait's end."""
         with contextlib.ExitStack() as stack, in_python():
             session = stack.enter_context(spoke(endpoint, config, max(0.0, end - time.monotonic()) if connect else 0.0))
             self._bus = Bus(session, run, "drive")
 
             def ready() -> None:
                 if not connect:
-                    runs.find(run)  # one that has ended is waited for no more
+                    runs.find(run)  # raises for a run that has ended
                 self._bus.ask_json(CONTROL, {"action": "status"}, CONTROL_TIMEOUT)
 
             try:
-                _asked_until(end, ready, RunFailed)
+                _retry_until(end, ready, RunFailed)
             except RunFailed as error:
-                right = f"{error}; to move a body takes an operator's certificate"
-                raise RunFailed(right if config else str(error), error.peer) from None
-            self._joints, key = _told(self._bus, body)
+                problem = f"{error}; to move a body takes an operator's certificate"
+                raise RunFailed(problem if config else str(error), error.peer) from None
+            self._joints, key = _live_body(self._bus, body)
             self._publisher = session.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.BLOCK,
@@ -56,9 +56,9 @@ class Driving:
             self._stack, self._closed = stack.pop_all(), False
 
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
-        """Tell the body where to be: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length but
-        zero; or of a skeleton (j, 3) and (j, 4), of all joints. Raises BadInput for what cannot be followed, of another
-        shape or not finite, and where this is closed.
+        """Send the body's next pose: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length except
+        zero; for a skeleton (j, 3) and (j, 4), of all joints. Raises BadInput for poses of another shape, or not
+        finite, and if this is closed.
         """
         self._require_open()
         positions, rotations = _rows("position", position, 3), _rows("rotation", rotation, 4)
@@ -71,9 +71,9 @@ class Driving:
         self._publisher.put(payload)
 
     def add(self, item: str) -> dict[str, Any]:
-        """Change the cloth at once, as `nuno control RUN add`: "attach: {body: hand}", "release: {body: hand}"; what
-        became of it. It comes before the next frame. Raises BadInput where the run refuses it, RunFailed where it does
-        not answer.
+        """Change the cloth before the next frame, as `nuno control RUN add`: "attach: {body: hand}",
+        "release: {body: hand}"; return the facts of the change. Raises BadInput if the run refuses it, RunFailed if it
+        does not answer.
         """
         self._require_open()
         answer = self._bus.ask_json(CONTROL, {"action": "add", "item": item}, CONTROL_TIMEOUT)
@@ -87,7 +87,7 @@ class Driving:
             raise BadInput("this is closed", remedy="drive the body anew: with nuno.drive(...) as body")
 
     def close(self) -> None:
-        """Tell it nothing more."""
+        """End the session; no pose can be sent afterwards."""
         self._closed = True
         self._stack.close()
 
@@ -101,38 +101,38 @@ class Driving:
 def drive(run: str, body: str, *, wait: float = 0.0, connect: str | None = None, config: str | None = None) -> Driving:
     """Move a body of a run whose motion is `{plugin: topic}`: with nuno.drive("last", "hand") as hand: hand.send(...).
 
-    run: its id, the beginning of that, or "last" of this folder; body: its name in the scene; wait: how long the run
-    may take to be there, and ready for its first frame [s]; connect and config: endpoint and zenoh configuration, for a
-    run on another host, whose id is then needed in full. Raises BadInput for a run that does not go on, and a body that
-    it has not or does not move so, RunFailed where it cannot be reached.
+    run: its id, the beginning of that, or "last" of this folder; body: its name in the scene; wait: longest wait until
+    the run exists, and is ready for its first frame [s]; connect and config: endpoint and zenoh configuration, for a
+    run on another host, whose full id is then needed. Raises BadInput for a run that does not go on, and a body that
+    does not exist or has another motion, RunFailed where the run cannot be reached.
     """
     end = time.monotonic() + wait
     with in_python():
-        name, endpoint = (run, connect) if connect else _asked_until(end, lambda: runs.find(run, here=True), BadInput)
+        name, endpoint = (run, connect) if connect else _retry_until(end, lambda: runs.find(run, here=True), BadInput)
     return Driving(name, body, endpoint, connect is not None, config, end)
 
 
-def _told(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
-    """Joints of a body that is told where to be, and the key by which it is. Raises BadInput for any other."""
+def _live_body(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
+    """Return joints and key of a body with a live motion. Raises BadInput for any other."""
     if "collision" not in bus.present():
         raise BadInput("the run has no bodies", field="body", value=body, remedy="give its scene the body")
-    known = bus.ask_json(TOLD_QUESTION, {}, CONTROL_TIMEOUT)
-    bodies, told = known["bodies"], known["told"]
+    reply = bus.ask_json(LIVE_BODIES_QUERY, {}, CONTROL_TIMEOUT)
+    bodies, live = reply["bodies"], reply["told"]
     if body not in bodies:
         raise BadInput("the run has no such body", field="body", value=body, remedy=nearest(body, bodies))
-    if body not in told:
-        problem, others = f"{body} has no motion: {{plugin: topic}}", f"or take {' or '.join(told)}" if told else ""
-        raise BadInput(problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(told)}{others}")
-    return tuple(told[body]["joints"]), str(told[body]["key"])
+    if body not in live:
+        problem, hint = (f"{body} has no motion: {{plugin: topic}}", f"or take {' or '.join(live)}" if live else "")
+        raise BadInput(problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(live)}{hint}")
+    return tuple(live[body]["joints"]), str(live[body]["key"])
 
 
-def _rows(name: str, given: ArrayLike, width: int) -> NDArray[np.float64]:
-    """(j, width) numbers, of each joint. Raises BadInput for anything else."""
+def _rows(name: str, numbers: ArrayLike, width: int) -> NDArray[np.float64]:
+    """Return numbers (j, width) of all joints. Raises BadInput for anything else."""
     limit = f"{width} numbers, or as many of each joint"
     try:
-        values = np.atleast_2d(np.asarray(given, np.float64))
+        values = np.atleast_2d(np.asarray(numbers, np.float64))
     except (TypeError, ValueError):
-        raise BadInput("no numbers", field=name, value=given, limit=limit) from None
+        raise BadInput("no numbers", field=name, value=numbers, limit=limit) from None
     if values.shape[1:] != (width,):
         raise BadInput("of another shape", field=name, value=f"shape {values.shape}", limit=limit)
     if not np.isfinite(values).all():
@@ -140,8 +140,8 @@ def _rows(name: str, given: ArrayLike, width: int) -> NDArray[np.float64]:
     return values
 
 
-def _asked_until(end: float, ask: Callable[[], T], refusal: type[Exception]) -> T:
-    """What is asked for, as soon as it is there; refused as it is at the end of the time."""
+def _retry_until(end: float, ask: Callable[[], T], refusal: type[Exception]) -> T:
+    """Repeat `ask` until it succeeds; raise its `refusal` after the end of the time."""
     while True:
         try:
             return ask()

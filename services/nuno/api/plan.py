@@ -1,4 +1,4 @@
-"""What a scene will run, what is left out and why, the stable step, the estimated cost."""
+"""The plan of a run: services, features left out and why, stable step, estimated cost."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Row = tuple[str, str]
 
 
 class Plan(list[Row]):
-    """Headings and texts, in order, as `nuno plan` prints them; `str` gives that."""
+    """Rows of headings and texts; `str` formats them as `nuno plan` does."""
 
     def __str__(self) -> str:
         return "\n".join(map(line_of, self))
@@ -42,9 +42,9 @@ def plan(
     roots: Sequence[str | os.PathLike[str]] = (),
     **fields: Any,
 ) -> Plan:
-    """What a run of a scene would do, and cost; its arguments are those of `run`. Raises BadInput."""
-    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
-        return Plan(describe(found))
+    """Return the plan of a scene's run, and its cost; the arguments are those of `run`. Raises BadInput."""
+    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as scene_loaded:
+        return Plan(describe(scene_loaded))
 
 
 def line_of(row: Row) -> str:
@@ -52,9 +52,9 @@ def line_of(row: Row) -> str:
 
 
 def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
-    """The rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
+    """Yield the rows of a plan, each as soon as it is known. Raises BadInput for a scene that would not start."""
     yield "scene", ": ".join(filter(None, (loaded.scene.name, loaded.scene.description)))
-    # Before what it is warned of takes long, or fails.
+    # Warnings come before the work that they warn of, which may take long, or fail.
     yield from (("WARNING", text) for text in scene_warnings(loaded))
     loaded = decide(loaded, budget)
     services = make_plan(loaded, Options(record=Path("recordings")))
@@ -64,7 +64,7 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
     if loaded.scene.view.pictures is not None:
         from nuno.render.artist import Artist
 
-        Artist(loaded)  # refuses what the pictures cannot show, as an eye inside a body
+        Artist(loaded)  # refuses bad pictures, as with an eye inside a body
     if loaded.dye is not None:
         from nuno.dye.describe import describe_dye
 
@@ -75,14 +75,14 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     simulation = Simulation.with_bodies(loaded)
-    rows = _size(simulation) + _meetings(loaded)
-    rows += [(one["operation"], describe_start(one["facts"])) for one in simulation.arranged]
+    rows = _size(simulation) + _contacts(loaded)
+    rows += [(operation["operation"], describe_start(operation["facts"])) for operation in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
-        rows += _worn(simulation, simulation.geometry, simulation.poses)
-    found = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
-    rows += [("WARNING", text) for text in found]
+        rows += _attachments(simulation, simulation.geometry, simulation.poses)
+    doubts = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
+    rows += [("WARNING", text) for text in doubts]
     rows += _texture(simulation)
-    seconds = simulation.time_frame()  # from here on the cloth has moved
+    seconds = simulation.time_frame()  # this moves the cloth
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
     rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
     rows += [("chosen", loaded.why)] if loaded.why else []
@@ -92,7 +92,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
 
 
 def _texture(simulation: Simulation) -> list[tuple[str, str]]:
-    """How large the cells of the dye are on the object that is dyed, and how they come to its own measures."""
+    """Return the size of the dyed object's texture, and of the dye cells on it."""
     dyed = simulation.loaded.dye
     if dyed is None:
         return []
@@ -106,13 +106,13 @@ def _texture(simulation: Simulation) -> list[tuple[str, str]]:
     return [("texture", text)]
 
 
-def _meetings(loaded: Loaded) -> list[tuple[str, str]]:
-    """What meets what, and by which contact."""
+def _contacts(loaded: Loaded) -> list[tuple[str, str]]:
+    """Return which objects collide, and by which contact."""
     bodies = [body.name for body in loaded.scene.bodies]
     met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in build.group_contacts(loaded)]
     if loaded.cloth_contact is not None:
-        also = [bodies[i] for i in loaded.scene.met_bodies]
-        met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *also])}")
+        bodies_met = [bodies[i] for i in loaded.scene.met_bodies]
+        met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *bodies_met])}")
     return [("contact", "; ".join(met))] if met else []
 
 
@@ -134,8 +134,8 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
     ]
 
 
-def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
-    """Where the frames that carry cloth start."""
+def _attachments(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
+    """Return the start positions of the frames that cloth is attached to."""
     rows = []
     for binding in simulation.fabric.bindings:
         if (skinned := build.skin_of(binding, geometry)) is not None:

@@ -1,4 +1,4 @@
-"""Recordings as calls take them, and what is done with them."""
+"""Recordings as arguments of calls: opening, reading states, verification, export."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def path_of(recording: Recorded) -> Path:
-    """Raises BadInput where there is no last one."""
+    """Return the path of a recording. Raises BadInput if there is none."""
     if isinstance(recording, str | os.PathLike):
         return runs.find_recording(Path(recording))
     if not isinstance(getattr(recording, "path", None), Path):
@@ -37,12 +37,12 @@ def path_of(recording: Recorded) -> Path:
 
 
 def opened(recording: Recorded) -> AbstractContextManager[Recording]:
-    """It, which is closed again unless it was open before. Raises BadInput."""
+    """Open a recording; it is closed again unless it was open before. Raises BadInput."""
     return target.opened(recording if isinstance(recording, Recording) else path_of(recording))
 
 
 def open_file(recording: str | os.PathLike[str]) -> Recording:
-    """A recording's file, or "last", opened: finished or not. Close it, or use it in a `with`. Raises BadInput."""
+    """Open a recording's file, or "last", complete or not. Close it, or use it in a `with`. Raises BadInput."""
     with in_python():
         return open_recording(path_of(recording))
 
@@ -62,23 +62,23 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
-    """Frames of a recording (default: all) as they were, in float64: see nuno.frame_state.states. Raises BadInput."""
+    """Yield frames of a recording (default: all) in float64, as nuno.frame_state.states. Raises BadInput."""
     from nuno import frame_state
 
-    with in_python(), opened(recording) as found:
-        yield from frame_state.states(found, frames, forces)
+    with in_python(), opened(recording) as source:
+        yield from frame_state.states(source, frames, forces)
 
 
 def verify(recording: Recorded, threads: int = 0) -> Verification:
-    """Simulate a recording again, and compare each frame to the last bit: see `Verification`.
+    """Simulate a recording again, and compare the bits of each frame; return a `Verification`.
 
     Warns of a recording that is not complete. Raises BadInput for one without scene or frames.
     """
     from nuno import verification
 
-    with in_python(), opened(recording) as found:
-        _warn(found)
-        return verification.verify(found, threads)
+    with in_python(), opened(recording) as source:
+        _warn(source)
+        return verification.verify(source, threads)
 
 
 def _warn(recording: Recording) -> None:
@@ -87,16 +87,16 @@ def _warn(recording: Recording) -> None:
 
 
 def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any) -> list[Path]:
-    """Write files of a recording; which, as `nuno export` has it: nuno.export("last", glb="a.glb", frame=30).
+    """Write files of a recording, with the options of `nuno export`: nuno.export("last", glb="a.glb", frame=30).
 
-    what: fields of nuno.exporting.ExportRequest: a file for each of npz, forces, csv, png, gif, mp4, obj, ply, glb,
-    usd, rrd, foxglove, ros2, pattern and yarns that is wanted, and frame, colour, size, view and so on. `overrides` are
+    what: fields of nuno.exporting.ExportRequest: a file for each wanted one of npz, forces, csv, png, gif, mp4, obj,
+    ply, glb, usd, rrd, foxglove, ros2, pattern and yarns, and frame, colour, size, view and so on. `overrides` are
     those of --set. Warns of a recording that is not complete. Raises BadInput.
     """
     from nuno.exporting import ask, write
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"
-    with in_python(), opened(recording) as found:
-        _warn(found)
-        return write(found, ask(overrides=tuple(as_texts(overrides)), **what))
+    with in_python(), opened(recording) as source:
+        _warn(source)
+        return write(source, ask(overrides=tuple(as_texts(overrides)), **what))

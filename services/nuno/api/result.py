@@ -1,4 +1,4 @@
-"""What a run came to, and how it shows itself in a notebook."""
+"""The result of a run, and its display in a notebook."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Folder:
-    """A folder that goes with whoever refers to it, at the latest when Python ends."""
+    """A temporary folder, removed with the last reference to it, at the latest when Python ends."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -38,11 +38,11 @@ class Folder:
 class Result:
     """A finished run.
 
-    x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; of a cloth that is dyed phi and fixed
-    (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and no vertices where it is dyed alone. digest is
-    that of the state, of a dyed garment of its vertices. report is what the command line prints;
-    recording is the file with every frame, at `path`. Unless a file was asked for, it is a temporary one: it is
-    removed when neither this result nor a `recording` of it is referred to any more.
+    x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; dyed cloth has phi and fixed
+    (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and without motion no vertices. digest is
+    that of the state, for a dyed garment of its vertices. report is the one that the command line prints;
+    recording is the file with every frame, at `path`. By default it is temporary, and
+    removed with the last reference to this result or a `recording` of it.
     """
 
     state: str
@@ -58,13 +58,13 @@ class Result:
 
     @property
     def recording(self) -> Recording:
-        """The recording, opened anew."""
-        found = open_recording(self.path)
-        found.owner = self.folder
-        return found
+        """The recording, newly opened."""
+        opened = open_recording(self.path)
+        opened.owner = self.folder
+        return opened
 
     def to_dataframe(self) -> DataFrame:
-        """Energy, stretch, penetration, dye, step time, ...: a row a frame, the columns of `Recording.series`.
+        """Return energy, stretch, penetration, dye, step time, ...: a row a frame, the columns of `Recording.series`.
 
         Raises BadInput without pandas.
         """
@@ -72,10 +72,10 @@ class Result:
             return table_of(recording.series())
 
     def plot(self, *names: str | Sequence[str]) -> Axes:
-        """Series over time, on axes of matplotlib: columns of `to_dataframe`, or what several begin with, as "energy".
+        """Plot series over time with matplotlib: columns of `to_dataframe`, or a common prefix, as "energy".
 
-        Unless named, it is the energy, or of a cloth that is dyed alone what is mobile and what is fixed.
-        Raises BadInput for what is no series, and without matplotlib.
+        The default is the energy, or for dye without motion the mobile and the fixed amounts.
+        Raises BadInput for an unknown series, and without matplotlib.
         """
         try:
             from matplotlib import pyplot
@@ -84,16 +84,16 @@ class Result:
         from nuno.exports.tables import heading
 
         with self.recording as recording:
-            series, own = recording.series(), ("mobile", "fixed") if recording.dyed_alone else ("energy",)
-        known = [name for name in series if name not in ("t", "frame")]
-        groups = sorted({*known, *(name.split("_")[0] for name in known)})
+            series, default = recording.series(), ("mobile", "fixed") if recording.dyed_alone else ("energy",)
+        series_names = [name for name in series if name not in ("t", "frame")]
+        groups = sorted({*series_names, *(name.split("_")[0] for name in series_names)})
         wanted = list[str]()
-        asked = [one for name in names for one in ([name] if isinstance(name, str) else name)]
-        for name in asked or own:
-            found = [one for one in known if one == name or one.startswith(f"{name}_")]
-            if not found:
+        requested = [each for name in names for each in ([name] if isinstance(name, str) else name)]
+        for name in requested or default:
+            matches = [each for each in series_names if each == name or each.startswith(f"{name}_")]
+            if not matches:
                 raise BadInput("no such series", field="names", value=name, remedy=nearest(str(name), groups))
-            wanted += found
+            wanted += matches
         axes: Axes = pyplot.subplots(layout="constrained")[1]
         for name in wanted:
             axes.plot(series["t"], series[name], label=heading(name))
@@ -119,7 +119,7 @@ class Result:
                 return image
 
     def show(self) -> None:
-        """The whole run in rerun's viewer, within a notebook. Raises BadInput where that is not installed."""
+        """Show the whole run in rerun's viewer, in a notebook. Raises BadInput where that is not installed."""
         try:
             import rerun_notebook  # noqa: F401
         except ImportError:
@@ -133,7 +133,7 @@ class Result:
             stream.notebook_show()
 
     def _repr_html_(self) -> str:
-        """The last frame, and what the report says, for a notebook."""
+        """Return the last frame and the report as HTML, for a notebook."""
         data = io.BytesIO()
         self.picture().save(data, "PNG")
         image = base64.b64encode(data.getvalue()).decode()
@@ -145,7 +145,7 @@ class Result:
 
 
 def table_of(data: Any) -> DataFrame:
-    """Columns by name, or a list of rows. Raises BadInput without pandas."""
+    """Return a table of columns by name, or of a list of rows. Raises BadInput without pandas."""
     try:
         from pandas import DataFrame
     except ImportError:
@@ -154,5 +154,5 @@ def table_of(data: Any) -> DataFrame:
 
 
 def missing(what: str, package: str) -> BadInput:
-    """What is said where a package is not installed."""
+    """Return the error for a package that is not installed."""
     return BadInput(f"{what} needs {package}", remedy=f"pip install {package}")

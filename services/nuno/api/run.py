@@ -53,16 +53,16 @@ def run(
     """Simulate a scene: a file, the name of a shipped scene, a mapping of its fields, or a `Scene`.
 
     `overrides` change it: "key=value" as after --set, or mappings of such keys to values; `fields` are the scene's own
-    but `record`, by keyword: nuno.run("hanging-sheet", {"solver.plugin": "rk4"}, duration="2 s"). `record` is the
-    recording's file (default: a temporary one, which goes with the result). `progress`: whether a bar shows how far it
-    is; None where there is a terminal or a notebook to show it in. `real_time`: whether frames wait for the clock.
+    except `record`, by keyword: nuno.run("hanging-sheet", {"solver.plugin": "rk4"}, duration="2 s"). `record` is the
+    recording's file (default: a temporary one, removed with the result). `progress`: whether to show a progress bar;
+    None shows it on a terminal or in a notebook. `real_time`: whether frames wait for the clock.
 
-    Warns (UserWarning) of what makes the scene or its start doubtful.
+    Warns (UserWarning) of a doubtful scene or start.
     Raises BadInput for a bad scene, RunFailed for a run that failed or diverged, and KeyboardInterrupt for one that a
     signal ended; the recording of both is kept.
     """
-    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
-        decided = keep_up(found) if real_time or found.paced else decide(found)
+    with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as scene_loaded:
+        decided = keep_up(scene_loaded) if real_time or scene_loaded.paced else decide(scene_loaded)
         options = Options(record=_path(record), threads=threads, real_time=real_time)
         return _run(decided, options, processes, progress)
 
@@ -76,18 +76,18 @@ def resume(
     progress: bool | None = None,
     **fields: Any,
 ) -> Result:
-    """Go on from the last checkpoint of a recording, with its own scene, of which duration, record and view may change:
-    nuno.resume("last", duration="8 s"). The rest as `run`. The new recording begins with what the old one holds.
+    """Resume the last checkpoint of a recording, with its own scene, whose duration, record and view may change:
+    nuno.resume("last", duration="8 s"). The rest is as in `run`. The new recording begins with the old one's frames.
 
-    Raises BadInput too for a recording without a checkpoint, or whose run has come to its end.
+    Raises BadInput also for a recording without a checkpoint, or of a complete run.
     """
-    with in_python(), resumed_scene(path := path_of(recording), as_texts([*overrides, fields])) as (found, _):
+    with in_python(), resumed_scene(path := path_of(recording), as_texts([*overrides, fields])) as (scene_loaded, _):
         options = Options(record=_path(record), threads=threads, resume=path)
-        return _run(decide(found), options, processes, progress)
+        return _run(decide(scene_loaded), options, processes, progress)
 
 
 def run_loaded(scene: Loaded, record: Path, threads: int = 0) -> Result:
-    """Simulate a scene that has been read. Raises as `run`."""
+    """Simulate a loaded scene. Raises as `run`."""
     return _run(decide(scene), Options(record=record, threads=threads, temporary=True), False, False)
 
 
@@ -116,9 +116,9 @@ def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None
 
 
 @contextlib.contextmanager
-def _shown(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
-    """What a bar is told by."""
-    if not (_seen() if progress is None else progress):
+def _progress_bar(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
+    """Yield the function that updates a progress bar, None without a bar."""
+    if not (_bar_is_visible() if progress is None else progress):
         yield None
         return
     from nuno.progress import ProgressLine
@@ -127,8 +127,8 @@ def _shown(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
         yield line.update
 
 
-def _seen() -> bool:
-    """Whether somebody sees a bar: on a terminal, or in a notebook."""
+def _bar_is_visible() -> bool:
+    """Return whether a progress bar is visible: on a terminal, or in a notebook."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return sys.stderr.isatty() or "IPKernelApp" in getattr(shell, "config", {})
 
@@ -136,13 +136,13 @@ def _seen() -> bool:
 def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress: bool | None) -> Result:
     path = options.record
     assert path is not None
-    with _shown(scene, progress) as told:
-        outcome = supervisor.supervise(scene, options, deployment, told, lambda o: make_report(scene, o))
+    with _progress_bar(scene, progress) as update:
+        outcome = supervisor.supervise(scene, options, deployment, update, lambda o: make_report(scene, o))
     report = make_report(scene, outcome)
     for text in report["warnings"]:
         warnings.warn(text, stacklevel=4)  # at the caller of `run`
     if outcome.error in SIGNALS:
-        # As whoever calls it would be stopped anywhere else: a loop over scenes is not to go on with the next.
+        # The signal stops the caller as anywhere else: a loop over scenes does not go on with the next.
         raise KeyboardInterrupt(f"{outcome.error}; recording kept in {path}")
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")

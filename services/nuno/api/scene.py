@@ -1,4 +1,4 @@
-"""Scenes as objects, and what a call may be given for one."""
+"""Scenes as objects, and as arguments of calls."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.scene import Scene as Fields
 
 GIVEN = "the scene given"
-"""What errors call a scene that is a mapping."""
+"""Name of a scene that is a mapping, in errors."""
 Folder = str | os.PathLike[str]
 
 
 class Given(NamedTuple):
-    """What a scene is read from: its own file, name or mapping, overrides as texts, folders of its files."""
+    """Sources of a scene: its file or mapping, overrides as texts, folders of its files."""
 
     source: Path | Mapping[str, Any]
     texts: tuple[str, ...]
@@ -35,11 +35,11 @@ class Given(NamedTuple):
 
 
 class Scene:
-    """A scene that has been read and checked: `copy` gives another, and this one stays as it is. That of a file is read
-    again where it is run, from where it lay.
+    """A checked, immutable scene; `copy` returns a changed one. A scene of a file is read again from there when it is
+    run.
 
-    Its fields are attributes, in SI units and with their defaults: scene.duration, scene.solver.plugin. What was
-    written is under its key: scene["solver.dt"], scene["objects.0.model"]; and `str` gives the whole as YAML.
+    Its fields are attributes, in SI units and with their defaults: scene.duration, scene.solver.plugin. Fields as
+    written are items: scene["solver.dt"], scene["objects.0.model"]; and `str` returns the whole as YAML.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class Scene:
         and `roots` as in `nuno.run`. Raises BadInput.
         """
         with in_python():
-            given = _add(scene, as_texts([*overrides, fields]), roots)
-            if isinstance(given.source, Path):  # for whoever leaves this folder
-                folders = tuple(root.absolute() for root in given.roots)
-                given = given._replace(source=given.source.absolute(), roots=folders)
-            self._given = given
-            with loaded(self) as found:
-                self._data, self._fields = found.data, found.scene
+            source = _add(scene, as_texts([*overrides, fields]), roots)
+            if isinstance(source.source, Path):  # the working folder may change later
+                folders = tuple(root.absolute() for root in source.roots)
+                source = source._replace(source=source.source.absolute(), roots=folders)
+            self._source = source
+            with loaded(self) as scene_loaded:
+                self._data, self._fields = scene_loaded.data, scene_loaded.scene
 
     def __setattr__(self, name: str, value: object) -> None:
         if not name.startswith("_"):
@@ -67,12 +67,12 @@ class Scene:
         super().__setattr__(name, value)
 
     def copy(self, *overrides: str | Mapping[str, Any], **fields: Any) -> Scene:
-        """Another scene, changed as by the overrides of `nuno.run`. Raises BadInput."""
+        """Return a scene changed by `overrides` and `fields` as in `nuno.run`. Raises BadInput."""
         return Scene(self, *overrides, **fields)
 
     @property
     def fields(self) -> Fields:
-        """What the scene means: every field, in SI units."""
+        """All fields of the scene, in SI units."""
         return self._fields
 
     def __getattr__(self, name: str) -> Any:
@@ -84,19 +84,19 @@ class Scene:
         return sorted({*super().__dir__(), *Fields.model_fields})
 
     def __getitem__(self, key: str) -> Any:
-        """What is written at a.b.0.c. Raises KeyError where nothing is."""
-        found = item_at(self._data, tuple(number_or_name(part) for part in parts_of(key)))
-        if found is None:
-            known = self._ipython_key_completions_()
-            raise KeyError(f"{key} is not written in the scene; {nearest(key, known)}")
-        return deepcopy(found)
+        """Return the written value at a.b.0.c. Raises KeyError if there is none."""
+        value = item_at(self._data, tuple(number_or_name(part) for part in parts_of(key)))
+        if value is None:
+            keys = self._ipython_key_completions_()
+            raise KeyError(f"{key} is not written in the scene; {nearest(key, keys)}")
+        return deepcopy(value)
 
     def __contains__(self, key: object) -> bool:
-        """Whether something is written there."""
+        """Return whether the scene has a written value at this key."""
         return isinstance(key, str) and item_at(self._data, tuple(map(number_or_name, parts_of(key)))) is not None
 
     def __iter__(self) -> Iterator[str]:
-        """The fields that are written."""
+        """Iterate over the names of the written fields."""
         return iter(self._data)
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -106,14 +106,14 @@ class Scene:
         return str(yaml.safe_dump(self._data, sort_keys=False, allow_unicode=True, width=100))
 
     def __repr__(self) -> str:
-        source = "a mapping" if isinstance(self._given.source, Mapping) else os.fspath(self._given.source)
-        changed = f", changed by {', '.join(self._given.texts)}" if self._given.texts else ""
+        source = "a mapping" if isinstance(self._source.source, Mapping) else os.fspath(self._source.source)
+        changed = f", changed by {', '.join(self._source.texts)}" if self._source.texts else ""
         return f"<Scene {self._fields.name}: {source}{changed}>"
 
 
 def as_texts(overrides: Sequence[object]) -> list[str]:
-    """Overrides as they are written after --set. Raises BadInput for what is neither text nor a mapping, or holds what
-    a scene cannot say.
+    """Return overrides as they are written after --set. Raises BadInput for an override that is neither text nor a
+    mapping, or has a value that no scene can have.
     """
     texts = list[str]()
     for item in overrides:
@@ -141,25 +141,25 @@ def _add(scene: object, texts: Sequence[str], roots: Sequence[Folder]) -> Given:
     if not isinstance(scene, Scene):
         limit = "a file, the name of a shipped scene, a mapping of its fields, or a Scene"
         raise BadInput("this is no scene", field="scene", value=scene, limit=limit)
-    before = scene._given
-    return Given(before.source, (*before.texts, *texts), (*before.roots, *map(Path, roots)))
+    previous = scene._source
+    return Given(previous.source, (*previous.texts, *texts), (*previous.roots, *map(Path, roots)))
 
 
 @contextlib.contextmanager
 def loaded(
     scene: Folder | Mapping[str, Any] | Scene, overrides: Sequence[str] = (), roots: Sequence[Folder] = ()
 ) -> Iterator[Loaded]:
-    """The scene, which services in processes of their own can read meanwhile. Raises BadInput."""
-    given = _add(scene, overrides, roots)
-    if not isinstance(given.source, Mapping):
-        yield scene_file.read(given.source, given.texts, given.roots)
+    """Load a scene, which other processes can read inside the context. Raises BadInput."""
+    source = _add(scene, overrides, roots)
+    if not isinstance(source.source, Mapping):
+        yield scene_file.read(source.source, source.texts, source.roots)
         return
     try:
-        text = json.dumps(dict(given.source))
+        text = json.dumps(dict(source.source))
     except (TypeError, ValueError) as error:
         remedy = "use numbers, text, lists and mappings"
         raise BadInput(f"holds what a scene cannot say: {error}", GIVEN, remedy=remedy) from None
     with scratch() as folder:
         path = folder / "scene.yaml"
         path.write_text(text)
-        yield scene_file.read(path, given.texts, given.roots, GIVEN)
+        yield scene_file.read(path, source.texts, source.roots, GIVEN)

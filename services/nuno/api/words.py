@@ -1,4 +1,4 @@
-"""Errors in the words of a call, where the command line has flags."""
+"""Errors in terms of a call's arguments, in place of the command line's flags."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from nuno_schemas.errors import BadInput
 
 RENAMED = {"set": "overrides", "root": "roots"}
 OTHERS = ("dask", "jobs", "out", "over", "record", "resume", "root", "set", "threads")
-"""Flags that are arguments of a call, beside those of `nuno export`; by the same name unless they are RENAMED."""
+"""Flags that are arguments of a call, besides those of `nuno export`, with the same name unless RENAMED."""
 
 
 @cache
 def _flag() -> re.Pattern[str]:
-    """A flag, with what it is given where that is an example."""
+    """Return the pattern of a flag, with its value in an example."""
     from nuno.exporting import ExportRequest
 
     names = "|".join([*ExportRequest.model_fields, *OTHERS])
@@ -27,7 +27,7 @@ def _flag() -> re.Pattern[str]:
 
 @contextlib.contextmanager
 def in_python() -> Iterator[None]:
-    """Raise what is refused inside in terms of the call's own arguments."""
+    """Raise BadInput from inside in terms of the call's own arguments."""
     try:
         yield
     except BadInput as error:
@@ -36,7 +36,7 @@ def in_python() -> Iterator[None]:
 
 def _translated(error: BadInput) -> BadInput:
     texts = {name: getattr(error, name) for name in ("problem", "field", "limit", "remedy")}
-    if error.file is not None and error.file.startswith("--"):  # what was given with a flag
+    if error.file is not None and error.file.startswith("--"):  # a flag's value
         texts["file"] = error.file
     changed: dict[str, Any] = {name: _flag().sub(_argument, text) for name, text in texts.items() if text is not None}
     if error.field is not None:
@@ -44,11 +44,11 @@ def _translated(error: BadInput) -> BadInput:
     return replace(error, **changed)
 
 
-def _argument(found: re.Match[str]) -> str:
-    name, given = RENAMED.get(found[1], found[1]), found[2]
-    if given is None:
+def _argument(match: re.Match[str]) -> str:
+    name, value_text = RENAMED.get(match[1], match[1]), match[2]
+    if value_text is None:
         return name
-    if found[1] == "set":
-        return f'"{given}"'
-    value = given if given == "FILE" else f"[{given}]" if given == "DIR" else f'"{given}"'
+    if match[1] == "set":
+        return f'"{value_text}"'
+    value = value_text if value_text == "FILE" else f"[{value_text}]" if value_text == "DIR" else f'"{value_text}"'
     return f"{name}={value}"

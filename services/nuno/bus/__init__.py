@@ -1,1 +1,1 @@
-"""How services talk: sessions, numbered messages and their encodings, frames in lockstep, how each service does."""
+"""The message bus: sessions, numbered messages and their encodings, queries, liveliness and health of services."""

@@ -23,11 +23,11 @@ _DTYPES = {"float64", "float32", "int64", "int32", "uint8", "int8", "bool"}
 
 
 MOST_TEXT, MOST_FIELDS = 1 << 24, 10_000
-"""Bytes of JSON and fields of protobuf in a message: read, each two bytes of more would take a hundred of memory."""
+"""Most bytes of JSON and fields of protobuf in a message: two bytes of more could decode to a hundred in memory."""
 
 
 class BadMessage(ValueError):
-    """A payload that is not what its topic promises."""
+    """A payload that violates the format of its topic."""
 
 
 @functools.cache
@@ -55,45 +55,45 @@ def _arrays_class() -> Any:
 
 
 def arrays_schema() -> bytes:
-    """The FileDescriptorSet that an MCAP reader needs to decode `nuno.Arrays`."""
+    """Return the FileDescriptorSet that an MCAP reader needs to decode `nuno.Arrays`."""
     return descriptor_pb2.FileDescriptorSet(file=[_file()]).SerializeToString()
 
 
-def arrays_of(part: Any, before: str = "") -> dict[str, NDArray[Any]]:
-    """The arrays among the fields of a dataclass, by their names after `before`."""
-    found = {one.name: getattr(part, one.name) for one in fields(part)}
-    return {before + name: values for name, values in found.items() if isinstance(values, np.ndarray)}
+def arrays_of(part: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
+    """Return the array fields of a dataclass, by their names prefixed with `prefix`."""
+    values_by_name = {attribute.name: getattr(part, attribute.name) for attribute in fields(part)}
+    return {prefix + name: values for name, values in values_by_name.items() if isinstance(values, np.ndarray)}
 
 
 def encode_arrays(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any] | None = None) -> bytes:
-    """Named arrays and a JSON-able mapping -> bytes.
+    """Encode named arrays and a JSON-able mapping.
 
-    Each array's bytes are written between lengths put together here: through protobuf's own
-    classes a checkpoint would be copied three times, and be most of a run's memory.
+    Each array's bytes are written directly after a header: protobuf's own classes would copy a
+    checkpoint three times, and take most of a run's memory.
     """
     parts: list[Any] = [_arrays_class()(text=json.dumps(dict(text or {}))).SerializeToString()]
     for name, values in arrays.items():
-        described = _arrays_class()()
-        described.arrays.add(name=name, dtype=str(values.dtype), shape=values.shape)
-        head = described.arrays[0].SerializeToString()
+        message = _arrays_class()()
+        message.arrays.add(name=name, dtype=str(values.dtype), shape=values.shape)
+        head = message.arrays[0].SerializeToString()
         data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
-        field = _tagged(4, len(data)) if len(data) else b""
-        parts += [_tagged(2, len(head) + len(field) + len(data)), head, field, data]
+        field = _field_header(4, len(data)) if len(data) else b""
+        parts += [_field_header(2, len(head) + len(field) + len(data)), head, field, data]
     return b"".join(parts)
 
 
-def _tagged(field: int, length: int) -> bytes:
-    """Key of a length-delimited protobuf field, and its length as a varint."""
-    found = bytearray([field << 3 | 2])
+def _field_header(field: int, length: int) -> bytes:
+    """Encode the key of a length-delimited protobuf field, and its length as a varint."""
+    out = bytearray([field << 3 | 2])
     while length > 127:
-        found.append(length & 127 | 128)
+        out.append(length & 127 | 128)
         length >>= 7
-    found.append(length)
-    return bytes(found)
+    out.append(length)
+    return bytes(out)
 
 
 def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Bytes -> named arrays (read-only) and the mapping. Raises BadMessage."""
+    """Decode named arrays (read-only) and the mapping. Raises BadMessage."""
     check_protobuf(payload, empty=True)
     try:
         message = _arrays_class().FromString(payload)
@@ -121,12 +121,12 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
 
 
 _FIXED = {1: 8, 5: 4}
-"""Bytes of protobuf's wire types of fixed length."""
+"""Size in bytes of protobuf's wire types of fixed length."""
 
 
 def check_protobuf(payload: bytes, empty: bool = False) -> None:
-    """Raises BadMessage where fields do not fill a payload exactly, or are too many; nothing is copied. None at all
-    are a message that is `empty`.
+    """Raise BadMessage where fields do not fill a payload exactly, or are too many; nothing is copied. `empty` allows
+    a payload without fields.
     """
     at = fields = 0
     while at < len(payload):
@@ -149,7 +149,7 @@ def check_protobuf(payload: bytes, empty: bool = False) -> None:
 
 
 def _varint(payload: bytes, at: int) -> tuple[int, int]:
-    """A number of at most ten bytes, and where it ends. Raises BadMessage."""
+    """Decode a varint of at most ten bytes; return it, and the position after it. Raises BadMessage."""
     value = 0
     for i, byte in enumerate(payload[at : at + 10]):
         value |= (byte & 127) << (7 * i)
@@ -167,14 +167,14 @@ def _point_cloud_fields() -> Any:
 
 
 def origin_of(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) [m] about which positions (n, 3) [m] are written as float32: the first point, rounded to whole metres, so
-    that float32 keeps its 24 bits for the cloth itself even far from the world's origin.
+    """Return the origin (3,) [m] of float32 positions x (n, 3) [m]: the first point, rounded to whole metres, so that
+    float32 keeps its 24 bits for the cloth itself even far from the world's origin.
     """
     return np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
 
 
 def encode_points(x: NDArray[np.float64], t: float) -> bytes:
-    """(n, 3) positions [m] -> foxglove.PointCloud of float32 about `origin_of` them, which is the cloud's pose."""
+    """Encode positions (n, 3) [m] as foxglove.PointCloud, float32 about `origin_of` them, which is the cloud's pose."""
     from foxglove import messages
 
     origin = origin_of(x)
@@ -205,14 +205,14 @@ def _foxglove_class(schema: str) -> Any:
 
 
 def foxglove_schema(name: str) -> bytes:
-    """The FileDescriptorSet of a schema such as `foxglove.PointCloud`."""
+    """Return the FileDescriptorSet of a schema such as `foxglove.PointCloud`."""
     from foxglove import messages
 
     return bytes(getattr(messages, name.removeprefix("foxglove.")).get_schema().data)
 
 
 def encode_picture(png: bytes, t: float) -> bytes:
-    """A picture of time t [s] -> foxglove.CompressedImage."""
+    """Encode a picture of time t [s] as foxglove.CompressedImage."""
     from foxglove import messages
 
     seconds, nanos = divmod(round(t * 1e9), 10**9)
@@ -222,7 +222,7 @@ def encode_picture(png: bytes, t: float) -> bytes:
 
 
 def decode_picture(payload: bytes) -> bytes:
-    """foxglove.CompressedImage -> the PNG file. Raises BadMessage."""
+    """Decode the PNG file of a foxglove.CompressedImage. Raises BadMessage."""
     try:
         message = _foxglove_class("foxglove.CompressedImage").FromString(payload)
     except DecodeError as error:
@@ -233,7 +233,7 @@ def decode_picture(payload: bytes) -> bytes:
 
 
 def decode_points(payload: bytes) -> NDArray[np.float64]:
-    """foxglove.PointCloud of float32 -> (n, 3) float64 positions [m]. Raises BadMessage."""
+    """Decode a foxglove.PointCloud of float32 as float64 positions (n, 3) [m]. Raises BadMessage."""
     try:
         message = _foxglove_class("foxglove.PointCloud").FromString(payload)
     except DecodeError as error:

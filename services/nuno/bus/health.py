@@ -1,4 +1,4 @@
-"""How each service of a run is doing, told when it is asked: who does not ask costs the run nothing."""
+"""Health of each service of a run, measured on demand: without a query it costs the run nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEALTH = "health"
 
 
 class Published(BaseModel):
-    """What a service has published on one topic since its start: messages, and the bytes of their payloads."""
+    """Messages of a service on one topic since its start, and the bytes of their payloads."""
 
     topic: str
     encoding: str
@@ -28,19 +28,18 @@ class Published(BaseModel):
 
 
 class Health(BaseModel):
-    """What one service counts, since its start; processor time and memory are those of its process.
+    """Counts of one service since its start; processor time and memory are those of its process.
 
-    frame is the last that it published, or, of one that takes frames in, has taken in; waiting are
-    messages that have come and are not taken in yet.
+    frame is the last that it has received, or published if it receives none; waiting counts queued messages.
     """
 
     service: str
     host: str
     pid: int
     time: float
-    """Of its host's monotonic clock [s]: differences give rates."""
+    """Monotonic clock of its host [s], for rates."""
     leads: bool
-    """Whether it publishes frames and takes none in."""
+    """Whether it publishes frames and receives none."""
     frame: int
     t: float
     """Simulation time of the last published message [s]."""
@@ -59,25 +58,25 @@ class Health(BaseModel):
 
 
 def measure(bus: Bus) -> Health:
-    """The counts of a service's place on the bus, at this moment."""
+    """Return the present counts of a service on the bus."""
     # Copies: the service goes on meanwhile, in another thread.
     publishers, inboxes = list(bus.publishers.values()), list(bus.inboxes)
     process = psutil.Process()
     with process.oneshot():
-        used, memory = process.cpu_times(), process.memory_info().rss
+        processor, memory = process.cpu_times(), process.memory_info().rss
 
     def total(name: str) -> int:
         return sum(sum(list(getattr(inbox.counts, name).values())) for inbox in inboxes)
 
-    published = max((p.frame for p in publishers), default=-1)
-    taken = max((inbox.frame for inbox in inboxes), default=-1)
+    published_frame = max((p.frame for p in publishers), default=-1)
+    received_frame = max((inbox.frame for inbox in inboxes), default=-1)
     return Health(
         service=bus.service,
         host=platform.node(),
         pid=os.getpid(),
         time=time.monotonic(),
-        leads=taken < 0 <= published,
-        frame=taken if taken >= 0 else published,
+        leads=received_frame < 0 <= published_frame,
+        frame=received_frame if received_frame >= 0 else published_frame,
         t=max((p.t for p in publishers), default=0.0),
         sent=sum(p.sent for p in publishers),
         sent_bytes=sum(p.payload_bytes for p in publishers),
@@ -86,7 +85,7 @@ def measure(bus: Bus) -> Health:
         waiting=sum(inbox.waiting for inbox in inboxes),
         missing=total("missing"),
         refused=total("refused"),
-        processor=used.user + used.system,
+        processor=processor.user + processor.system,
         memory=memory,
         topics=[
             Published(topic=t.name, encoding=t.encoding, type=t.schema, sent=p.sent, sent_bytes=p.payload_bytes)
@@ -97,8 +96,8 @@ def measure(bus: Bus) -> Health:
 
 
 def offer_health(bus: Bus) -> None:
-    """Answer whoever asks, also while the service works on a frame: in the session's thread, in a fraction of a
-    millisecond, which nobody pays who is not asked.
+    """Answer queries for the health, also while the service works on a frame: in the session's thread, in a fraction of
+    a millisecond.
     """
     key = bus.key(f"{HEALTH}/{bus.service}")
 
@@ -109,13 +108,13 @@ def offer_health(bus: Bus) -> None:
 
 
 def ask_health(bus: Bus, services: set[str], timeout: float = 2.0) -> dict[str, Health]:
-    """Of each service that answers in time [s]."""
-    # Each by its own name: access control lets a service answer for itself only.
-    questions = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=timeout) for name in sorted(services)}
-    found = {}
-    for name, asked in questions.items():
+    """Return the health of each service that answers within `timeout` [s]."""
+    # One query for each service: access control lets a service answer only for itself.
+    replies = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=timeout) for name in sorted(services)}
+    health = {}
+    for name, reply in replies.items():
         try:
-            found[name] = Health.model_validate_json(asked.answer())
+            health[name] = Health.model_validate_json(reply.answer())
         except (RunFailed, ValidationError):
             continue
-    return found
+    return health

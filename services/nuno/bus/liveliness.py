@@ -1,4 +1,4 @@
-"""Who is alive in a run."""
+"""Liveliness of the services of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nuno.bus.sessions import direct
 
 
 class Watch:
-    """Who is alive in a run, from liveliness tokens."""
+    """Tracks which services of a run are alive, by their liveliness tokens."""
 
     def __init__(self, bus: Bus) -> None:
         self._alive: set[str] = set()
@@ -35,12 +35,12 @@ class Watch:
             return set(self._alive)
 
     def gone(self, name: str) -> bool:
-        """Whether a service was alive once and is no more."""
+        """Return whether a service was alive once and is not now."""
         with self._changed:
             return name in self._seen and name not in self._alive
 
     def wait_for(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all are alive; the ones still missing when the time [s] is over."""
+        """Wait until all services are alive; return those still missing after `timeout` [s]."""
         with self._changed:
             self._changed.wait_for(lambda: names <= self._alive, timeout)
             return names - self._alive

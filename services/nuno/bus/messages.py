@@ -1,4 +1,4 @@
-"""The message bus: numbered messages, checked inboxes, who is alive."""
+"""The message bus: numbered messages, checked inboxes, queries, liveliness."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import POSES, Header, Topic
 
 ALL = Topic("**", "json", "")
-"""One subscription to all topics: between several, messages overtake each other."""
+"""All topics in one subscription, since messages of several subscriptions overtake each other."""
 FURTHEST = 100_000
-"""A message this far ahead of the last is none of the run's: believing it would refuse all others."""
+"""A message whose number is this far ahead is refused as foreign: accepting it would refuse all others."""
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Message:
     header: Header
     payload: bytes
     skipped: int = 0
-    """Messages missing just before this one."""
+    """Number of messages missing directly before this one."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Publisher:
     seconds: float = 0.0
     payload_bytes: int = 0
     frame: int = -1
-    """Last one published."""
+    """Last published frame."""
     t: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -67,69 +67,69 @@ class Publisher:
 
 @dataclass
 class Counts:
-    """What an inbox saw: per topic received, and what was refused."""
+    """Counts of an inbox by topic: received, missing and refused messages."""
 
     received: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     missing: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     refused: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
-    def told(self) -> dict[str, dict[str, int]]:
-        """Each of them by its name, of those topics that have any."""
+    def nonzero(self) -> dict[str, dict[str, int]]:
+        """Return the counts by name and topic, without zeros."""
         return {name: {topic: n for topic, n in counts.items() if n} for name, counts in vars(self).items()}
 
 
 class Inbox:
-    """Messages of some topics, and questions, as they arrive; checked and counted.
+    """A queue of messages of some topics, and of queries, which are checked and counted.
 
-    The order holds within a subscription; between topics subscribed to apart zenoh keeps none.
+    Order holds within a subscription; zenoh keeps none between separate subscriptions.
 
     A callback only enqueues: work there would delay every message behind it in the session.
     Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
-    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here. Who takes
-    the `newest_only` listens in from outside, and may be left open by a program that ends.
+    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here. An inbox
+    with `newest_only` observes a run from outside, and a program may end without closing it.
     """
 
     def __init__(
         self, bus: Bus, topics: list[Topic], newest_only: bool = False,
-        heard: Callable[[Query], None] = lambda question: None,
+        on_query: Callable[[Query], None] = lambda query: None,
     ) -> None:  # fmt: skip
-        """`heard` is called with each question as it comes, in whichever thread brings it."""
+        """`on_query` is called with each arriving query, in the thread that delivers it."""
         self.counts = Counts()
         self.payload_bytes = 0
         self.frame = -1
-        """Last one taken in."""
+        """Last received frame."""
         self.failure = ""
-        """Why the run failed, as the question that ended it says."""
+        """Reason of the run's failure, from the query that ended it."""
         self._bus = bus
         self._next: dict[str, int] = {}
         self._queue: queue.SimpleQueue[zenoh.Sample | Query | None] = queue.SimpleQueue()
-        self._newest_only, self._heard = newest_only, heard
+        self._newest_only, self._on_query = newest_only, on_query
         bus.inboxes.append(self)
         self._closing = threading.Lock()
         self._closed = False
-        take = direct(self._queue.put) if newest_only else self._queue.put
-        self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), take) for t in topics]
+        enqueue = direct(self._queue.put) if newest_only else self._queue.put
+        self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), enqueue) for t in topics]
 
     def answer(self, name: str) -> None:
-        """Let questions to `name` in, too."""
+        """Accept queries to `name`, too."""
         key = self._bus.key(name)
         self._handles.append(self._bus.session.declare_queryable(key, lambda query: self._ask(Query(name, key, query))))
 
-    def _ask(self, question: Query) -> None:
-        """Take a question in; one that was on its way while the inbox closed is dropped, as those that waited were."""
+    def _ask(self, query: Query) -> None:
+        """Enqueue a query; drop one that arrives while the inbox closes, like those in the queue."""
         with self._closing:
             if not self._closed:
-                self._queue.put(question)
-                self._heard(question)
+                self._queue.put(query)
+                self._on_query(query)
                 return
-        question.query.drop()
+        query.query.drop()
 
     def wake(self) -> None:
-        """Let whoever waits here look after something else."""
+        """Return None to a waiting `get`."""
         self._queue.put(None)
 
     def get(self, timeout: float) -> Message | Query | None:
-        """The next question or good message, or None when the time [s] is over, or to look after something else."""
+        """Return the next query or valid message, or None after `timeout` [s] or a `wake`."""
         end = time.monotonic() + timeout
         while True:
             try:
@@ -144,13 +144,13 @@ class Inbox:
 
     @property
     def waiting(self) -> int:
-        """What has come and is not taken in yet."""
+        """Number of queued items."""
         return self._queue.qsize()
 
     def refuse(self, item: Message | Query) -> None:
-        """Drop what is not what its topic promises, and count it.
+        """Drop an item that violates its topic's format, and count it.
 
-        A message's number is expected again: the one that it belongs to may still come.
+        A message's number is expected again: the genuine one may still come.
         """
         if isinstance(item, Query):
             self.counts.refused[item.name] += 1
@@ -161,7 +161,7 @@ class Inbox:
         self._next[item.topic] = item.header.seq - item.skipped
 
     def close(self) -> None:
-        """Take in nothing more; whoever waits for an answer learns at once that none comes."""
+        """Accept nothing more; the senders of queued queries learn at once that there will be no reply."""
         while self._handles:
             self._handles.pop().undeclare()
         with self._closing:
@@ -173,7 +173,7 @@ class Inbox:
 
     def _check(self, sample: zenoh.Sample) -> Message | None:
         topic = str(sample.key_expr).removeprefix(self._bus.key(""))
-        if topic.startswith(f"{POSES.name}/"):  # from outside, and for the collision service alone
+        if topic.startswith(f"{POSES.name}/"):  # from outside, only for the collision service
             return None
         try:
             if sample.attachment is None:
@@ -183,8 +183,8 @@ class Inbox:
             self.counts.refused[topic] += 1
             return None
         expected = self._next.get(topic, header.seq if self._newest_only else 0)
-        known = header.run == self._bus.run and header.schema_version == SCHEMA_VERSION
-        if not known or not math.isfinite(header.t) or not expected <= header.seq < expected + FURTHEST:
+        of_this_run = header.run == self._bus.run and header.schema_version == SCHEMA_VERSION
+        if not of_this_run or not math.isfinite(header.t) or not expected <= header.seq < expected + FURTHEST:
             self.counts.refused[topic] += 1
             return None
         skipped = header.seq - expected
@@ -199,19 +199,19 @@ class Inbox:
 
 
 class Bus:
-    """One service's place in one run."""
+    """One service's access to the bus of one run."""
 
     def __init__(self, session: zenoh.Session, run: str, service: str) -> None:
         self.session, self.run, self.service = session, run, service
         self.publishers: dict[str, Publisher] = {}
         self.inboxes: list[Inbox] = []
         self.offers: list[Any] = []
-        """What else this service answers, apart from its inboxes."""
+        """Other queryables and subscribers of this service, outside its inboxes."""
 
     def close(self) -> None:
-        """Withdraw everything this service offers: a question to it then fails at once.
+        """Undeclare all publishers and queryables of this service: a query to it then fails at once.
 
-        The session may be shared with other services of the process, and goes on.
+        The session may be shared with other services of the process, and stays open.
         """
         for inbox in self.inboxes:
             inbox.close()
@@ -222,7 +222,7 @@ class Bus:
         return f"nuno/{self.run}/{name}"
 
     def publisher(self, topic: Topic) -> Publisher:
-        """The one publisher of a topic in this service."""
+        """Return this service's only publisher of a topic."""
         if topic.name not in self.publishers:
             handle = self.session.declare_publisher(
                 self.key(topic.name),
@@ -234,12 +234,12 @@ class Bus:
         return self.publishers[topic.name]
 
     def ask(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> bytes:
-        """The answer of one service's queryable. Raises RunFailed if none comes."""
+        """Return the reply of one service's queryable. Raises RunFailed if none comes."""
         return self.ask_ahead(name, payload, timeout).answer()
 
     def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> PendingReply:
-        """Ask now, and take the answer later."""
-        # Not a callback: zenoh starts a thread for each, which takes far longer than the question.
+        """Send a query, and return its pending reply."""
+        # Not a callback: zenoh starts a thread for each, which takes far longer than the query.
         replies = self.session.get(
             self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
         )
@@ -248,7 +248,7 @@ class Bus:
     def ask_json(
         self, name: str, value: dict[str, Any], timeout: float = 10.0, slow: Callable[[], None] | None = None
     ) -> dict[str, Any]:
-        """The answer of one service's queryable; `slow` as in `PendingReply.answer`. Raises RunFailed if none comes."""
+        """Return a service's JSON reply; `slow` as in `PendingReply.answer`. Raises RunFailed if none comes."""
         try:
             answer = json.loads(self.ask_ahead(name, json.dumps(value).encode(), timeout).answer(slow))
         except (ValueError, RecursionError):
@@ -258,10 +258,10 @@ class Bus:
         return answer
 
     def present(self, timeout: float = 2.0) -> set[str]:
-        """Services that are alive now, asked of the hub."""
+        """Return the services that are alive now, by a query to the hub."""
         replies = self.session.liveliness().get(self.key("alive/*"), timeout=timeout)
         return {str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in replies if reply.ok is not None}
 
     def alive(self) -> zenoh.LivelinessToken:
-        """A token that disappears with this service."""
+        """Declare a liveliness token, which disappears with this service."""
         return self.session.liveliness().declare_token(self.key(f"alive/{self.service}"))

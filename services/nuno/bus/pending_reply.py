@@ -1,4 +1,4 @@
-"""A question that is on its way to a service of the run, and its answer."""
+"""A query to a service of the run whose reply is pending."""
 
 from __future__ import annotations
 
@@ -11,77 +11,77 @@ import zenoh
 from nuno_schemas.errors import RunFailed
 
 WAITING_AFTER = 5.0
-"""Whoever waits this long [s] for another service says so."""
+"""Time of waiting for another service after which a warning is logged [s]."""
 SHORTEST, LONGEST = 20e-6, 1e-3
-"""Pauses [s] between two looks for an answer, first and at last."""
+"""First and longest pause between two checks for a reply [s]."""
 TIMEOUT = b"Timeout"
-"""zenoh's own answer, of whichever session on the way, where none came in time."""
+"""zenoh's own error reply where none came in time, from any session on the way."""
 
 
 class Refused(RunFailed):
-    """A service answers that it does not do what it was asked for; `said` is why, in its words."""
+    """A service refuses a query; `reason` is its text."""
 
-    def __init__(self, name: str, said: str) -> None:
-        super().__init__(f"{name}: {said}")
-        self.said = said
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.reason = reason
 
 
 class PendingReply:
-    """One question, on its way from when this is made."""
+    """The pending reply of one query, sent when this is made."""
 
     def __init__(self, name: str, replies: zenoh.handlers.Handler[zenoh.Reply], timeout: float) -> None:
-        """`timeout` [s] is that of zenoh's `replies`."""
+        """`timeout` is that of zenoh's `replies` [s]."""
         self._name, self._replies, self._timeout = name, replies, timeout
         self._begin = time.monotonic()
-        self._took: float | None = None
+        self._duration: float | None = None
         self._reply: zenoh.Reply | None = None
 
-    def there(self) -> bool:
-        """Whether the answer has come, or none will."""
-        if self._took is None:
+    def arrived(self) -> bool:
+        """Return whether the reply has arrived, or none will."""
+        if self._duration is None:
             try:
                 self._reply = self._replies.try_recv()
-            except zenoh.ZError:  # who could have answered has gone
+            except zenoh.ZError:  # the queryable has gone
                 self._end()
             if self._reply is not None:
                 self._end()
-        return self._took is not None
+        return self._duration is not None
 
     def answer(self, slow: Callable[[], None] | None = None) -> bytes:
-        """Wait for it; `slow` is called once where that takes long. Raises Refused, or RunFailed if none comes."""
+        """Wait for the reply; call `slow` once after a long wait. Raises Refused, or RunFailed if none comes."""
         if slow is not None:  # zenoh waits without a limit or not at all
             end = self._begin + WAITING_AFTER
             for pause in pauses():
-                if self.there() or time.monotonic() > end:
+                if self.arrived() or time.monotonic() > end:
                     break
                 time.sleep(pause)
-            if not self.there():
+            if not self.arrived():
                 slow()
-        if not self.there():
+        if not self.arrived():
             with suppress(zenoh.ZError):
                 self._reply = self._replies.recv()
             self._end()
-        return self._said()
+        return self._payload()
 
     def _end(self) -> None:
-        self._took = time.monotonic() - self._begin
+        self._duration = time.monotonic() - self._begin
 
-    def _said(self) -> bytes:
+    def _payload(self) -> bytes:
         reply = self._reply
         if reply is not None and reply.ok is not None:
             return reply.ok.payload.to_bytes()
-        said = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
-        if said != TIMEOUT:
-            raise Refused(self._name, said.decode(errors="replace"))
+        reason = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
+        if reason != TIMEOUT:
+            raise Refused(self._name, reason.decode(errors="replace"))
         peer = self._name.split("/")[0]
-        if self._took is not None and self._took < 0.5 * self._timeout:
+        if self._duration is not None and self._duration < 0.5 * self._timeout:
             problem = "its service is not there, or not yet, or the certificate here does not allow to ask it"
             raise RunFailed(f"nobody answers {self._name}: {problem}", peer=peer)
         raise RunFailed(f"no answer from {self._name} within {self._timeout:.3g} s", peer=peer)
 
 
 def pauses() -> Iterator[float]:
-    """Times [s] between one look for an answer and the next."""
+    """Yield the pauses between checks for a reply [s], from the shortest to the longest."""
     pause = SHORTEST
     while True:
         yield pause

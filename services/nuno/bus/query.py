@@ -1,4 +1,4 @@
-"""Questions to a service, as they arrive."""
+"""A query to a service."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import zenoh
 
 @dataclass
 class Query:
-    """One question to a service; answer it exactly once."""
+    """One query to a service, which has to be answered exactly once."""
 
     name: str
     key: str
@@ -22,7 +22,7 @@ class Query:
         return self.query.payload.to_bytes() if self.query.payload is not None else b""
 
     def json(self) -> dict[str, Any]:
-        """The payload as a mapping; anything else counts as empty."""
+        """Return the payload as a mapping; anything else counts as empty."""
         try:
             value = json.loads(self.payload)
         except (ValueError, RecursionError):
@@ -30,7 +30,7 @@ class Query:
         return value if isinstance(value, dict) else {}
 
     def refuse(self, problem: str) -> None:
-        """Answer that this was no good question."""
+        """Reply with an error."""
         self.query.reply_err(problem)
         self.query.drop()
 

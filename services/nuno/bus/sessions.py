@@ -1,9 +1,9 @@
-"""zenoh sessions that expose nothing: loopback unless told otherwise, no scouting.
+"""zenoh sessions that expose nothing: loopback by default, no scouting.
 
-What a run must not lose is sent with blocking congestion control. zenoh blocks for a limited time, then closes the
-session of whoever does not read; and one that does not read holds up all others of its hub. So the limit is longer
-than a run waits for its services, and the hub blocks for the services of its run only: to everyone else it passes on
-what they keep up with.
+Messages that a run must not lose are sent with blocking congestion control. zenoh blocks for a limited time, then
+closes the session that does not read; and such a session delays all others of its hub. So the limit is longer than a
+run waits for its services, and the hub blocks only for those: for other sessions it drops messages that they cannot
+keep up with.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ import zenoh
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 120.0
-"""How long [s] a run waits for a service that it cannot do without and that neither answers nor ends."""
+"""Longest time that a run waits for a required service that neither answers nor ends [s]."""
 SILENCE_SECONDS = 1.25 * PATIENCE
-"""A session that is silent, or does not read, this long is closed: after whoever waits for it has said so.
+"""Time after which a session that is silent, or does not read, is closed [s]: after the warnings of waiting services.
 
-A process that ends closes its connections, which is noticed at once; only a host that vanishes takes this long. A
-shorter time would take a service that is stopped for a while, or pages to a slow disk, for a dead one.
+A process that ends closes its connections, which is noticed at once; only a host that vanishes takes this long. With a
+shorter time, a service that is stopped for a while, or pages to a slow disk, would count as dead.
 """
 QUEUED_BATCHES = 16
-"""Batches of 64 KiB that wait for a session, at most (16 is zenoh's most): what a slow reader may lag behind."""
+"""Most batches of 64 KiB in a session's queue (16 is zenoh's most), by which a slow reader may lag."""
 
 HANDOVER = 3.0
-"""How long [s] a session waits for one of its identity to end, once the hub answers."""
+"""Longest time that a session waits for one of its identity to end, once the hub answers [s]."""
 
 LINGER = 0.1
-"""So long [s] Python waits when it ends: see `_closing`."""
+"""Pause at the end of Python for zenoh's threads [s], as explained in `_closing`."""
 
 ATTEMPTS = 20
-"""Free ports that are tried: between finding one and listening there another run may take it."""
+"""Number of free ports to try: another run may take one before this run listens there."""
 
 
 class PortTaken(BadInput):
@@ -47,23 +47,23 @@ class PortTaken(BadInput):
 
 
 def free_port() -> int:
-    """A TCP port on loopback that is free now."""
+    """Return a TCP port on loopback that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def identity(run: str, service: str) -> str:
-    """The zenoh id of a service's session: its hub knows it from anyone else's."""
+    """Return the zenoh id of a service's session, by which its hub recognizes it."""
     return "6e" + hashlib.blake2b(f"{run}/{service}".encode(), digest_size=15).hexdigest()
 
 
-def _favour(trusted: Sequence[str]) -> list[dict[str, Any]]:
-    """Rules of a hub that waits for the sessions of `trusted` (identities), and for no other, to take messages."""
+def _qos_rules(trusted: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the rules of a hub that blocks for the sessions of `trusted` identities, and drops for all others."""
 
-    def rule(control: str, **whom: Any) -> dict[str, Any]:
-        what = {"messages": ["put"], "key_exprs": ["nuno/**"], "flows": ["egress"]}
-        return whom | what | {"overwrite": {"congestion_control": control}}
+    def rule(control: str, **selector: Any) -> dict[str, Any]:
+        scope = {"messages": ["put"], "key_exprs": ["nuno/**"], "flows": ["egress"]}
+        return selector | scope | {"overwrite": {"congestion_control": control}}
 
     return [rule("drop"), *([rule("block", zids=list(trusted))] if trusted else [])]
 
@@ -80,7 +80,7 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
         "connect/endpoints": connect,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        # Nobody is scouted for, so nothing is gained by waiting half a second for an answer.
+        # Without scouting, waiting half a second for an answer gains nothing.
         "scouting/delay": 0,
         "transport/link/tx/lease": round(1e3 * SILENCE_SECONDS),
         "transport/link/tx/queue/congestion_control/block/wait_before_close": round(1e6 * SILENCE_SECONDS),
@@ -96,14 +96,14 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
 
 @contextmanager
 def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None = None) -> Iterator[zenoh.Session]:
-    """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises PortTaken, BadInput.
+    """Open a session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises PortTaken, BadInput.
 
-    `extra` is a zenoh configuration file (TLS, access control) that is read first. `trusted` are the identities of
-    those that messages are held back for until they take them; None: of everyone.
+    `extra` is a zenoh configuration file (TLS, access control) that is read first. `trusted` are the identities of the
+    sessions that the hub blocks for; None: it blocks for all.
     """
     config = _config("router", [endpoint], [], extra)
     if trusted is not None:
-        config.insert_json5("qos/network", json.dumps(json.loads(config.get_json("qos/network")) + _favour(trusted)))
+        config.insert_json5("qos/network", json.dumps(json.loads(config.get_json("qos/network")) + _qos_rules(trusted)))
     try:
         session = _open(config)
     except zenoh.ZError as error:
@@ -120,7 +120,7 @@ def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None =
 def hub_at(
     listen: str | None, extra: str | None = None, trusted: Sequence[str] | None = None
 ) -> Iterator[tuple[zenoh.Session, str]]:
-    """A hub and its endpoint: the one given, or a free port of loopback. Raises as `hub`."""
+    """Open a hub at `listen`, by default at a free port of loopback; yield it and its endpoint. Raises as `hub`."""
     with ExitStack() as stack:
         for left in reversed(range(1 if listen else ATTEMPTS)):
             endpoint = listen or f"tcp/127.0.0.1:{free_port()}"
@@ -137,12 +137,12 @@ def hub_at(
 def spoke(
     endpoint: str, extra: str | None = None, patience: float = 0.0, own: str | None = None
 ) -> Iterator[zenoh.Session]:
-    """A session connected to a hub, of the identity `own`. Raises BadInput if there is no hub within `patience`
-    [s], and where one of that identity stays.
+    """Open a session connected to a hub, with the identity `own`. Raises BadInput if there is no hub within `patience`
+    [s], or another session of that identity stays.
     """
     config = _config("client", [], [endpoint], extra)
     if own is not None:
-        with spoke(endpoint, extra, patience):  # zenoh says the same of no hub and of one that knows the identity
+        with spoke(endpoint, extra, patience):  # zenoh raises the same without a hub and for a known identity
             patience = min(patience, HANDOVER)
         config.insert_json5("id", json.dumps(own))
     config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
@@ -160,7 +160,7 @@ def spoke(
 
 
 def _open(config: zenoh.Config) -> zenoh.Session:
-    """A session; without shared memory where the system has no room for it (/dev/shm), only slower."""
+    """Open a session; without shared memory, and slower, where the system has no room for it (/dev/shm)."""
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -172,41 +172,41 @@ def _open(config: zenoh.Config) -> zenoh.Session:
 
 @contextmanager
 def _closing(session: zenoh.Session) -> Iterator[None]:
-    """Close a session at the end; zenoh gives up after 10 s where somebody who is connected does not read."""
-    # zenoh's threads outlive their session, and take the interpreter's lock to let go of what they sent. One that meets
-    # the interpreter as it shuts down aborts the process: so it has a moment before that. Commands end by `leave`.
-    atexit.unregister(_give_way)
-    atexit.register(_give_way)
-    _open_ones.append(session)
+    """Close a session at the end; zenoh gives up after 10 s if a connected session does not read."""
+    # zenoh's threads outlive their session, and take the interpreter's lock to free their messages. A thread that does
+    # so while the interpreter shuts down aborts the process: hence the pause before that. Commands end by `leave`.
+    atexit.unregister(_close_all)
+    atexit.register(_close_all)
+    _open_sessions.append(session)
     try:
         yield
     finally:
-        _open_ones.remove(session)
+        _open_sessions.remove(session)
         with suppress(zenoh.ZError):
             session.close()
 
 
-_open_ones: list[zenoh.Session] = []
+_open_sessions: list[zenoh.Session] = []
 
 
-def _give_way() -> None:
-    """Close what a program has left open, as a listener in a variable, and let zenoh's threads end."""
-    for session in _open_ones:
+def _close_all() -> None:
+    """Close sessions that a program has left open, as a listener in a variable, and let zenoh's threads end."""
+    for session in _open_sessions:
         with suppress(zenoh.ZError):
             session.close()
     time.sleep(LINGER)
 
 
 def direct(take: Callable[[Any], object]) -> zenoh.handlers.Callback[Any]:
-    """What is called in zenoh's own thread as something comes, and only puts it away.
+    """Return a callback that zenoh calls in its own thread; it may only enqueue.
 
-    A callback as it is has a thread of Python's, which Python waits for when it ends, for ever where nobody closes.
+    A plain callback gets a Python thread, and Python waits for that at its end, forever if nobody closes the session.
     """
     return zenoh.handlers.Callback(take, indirect=False)
 
 
 def cut_off(session: zenoh.Session, endpoint: str) -> str:
-    """What is wrong where a spoke has lost the hub at its endpoint; "" where it has not."""
+    """Return the problem of a spoke that has lost the hub at its endpoint; "" if it has not."""
     return "" if session.info.routers_zid() else f"the connection to the hub at {endpoint} broke, or the hub ended"
 
 

@@ -64,7 +64,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def command() -> NoReturn:
-    """The console script: run a command, then leave with its exit code."""
+    """Run the console script: a command, then `leave` with its exit code."""
     process.open_streams()
     process.return_large_arrays()
     process.import_no_own_files()
@@ -130,7 +130,7 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
-    """A command's module, and what reads its arguments. Raises BadInput for an unknown name."""
+    """Return a command's module, and the parser of its arguments. Raises BadInput for an unknown name."""
     if name not in COMMANDS:
         raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
     path, summary = COMMANDS[name]

@@ -32,13 +32,13 @@ def main(args: argparse.Namespace) -> int:
     else:
         wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials_folder.roles()
         kept = credentials_folder.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
-    for each in kept:
-        print(_line(each))
-    wrong = [each for each in kept if each.wrong]
+    for certificate in kept:
+        print(_line(certificate))
+    broken = [certificate for certificate in kept if certificate.wrong]
     if not args.check:
         print(f"\ngive each host the file of its role, and no other; {args.folder}/authority.key stays here")
         print(f"for example: nuno serve router --listen tls/0.0.0.0:7447 --config {args.folder}/router.json5")
-    return 1 if wrong else 0
+    return 1 if broken else 0
 
 
 def _line(kept: Kept) -> str:

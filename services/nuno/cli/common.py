@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 
 Flags = Mapping[str, tuple[str, str] | tuple[str, str, Callable[[str], object]]]
-"""Flags that take a value: what it is called, help, and what reads it where it is no text."""
+"""Flags with a value: its name, help, and the function that parses it unless it is a text."""
 
 
 def add_flags(parser: argparse._ActionsContainer, flags: Flags) -> None:
-    """Add flags that take a value; one whose value is called NAME... may be given again and again."""
+    """Add flags with a value; one whose value is called NAME... may be repeated."""
     for flag, (metavar, text, *kind) in flags.items():
-        again: dict[str, Any] = {"action": "append", "default": []} if metavar.endswith("...") else {}
+        repeated: dict[str, Any] = {"action": "append", "default": []} if metavar.endswith("...") else {}
         parser.add_argument(
-            flag, metavar=metavar.removesuffix("..."), help=text, type=kind[0] if kind else str, **again
+            flag, metavar=metavar.removesuffix("..."), help=text, type=kind[0] if kind else str, **repeated
         )
 
 
@@ -48,7 +48,7 @@ def add_budget(parser: argparse._ActionsContainer) -> None:
 
 
 def budget_of(args: argparse.Namespace) -> Budget:
-    """What `--budget` gives, told of on stderr. Raises BadInput."""
+    """Return the budget of `--budget`, which reports on stderr. Raises BadInput."""
     try:
         seconds = BUDGET if args.budget is None else to_si(args.budget, "s")
     except ValueError as error:
@@ -67,7 +67,7 @@ def add_config(parser: argparse._ActionsContainer) -> None:
 
 
 def add_run(parser: argparse._ActionsContainer, needed: bool = False) -> None:
-    """A run that goes on, here or on another host."""
+    """Add the arguments for an active run, here or on another host."""
     default = "" if needed else " (default: last)"
     parser.add_argument(
         "run", nargs=None if needed else "?", default="last", help=f"a run's id or its beginning{default}"
@@ -77,14 +77,14 @@ def add_run(parser: argparse._ActionsContainer, needed: bool = False) -> None:
 
 
 def find_run(args: argparse.Namespace) -> tuple[str, str]:
-    """Id and endpoint of the run that is named. Raises BadInput."""
+    """Return id and endpoint of the named run. Raises BadInput."""
     from nuno.supervision import runs
 
     return (args.run, args.connect) if args.connect else runs.find(args.run)
 
 
 def warn(recording: Recording) -> None:
-    """Say where a recording is not complete: what is made of it is not, either."""
+    """Print a warning if a recording is incomplete."""
     from nuno.recording.gaps import shortcoming
 
     if problem := shortcoming(recording):
@@ -92,36 +92,35 @@ def warn(recording: Recording) -> None:
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:
-    """The scene, changed by `--set`. Raises BadInput."""
+    """Load the scene with the overrides of `--set`. Raises BadInput."""
     path = shipped.find(args.scene)
     overrides, folders = find_own(path, args.overrides)
     return scene_file.read(path, overrides, [*args.root, *folders])
 
 
 def find_own(scene: Path, overrides: list[str]) -> tuple[list[str], list[Path]]:
-    """Overrides that name files by their paths from where the command is typed, alone or in a mapping or list, with
-    the files' names instead, and the folders of these files. What the user types may be read, wherever it lies; what a
-    scene says may not.
+    """Replace paths of files from the working folder in overrides, alone or in a mapping or list, by the files' names;
+    return the overrides and the files' folders. The user's arguments may name any file, but a scene only its own.
 
-    Raises BadInput for a file that goes by the name of another one beside the scene.
+    Raises BadInput for a file with the name of another one in the scene's folder.
     """
     named, folders = [], []
     for item in overrides:
         key, equals, text = item.partition("=")
-        found: list[Path] = []
+        folders_of_item: list[Path] = []
         if equals and _is_file(text):
-            item = f"{key}={_name_of(text, key, scene, found)}"
+            item = f"{key}={_name_of(text, key, scene, folders_of_item)}"
         elif equals and (value := _parsed(text)) is not None:
-            renamed = _rename(value, key, scene, found)
-            if found:
+            renamed = _rename(value, key, scene, folders_of_item)
+            if folders_of_item:
                 item = as_override(key, renamed)
         named.append(item)
-        folders += found
+        folders += folders_of_item
     return named, folders
 
 
 def _parsed(text: str) -> Any:
-    """The mapping or list that a text stands for; None for any other, and what is wrong is said where it is read."""
+    """Return the mapping or list of a YAML text; None for others, whose errors are raised later."""
     try:
         value = yaml_lines.parse_value(text)
     except BadInput:
@@ -130,27 +129,27 @@ def _parsed(text: str) -> Any:
 
 
 def _rename(value: Any, key: str, scene: Path, folders: list[Path]) -> Any:
-    """A value with names instead of the paths of files; adds their folders."""
+    """Return a value with names instead of the paths of files; add their folders to `folders`."""
     if isinstance(value, dict):
-        return {name: _rename(one, key, scene, folders) for name, one in value.items()}
+        return {name: _rename(item, key, scene, folders) for name, item in value.items()}
     if isinstance(value, list):
-        return [_rename(one, key, scene, folders) for one in value]
+        return [_rename(item, key, scene, folders) for item in value]
     return _name_of(value, key, scene, folders) if isinstance(value, str) and _is_file(value) else value
 
 
 def _is_file(text: str) -> bool:
-    """Whether a text is the path of a file, from where the command is typed."""
-    own = os.path.expanduser(text)
-    # os.path says no where pathlib raises: for a mapping longer than the name of a file may be, or no user's ~.
-    return bool(Path(own).suffix) and os.path.isfile(own)
+    """Return whether a text is the path of a file, from the working folder."""
+    path = os.path.expanduser(text)
+    # os.path returns False where pathlib raises: for a mapping longer than a file's name may be, or an unknown ~.
+    return bool(Path(path).suffix) and os.path.isfile(path)
 
 
 def _name_of(text: str, key: str, scene: Path, folders: list[Path]) -> str:
-    """What a scene may call the file at a path by; adds its folder. Raises BadInput."""
-    own = Path(os.path.expanduser(text))
-    other = scene.resolve().parent / own.name
-    if other.is_file() and not other.samefile(own):
+    """Return the name of the file at a path for a scene; add its folder to `folders`. Raises BadInput."""
+    path = Path(os.path.expanduser(text))
+    other = scene.resolve().parent / path.name
+    if other.is_file() and not other.samefile(path):
         problem, remedy = "another file of this name lies beside the scene", "give yours another name"
         raise BadInput(problem, "--set", field=key, value=text, limit=str(other), remedy=remedy)
-    folders.append(own.resolve().parent if own.is_symlink() else own.parent.resolve())
-    return own.name
+    folders.append(path.resolve().parent if path.is_symlink() else path.parent.resolve())
+    return path.name

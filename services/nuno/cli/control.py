@@ -21,7 +21,7 @@ NEEDS = {
         "add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'",
     ),
 }
-"""What an action cannot be without, and an example."""
+"""Required argument of an action, and an example."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def describe(answer: Mapping[str, Any]) -> str:
-    """A run's answer in words: what it does, since when, and what was changed."""
+    """Return a run's answer in words: its state, frame and time, and what was changed."""
     left, state = answer.get("left", 0), str(answer["state"])
     if left:
         state += f" for {left} {'frame' if left == 1 else 'frames'}, then paused;"
@@ -71,7 +71,7 @@ def describe(answer: Mapping[str, Any]) -> str:
 
 
 def _short(value: object) -> str:
-    if isinstance(value, dict):  # what an operation has done, in numbers
+    if isinstance(value, dict):  # facts of an operation
         value = {name: int(n) if isinstance(n, float) and n.is_integer() else n for name, n in value.items()}
     text = "nothing" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -23,15 +23,15 @@ from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 
 LEAST_MEMORY = 2**29
-"""[bytes] that a run of a small scene takes, compiling its kernels included."""
+"""Memory of a run of a small scene, including the compilation of its kernels [bytes]."""
 LEAST_DISK = 2**28
 PROBE = 2**24
-"""Bytes that are written to see how fast the disk is."""
+"""Bytes that are written to measure the speed of the disk."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line: verdict is ok, note (something that nuno can do without) or failed (a run could not work)."""
+    """One line; the verdict is ok, note (an optional feature is missing) or failed (no run would work)."""
 
     name: str
     verdict: str
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Print a line for each; 1 where a run could not work."""
+    """Print a line for each check; return 1 if no run would work."""
     del args
     checks = (_machine, _memory, _kernels, _bus, _rerun, _mp4, _screen, _disk)
     names = ("nuno", "numpy", "numba", "llvmlite", "eclipse-zenoh", "mcap")
@@ -66,7 +66,7 @@ def _checked(check: Callable[[], Row]) -> Row:
     except BadInput as error:
         problem = f"{error.field}={error.value}: {error.problem}"
         return Row(check.__name__.strip("_"), "failed", problem, error.remedy or "")
-    except Exception as error:  # whatever breaks here would break a run
+    except Exception as error:  # any error here would also break a run
         return Row(check.__name__.strip("_"), "failed", f"{type(error).__name__}: {error}")
 
 
@@ -91,7 +91,7 @@ def _kernels() -> Row:
 
 
 def _of_kernels(ready: bool) -> list[Row]:
-    """What kernels say of threads and of their cache: nothing before one has run."""
+    """Return rows of threads and of the kernel cache, which are unknown before a kernel has run."""
     if ready:
         return [_checked(_threads), _checked(_cache)]
     return [Row(name, "note", "not known: no kernel has run, see above") for name in ("threads", "kernel cache")]
@@ -140,7 +140,7 @@ def _screen() -> Row:
 
 
 def _disk() -> Row:
-    """Whether recordings can be written, and how fast they come to rest on the disk."""
+    """Check whether recordings can be written, and the speed of the disk."""
     folder = Path("recordings") if Path("recordings").exists() else Path.cwd()
     free = psutil.disk_usage(str(folder)).free
     probe, name = folder / f".nuno-doctor-{os.getpid()}", "recordings"

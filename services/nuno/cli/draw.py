@@ -32,7 +32,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def open_desk(args: argparse.Namespace) -> tuple[Desk, str]:
-    """The page's desk, and the place of a scene on it, or else of a run that goes on, by its name. Raises BadInput."""
+    """Return the page's desk, and the place of a scene on it, or of an active run by its name. Raises BadInput."""
     try:
         path = shipped.find(args.scene)
     except BadInput as no_scene:
@@ -53,13 +53,13 @@ def open_desk(args: argparse.Namespace) -> tuple[Desk, str]:
 
 
 def _open(desk: Desk, path: Path, overrides: list[str], roots: list[Path]) -> str:
-    """Make a scene one that the page can open; what it calls it. Raises BadInput for one that takes no lines."""
+    """Add a scene to the page; return its name there. Raises BadInput for one that takes no lines."""
     loaded = scene_file.read(path, overrides, roots)
     require_lines(loaded, see_scene(loaded)[1])
     scenes = desk.scenes
-    known = {found.resolve(): name for name, found in scenes.paths().items()}
-    entry = known.get(path.resolve(), path.name if path.name not in known.values() else str(path))
-    if path.resolve() not in known:
+    names = {file.resolve(): name for name, file in scenes.paths().items()}
+    entry = names.get(path.resolve(), path.name if path.name not in names.values() else str(path))
+    if path.resolve() not in names:
         scenes.more[entry] = path
     scenes.roots = tuple(roots)
     if overrides:
@@ -68,7 +68,7 @@ def _open(desk: Desk, path: Path, overrides: list[str], roots: list[Path]) -> st
 
 
 def _changed(text: str, overrides: list[str], file: str) -> str:
-    """A scene's text with the changes of `--set` in it. Raises BadInput."""
+    """Return a scene's text with the changes of `--set` in it. Raises BadInput."""
     for item in overrides:
         data = deepcopy(yaml_lines.parse(text, file)[0])
         place = apply_override(data, item)

@@ -21,8 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flags(what, {f"--{name}": ("FILE", text, Path) for name, text in FILES.items()})
     _add_yarns(parser.add_argument_group("yarns as curves"))
     _add_parts(parser.add_argument_group("which part"))
-    told = "say how far it is, a line each time, also where there is no terminal"
-    parser.add_argument("--progress", action="store_true", help=told)
+    progress_help = "say how far it is, a line each time, also where there is no terminal"
+    parser.add_argument("--progress", action="store_true", help=progress_help)
     _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
 
 
@@ -42,8 +42,8 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure; "
         "--pattern: outlines, the print (cloth), or triangles by their strain, the largest, or along warp or weft "
     )
-    own = "(default: its own where the scene gives one)"
-    which.add_argument("--colour", choices=get_args(Painted), default="auto", help=painted + own)
+    default_text = "(default: its own where the scene gives one)"
+    which.add_argument("--colour", choices=get_args(Painted), default="auto", help=painted + default_text)
     add_flags(which, {
         "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes, yarns (default: last), --usd", int),
         "--start": ("SECONDS", "animations: from here", float),
@@ -72,8 +72,8 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        asked = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})
-        for path in write(recording, asked, _tell if args.progress else show_progress):
+        request = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})
+        for path in write(recording, request, _tell if args.progress else show_progress):
             print(path)
     return 0
 

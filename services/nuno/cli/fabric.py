@@ -26,11 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    found, head = import_sheet(args.sheet, args.like)
-    text = as_yaml(found, head)
-    print("\n".join([table(found), "", *origins(left_out(found))]))
-    if found.unused:
-        print(f"\nnot used, for no force here has it: {', '.join(found.unused)}")
+    fabric, head = import_sheet(args.sheet, args.like)
+    text = as_yaml(fabric, head)
+    print("\n".join([table(fabric), "", *origins(left_out(fabric))]))
+    if fabric.unused:
+        print(f"\nnot used, for no force here has it: {', '.join(fabric.unused)}")
     print(f"\n{text}", end="")
     if args.out is not None:
         with writing(args.out, args.out.suffix) as new:
@@ -38,32 +38,32 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def table(found: Imported) -> str:
-    """Each measure, how it was had, and what a virtual test of it finds."""
+def table(fabric: Imported) -> str:
+    """Return a table of the measures, their origins, and the results of virtual tests."""
     rows = [["", "value", "", "virtual test", "off", "how"]]
-    for name, value in {**found.fabric, **found.drape}.items():
-        tested = found.measured.get(name)
+    for name, value in {**fabric.fabric, **fabric.drape}.items():
+        tested = fabric.measured.get(name)
         off = "" if tested is None else f"{100.0 * (tested / value - 1.0):+.2f} %"
         seen = "" if tested is None else f"{tested:.4g}"
-        rows.append([name, f"{value:.4g}", found.units[name], seen, off, found.how[name]])
+        rows.append([name, f"{value:.4g}", fabric.units[name], seen, off, fabric.how[name]])
     return align(rows, left=(0, 2, 5))
 
 
-def as_yaml(found: Imported, head: list[str]) -> str:
-    """The `fabric` of a scene below comments of a line each, and beside it what was `measured` of its drape."""
-    lines = [*(f"# {line}" for line in head), "fabric:", *_entries(found, found.fabric)]
-    lines += [f"  # {line}" for line in origins(left_out(found))]
-    if found.drape:
+def as_yaml(fabric: Imported, head: list[str]) -> str:
+    """Return the `fabric` of a scene after comments, and its measured drape as `measured`."""
+    lines = [*(f"# {line}" for line in head), "fabric:", *_entries(fabric, fabric.fabric)]
+    lines += [f"  # {line}" for line in origins(left_out(fabric))]
+    if fabric.drape:
         note = "of its drape, for nuno test to be held against; no part of the fabric"
-        lines += [f"measured:  # {note}", *_entries(found, found.drape)]
+        lines += [f"measured:  # {note}", *_entries(fabric, fabric.drape)]
     return "\n".join(lines) + "\n"
 
 
-def left_out(found: Imported) -> dict[str, str]:
-    """How those values are had that a fabric has and the sheet does not tell."""
-    return {name: how for name, how in found.how.items() if name not in {*found.fabric, *found.drape}}
+def left_out(fabric: Imported) -> dict[str, str]:
+    """Return the origins of a fabric's values that are not in the sheet."""
+    return {name: how for name, how in fabric.how.items() if name not in {*fabric.fabric, *fabric.drape}}
 
 
-def _entries(found: Imported, values: Mapping[str, float]) -> list[str]:
-    """Values with their units, and how each was had."""
-    return [f"  {name}: {text}  # {found.how[name]}" for name, text in in_units(found, values).items()]
+def _entries(fabric: Imported, values: Mapping[str, float]) -> list[str]:
+    """Return values with their units and origins."""
+    return [f"  {name}: {text}  # {fabric.how[name]}" for name, text in in_units(fabric, values).items()]

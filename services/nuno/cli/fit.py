@@ -18,7 +18,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 
 SEAMS = 8
-"""Of so many seams a person is told: those that are pulled at most."""
+"""Most seams in the text, those with the largest pull."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def main(args: argparse.Namespace) -> int:
         print(json.dumps([asdict(fit) | {"ease": {one.name: one.ease for one in fit.girths}} for fit in fits]))
     else:
         print("\n".join(describe(fit) for fit in fits))
-    # In a frame of its own a garment may not lie on the body yet.
+    # In a chosen frame, a garment may not be on the body yet.
     return 1 if args.frame is None and not all(fit.on for fit in fits) else 0
 
 
@@ -57,7 +57,7 @@ def _height(item: str) -> tuple[str, float]:
 
 
 def describe(fit: Fit) -> str:
-    """A table for a person, in centimetres."""
+    """Return the fit as tables, in centimetres."""
     rows = [["at", "height cm", "body cm", "cut cm", "worn cm", "ease cm"], *map(_row, fit.girths)]
     lines = [f"{fit.name}", "", align(rows)] if fit.girths else [f"{fit.name}"]
     rows = [["opening", "from cm", "to cm", "cut cm", "round cm"]]
@@ -86,13 +86,13 @@ def describe(fit: Fit) -> str:
     if empty and not fit.off:
         lines += ["", f"empty      nothing of the body goes through opening {', '.join(empty)}: is it worn there?"]
     if tight := [one for one in fit.girths if one.ease is not None and one.ease < 0.0]:
-        told = ", ".join(f"by {-1e2 * (one.ease or 0.0):.1f} cm at the {one.name}" for one in tight)
-        lines += ["", f"smaller    than the body {told}"]
+        girths = ", ".join(f"by {-1e2 * (one.ease or 0.0):.1f} cm at the {one.name}" for one in tight)
+        lines += ["", f"smaller    than the body {girths}"]
     return "\n".join([*lines, ""])
 
 
 def _seam_rows(seams: list[Seam]) -> list[list[str]]:
-    """Those that are pulled at most."""
+    """Return rows of the seams with the largest pull."""
     most = sorted(seams, key=lambda one: -one.mean)[:SEAMS]
     which = "seam" if len(most) == len(seams) else f"{len(most)} of {len(seams)} seams"
     rows = [[which, "panels", "cut cm", "pulled N/m", "most N/m"]]

@@ -34,9 +34,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def describe(recording: Recording, lacks: Lacks) -> dict[str, Any]:
-    """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, how cloth lies to
-    cloth, the report.
-    """
+    """Return the output of `nuno info --json`: file, completeness, counts, missing messages, crossings, report."""
     end = recording.metadata.get(END, {})
     return {
         "file": str(recording.path),

@@ -1,4 +1,4 @@
-"""`nuno plugins`, `nuno scenes` and `nuno schema`: what a scene may name."""
+"""`nuno plugins`, `nuno scenes` and `nuno schema`: lists for authors of scenes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REFERENCES = {
     "fields": ("nuno.reference.fields", "every field of a scene"),
     "commands": ("nuno.cli.reference", "every command and its arguments"),
 }
-"""Pages of the documentation that are made from what they describe, by `describe_NAME` of a module."""
+"""Generated pages of the documentation, each by `describe_NAME` of a module."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _list_plugins(wanted: str | None) -> None:
-    """Without importing any."""
+    """Print the plugins without importing any."""
     for group, meaning in GROUPS.items():
         if wanted in (None, group, group.removeprefix("nuno.")):
             print(f"{group}  ({meaning})")

@@ -25,7 +25,7 @@ KINDS = {
     "stocking": "knit/stocking-leg",
     "dye": "dye/drops",
 }
-"""The scene that each is made after."""
+"""Shipped scene that each kind copies."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Write the scene, and the files that it needs, beside it."""
+    """Write the scene, and the files that it needs into its folder."""
     known = shipped.scenes()
     name = KINDS.get(args.kind, args.kind)
     if name not in known:

@@ -1,4 +1,4 @@
-"""`nuno plan`: what will run, what is left out and why, the stable step, the estimated cost."""
+"""`nuno plan`: services, features left out and why, stable step, estimated cost."""
 
 from __future__ import annotations
 

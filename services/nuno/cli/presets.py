@@ -1,4 +1,4 @@
-"""What `nuno fabrics`, `nuno yarns` and `nuno dyes` print: what scenes can name, in units, and the sources."""
+"""`nuno fabrics`, `nuno yarns` and `nuno dyes`: the presets that scenes can name, in units, with sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nuno_schemas.preset import Preset
 
 GROUP = "nuno.models"
 LISTS = {"fabrics": "presets", "yarns": "yarns"}
-"""The method of a model that lists what each command shows; dyes are no model's."""
+"""Method of a model that lists the presets of each command; dyes have no model."""
 KINDS = ("measured", "derived", "assumed")
 LEGENDS = {
     "fabrics": "The first row of a fabric holds its own values, which springs and hinges follow at any "
@@ -40,16 +40,16 @@ def main(args: argparse.Namespace) -> int:
 
 
 def choose(command: str, names: Sequence[str]) -> list[Preset]:
-    """Those of these names, in their own order; all without any. Raises BadInput for a name that none has."""
-    known = find_presets(command)
+    """Return the presets of these names, in their own order, by default all. Raises BadInput for an unknown name."""
+    presets_by_name = find_presets(command)
     for name in names:
-        if name not in known:
-            raise BadInput(f"no {command.removesuffix('s')} {name!r}", remedy=nearest(name, known))
-    return [preset for name, preset in known.items() if not names or name in names]
+        if name not in presets_by_name:
+            raise BadInput(f"no {command.removesuffix('s')} {name!r}", remedy=nearest(name, presets_by_name))
+    return [preset for name, preset in presets_by_name.items() if not names or name in names]
 
 
 def find_presets(command: str) -> dict[str, Preset]:
-    """By name, of every installed model that lists some; dyes are the scene's own."""
+    """Return the presets of all installed models by name; those of dyes are in the scene's schema."""
     if command == "dyes":
         return {preset.name: preset for preset in list_dyes()}
     models = (registry.load(GROUP, name) for name in sorted(registry.installed(GROUP)))
@@ -58,7 +58,7 @@ def find_presets(command: str) -> dict[str, Preset]:
 
 
 def show(presets: list[Preset]) -> str:
-    """Their values as a table, then the source of each, and how its values were had."""
+    """Return the values as a table, then the sources, and the origins of the values."""
     lines = [table(presets), ""]
     for one in presets:
         lines.append(textwrap.fill(f"{one.name}: {one.source}", 100, subsequent_indent="  "))
@@ -67,17 +67,17 @@ def show(presets: list[Preset]) -> str:
 
 
 def origins(how: Mapping[str, str]) -> list[str]:
-    """What was measured, derived and assumed, a line for each reason."""
+    """Return measured, derived and assumed values, a line for each reason."""
     lines = []
     for words in sorted(set(how.values()), key=lambda words: (KINDS.index(words.partition(":")[0]), words)):
         kind, _, reason = words.partition(": ")
-        names = ", ".join(name for name, own in how.items() if own == words)
+        names = ", ".join(name for name, origin in how.items() if origin == words)
         lines.append(f"{kind}: {names}" + (f" ({reason})" if reason else ""))
     return lines
 
 
 def table(presets: list[Preset]) -> str:
-    """A head with units, then for each preset its values and one line for each virtual test of it."""
+    """Return a head with units, then for each preset its values, and a line for each virtual test of it."""
     if not presets:
         return ""
     columns = presets[0].measures
@@ -90,5 +90,5 @@ def table(presets: list[Preset]) -> str:
 
 
 def digits(value: float | None) -> str:
-    """Four significant digits, never as a power of ten; nothing for None."""
+    """Format four significant digits, never as a power of ten; "" for None."""
     return "" if value is None else f"{float(f'{value:.4g}'):.10f}".rstrip("0").rstrip(".")

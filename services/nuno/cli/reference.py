@@ -1,4 +1,4 @@
-"""Every command with its arguments, made from what reads them: docs/reference/commands.md."""
+"""Reference of all commands with their arguments, from their parsers: docs/reference/commands.md."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ INTRODUCTION = """\
 
 
 def describe_commands() -> str:
-    """The page; imports every command."""
+    """Return the page; imports every command."""
     parts = [INTRODUCTION]
     for name in cli.COMMANDS:
         module, parser = cli.parser_of(name)
         parts += _command(f"nuno {name}", parser, "##")
-        # Commands that have kinds, each with arguments of its own: `nuno bench`.
+        # Commands with subcommands that have their own arguments: `nuno bench`.
         for kind in getattr(module, "COMMANDS", ()):
             parts += _command(f"nuno {name} {kind}", module.parser_of(kind)[1], "###")
     return "\n".join(parts) + "\n"
@@ -36,21 +36,21 @@ def _command(name: str, parser: argparse.ArgumentParser, level: str) -> Iterator
 
 
 def _row(action: argparse.Action, formatter: argparse.HelpFormatter) -> list[str] | None:
-    """An argument, its default and its meaning; None for --help and for what is not shown."""
+    """Return an argument, its default and its meaning; None for --help and hidden ones."""
     if isinstance(action, argparse._HelpAction) or action.help == argparse.SUPPRESS:
         return None
     values = "" if action.nargs == 0 else _values(action)
     written = ", ".join(action.option_strings)
-    said = formatter._expand_help(action) if action.help else ""
-    told = action.default not in (None, False, [], (), argparse.SUPPRESS) and "default" not in said
-    return [f"`{' '.join(filter(None, [written, values]))}`", f"`{action.default}`" if told else "", plain(said)]
+    text = formatter._expand_help(action) if action.help else ""
+    shown = action.default not in (None, False, [], (), argparse.SUPPRESS) and "default" not in text
+    return [f"`{' '.join(filter(None, [written, values]))}`", f"`{action.default}`" if shown else "", plain(text)]
 
 
 def _values(action: argparse.Action) -> str:
     if action.choices is not None and action.metavar is None:
-        one = "{" + ",".join(map(str, action.choices)) + "}"
+        value = "{" + ",".join(map(str, action.choices)) + "}"
     else:
-        given = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
-        one = given if isinstance(given, str) else " ".join(given)
-    many = {"?": f"[{one}]", "*": f"[{one} ...]", "+": f"{one} ...", argparse.REMAINDER: "..."}
-    return many.get(str(action.nargs), one) if action.nargs else one
+        name = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
+        value = name if isinstance(name, str) else " ".join(name)
+    many = {"?": f"[{value}]", "*": f"[{value} ...]", "+": f"{value} ...", argparse.REMAINDER: "..."}
+    return many.get(str(action.nargs), value) if action.nargs else value

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
     add_flags(parser, {"--mp4": ("FILE", "draw an animation at the end: .mp4 (needs nuno[video]) or .gif", Path)})
-    paced = "no frame is sooner than the clock says; one that is late is told of"
+    paced = "no frame is sooner than the clock says; the run warns of a late one"
     parser.add_argument("--real-time", action="store_true", help=paced)
     parser.add_argument("--report", action="store_true", help="print all of the report, and why something is left out")
     paused = "wait before the first frame until: nuno control RUN resume"
@@ -64,7 +64,7 @@ def main(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
-    """The scene given, or that of the recording to resume."""
+    """Load the given scene, or that of the recording to resume."""
     if args.scene is None and args.resume is None:
         raise BadInput("give a scene, or a recording to resume", remedy="for example: nuno run skirt-hula")
     if args.scene is not None and args.resume is not None:
@@ -96,9 +96,9 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
     if options.record is not None and options.record.is_file():
         print(f"replaces {options.record} once the new one is whole", flush=True)
-    beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
+    default_log = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
-    with log.written(run, args.log or beside):
+    with log.written(run, args.log or default_log):
         code = execute(loaded, options, deployment, picture, args.report)
     if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
         from nuno.exports.animations import export_animation
@@ -120,18 +120,18 @@ def _options(args: argparse.Namespace, run: str) -> Options:
 
 
 def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
-    """Say which files the run has left: not one of that name from before."""
-    kept = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
-    if "recorder" in kept:
-        print(row("recording", kept["recorder"]))
+    """Print which files the run has written, and not older ones of the same name."""
+    files = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
+    if "recorder" in files:
+        print(row("recording", files["recorder"]))
     elif options.record is not None and (part := part_of(options.record)).exists():
         print(row("recording", f"{part}, which was not finished"))
-    if "viewer" in kept:
-        print(row("rerun file", f"{kept['viewer']}  (look: rerun {kept['viewer']})"))
+    if "viewer" in files:
+        print(row("rerun file", f"{files['viewer']}  (look: rerun {files['viewer']})"))
 
 
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool, whole: bool) -> int:
-    """Run, show progress, print the report, all of it or what everyone asks for; the exit code."""
+    """Run, show progress, print the whole or the brief report; return the exit code."""
     started = time.perf_counter()
     with ending_at_once(), ProgressLine(loaded.scene) as progress:
         outcome = supervisor.supervise(
@@ -144,20 +144,20 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         from nuno.exports.pictures import export_picture
 
         target = options.record.with_suffix(".png")
-        print("drawing the last frame", flush=True)  # the first time, the renderer is compiled
+        print("drawing the last frame", flush=True)  # the first time, this compiles the renderer
         export_picture(options.record, target)
         look = f"no screen here; on one with a screen: nuno replay {options.record} --view"
         print(row("picture", f"{target}  ({look})"))
-    print(row("total", f"{time.perf_counter() - started:.1f} s"), flush=True)  # before what failed, in a pipe, too
+    print(row("total", f"{time.perf_counter() - started:.1f} s"), flush=True)  # before the error, in a pipe, too
     keep_page(options.view, outcome.services.get("viewer", {}), outcome.state != "terminated")
     if outcome.problem:
-        _say(outcome.problem)
+        _print_problem(outcome.problem)
         return 1
     return 0
 
 
-def _say(problem: str) -> None:
-    """Say what went wrong, in red on a terminal."""
+def _print_problem(problem: str) -> None:
+    """Print the problem, in red on a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)

@@ -26,11 +26,11 @@ from nuno_schemas.errors import BadInput, RunFailed
 
 LISTEN = "tcp/127.0.0.1:7447"
 PATIENCE = 20.0
-"""How long a service waits for its hub [s]: containers start in any order."""
+"""Longest wait of a service for its hub [s]: containers start in any order."""
 NO_END = 1e7
-"""Of the trials of a solver [s]."""
+"""Budget of the trials of a solver [s]."""
 KEEPERS = ("recorder", "viewer")
-"""Services that have a file to close."""
+"""Services that close a file at their end."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
         threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
     loaded = scene_file.read(shipped.find(args.scene), args.overrides, args.root, args.named)
     if args.service in ("simulation", "recorder", "dye"):
-        # Without an end, or services that are slower than others would choose otherwise.
+        # Unlimited, since otherwise slower services would choose another solver.
         loaded = decide(loaded, Budget(NO_END, lambda text: print(text, file=sys.stderr, flush=True)))
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     options.real_time = args.real_time
@@ -104,8 +104,8 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _hold(stop: threading.Event, keeping: threading.Event) -> None:
-    """Wait until standard input ends, then end this process: in order, or soon after whatever it does; later where it
-    may have a file to close.
+    """Wait until standard input ends, then end this process: in order, or after a timeout, which is longer if it may
+    have a file to close.
 
     The liveliness of the supervisor is not enough: a service may be compiling or still connecting.
     """
@@ -120,11 +120,11 @@ def _route(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    # Of a run that is not known by name, everyone is waited for.
+    # Without the name of a run, the router blocks for all sessions.
     services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}
     with sessions.hub(args.listen, args.config, list(services) or None) as session:
         print(f"router at {args.listen}", flush=True)
-        laggards = SlowConsumers(session, services)
+        slow_consumers = SlowConsumers(session, services)
         while not stop.wait(LOOK_SECONDS):
-            laggards.look(lambda text: print(text, file=sys.stderr, flush=True))
+            slow_consumers.look(lambda text: print(text, file=sys.stderr, flush=True))
     return 0

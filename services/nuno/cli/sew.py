@@ -1,4 +1,4 @@
-"""`nuno sew`: patterns put on a body, as a scene that is written and run; or what is to be said of them before."""
+"""`nuno sew`: patterns on a body, as a scene that is written and run; or a check of the patterns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from nuno_schemas.plugin import BodyShape
 from nuno_schemas.units import to_si
 
 MANNEQUIN = Path("mannequin")
-"""What `--body` calls the body that comes with nuno, where there is no file of that name."""
+"""Name of the shipped body in `--body`, unless there is a file of that name."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +68,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def wear(args: argparse.Namespace) -> int:
-    """Write a scene in which a body wears the patterns, run it, and tell how they fit a body that stands."""
+    """Write a scene in which a body wears the patterns, run it, and print the fit on a body that stands."""
     from nuno.cli import main as nuno
 
     fabrics = args.fabric or ["interlock"]
@@ -76,26 +76,26 @@ def wear(args: argparse.Namespace) -> int:
         raise BadInput("fabrics and patterns do not go together", field="--fabric", value=f"{len(fabrics)} fabrics",
                        limit=f"one, or {len(args.patterns)}, one for each pattern")  # fmt: skip
     _check_fabrics(fabrics)
-    own = args.body == MANNEQUIN and not MANNEQUIN.exists()
-    beside = ({} if own else {"body": args.body}) | ({"motion": args.motion} if args.motion else {})
-    files = [("pattern", pattern) for pattern in args.patterns] + list(beside.items())
-    for what, file in files:
+    uses_mannequin = args.body == MANNEQUIN and not MANNEQUIN.exists()
+    other_files = ({} if uses_mannequin else {"body": args.body}) | ({"motion": args.motion} if args.motion else {})
+    files = [("pattern", pattern) for pattern in args.patterns] + list(other_files.items())
+    for role, file in files:
         if not file.is_file():
-            remedy = near(file) + ("mannequin is the one that comes with nuno" if what == "body" else "check the name")
-            raise BadInput("no such file", field=what, value=str(file), remedy=remedy)
+            remedy = near(file) + ("mannequin is the one that comes with nuno" if role == "body" else "check the name")
+            raise BadInput("no such file", field=role, value=str(file), remedy=remedy)
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    scale = _find_unit(args.body, args.patterns) if "body" in beside else ""
+    scale = _find_unit(args.body, args.patterns) if "body" in other_files else ""
     roots = [root for root in dict.fromkeys(file.resolve().parent for _, file in files)
              if not root.is_relative_to(scene.resolve().parent)]  # fmt: skip
     known = SceneFiles(scene.parent, tuple(roots))
     each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
     garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
-    moved = {"body": None} | {what: _name_in(known, file) for what, file in beside.items()}
+    moved = {"body": None} | {role: _name_in(known, file) for role, file in other_files.items()}
     with replacing(scene) as new:
         new.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
@@ -105,16 +105,16 @@ def wear(args: argparse.Namespace) -> int:
     if args.write:
         from nuno.cloth.build import build_fabrics
 
-        build_fabrics(scene_file.read(scene, (), roots))  # what a run of it would refuse, this does
+        build_fabrics(scene_file.read(scene, (), roots))  # raises the errors of a run
         return 0
     code = nuno(command)
-    # A body that walks is not as high at the end as it was measured.
+    # A walking body does not have its measured height at the end.
     return code or (nuno(["fit", "last"]) if args.motion is None else 0)
 
 
 def _name_in(files: SceneFiles, path: Path) -> str:
-    """What a scene calls a file: by its place below the scene's folder, else by its name, or, where another file of
-    that name would be read first, by its whole path.
+    """Return the name of a file for a scene: its path below the scene's folder, else its name, or its absolute path if
+    another file of that name would be found first.
     """
     place, folder = path.resolve(), files.folder.resolve()
     name = place.relative_to(folder).as_posix() if place.is_relative_to(folder) else place.name
@@ -129,8 +129,8 @@ def _check_fabrics(fabrics: list[str]) -> None:
         try:
             model.Config.model_validate(data)
         except ValidationError as error:
-            found = explain(error, data, (), "sew", {}, model.Config)
-            raise replace(found, file=None, field="--fabric") from None
+            explained = explain(error, data, (), "sew", {}, model.Config)
+            raise replace(explained, file=None, field="--fabric") from None
 
 
 def _check_edge(edge: str) -> None:
@@ -148,8 +148,8 @@ def _check_edge(edge: str) -> None:
 
 
 def _find_unit(body: Path, patterns: list[Path]) -> str:
-    """The unit of a body's file, told and as a scene says it; empty for the metre, and for what the run refuses.
-    Raises BadInput for a body that no unit makes a wearer of the patterns of.
+    """Return and print the unit of a body's file; empty for the metre, and for a file that the run refuses. Raises
+    BadInput for a body that cannot wear the patterns in any unit.
     """
     mesh = registry.load("nuno.colliders", "mesh")
     try:
@@ -160,59 +160,59 @@ def _find_unit(body: Path, patterns: list[Path]) -> str:
     unit = unit_for(size, patterns)
     if unit == "1m":
         return ""
-    told = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
-    print(f"unit       {body}: {told}", flush=True)
+    text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
+    print(f"unit       {body}: {text}", flush=True)
     return unit
 
 
 def _remind(pattern: Path) -> None:
-    """Tell which kinds of things the check of a pattern would tell of, but for gathers; the run says what is wrong."""
+    """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors."""
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
     try:
-        found: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
+        checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
     except BadInput:
         return
-    if kinds := list(dict.fromkeys(remark.kind for remark in found.remarks if not remark.wrong)):
+    if kinds := list(dict.fromkeys(remark.kind for remark in checked.remarks if not remark.wrong)):
         print(f"remarks    {pattern}: {', '.join(kinds)}  (nuno sew --check {shlex.quote(str(pattern))})", flush=True)
 
 
 def check(args: argparse.Namespace) -> int:
-    """Say what is to be said of each pattern."""
+    """Print the remarks on each pattern; return the exit code."""
     if not args.gather >= 1.0:
         raise BadInput("no seam's longer edge is shorter", field="--gather", value=args.gather, limit="at least 1")
     model, code = registry.offering("nuno.models", "check_pattern", "reads sewing patterns"), 0
     for path in args.patterns:
         try:
-            found: Checked = model.check_pattern(SceneFiles(path.parent), path.name, args.gather)
+            checked: Checked = model.check_pattern(SceneFiles(path.parent), path.name, args.gather)
         except BadInput as error:
             print(f"error: {error}", file=sys.stderr)
             code = 2
             continue
-        print(json.dumps({"file": str(path), **asdict(found)}) if args.json else describe(str(path), found))
-        code = 2 if any(remark.wrong for remark in found.remarks) else code
+        print(json.dumps({"file": str(path), **asdict(checked)}) if args.json else describe(str(path), checked))
+        code = 2 if any(remark.wrong for remark in checked.remarks) else code
     return code
 
 
-def describe(file: str, found: Checked) -> str:
-    """Panels, openings and remarks, for a person."""
+def describe(file: str, pattern: Checked) -> str:
+    """Return panels, openings and remarks as tables."""
     rows = [["panel", "edges", "sewn", "width cm", "height cm", "area cm²"]]
-    for one in found.panels:
-        measures = f"{1e2 * one.width:.1f}", f"{1e2 * one.height:.1f}", f"{1e4 * one.area:.0f}"
-        rows.append([one.name, f"{one.edges}", f"{one.sewn}", *measures])
-    whole = f"{many(len(found.panels), 'panel')}, {many(found.seams, 'seam')} of {found.length:.2f} m in all"
+    for each in pattern.panels:
+        measures = f"{1e2 * each.width:.1f}", f"{1e2 * each.height:.1f}", f"{1e4 * each.area:.0f}"
+        rows.append([each.name, f"{each.edges}", f"{each.sewn}", *measures])
+    whole = f"{many(len(pattern.panels), 'panel')}, {many(pattern.seams, 'seam')} of {pattern.length:.2f} m in all"
     lines = [f"{file}: {whole}", "", align(rows)]
-    if found.openings:
-        cells = [[f"{1e2 * one.length:.1f}", ", ".join(one.edges)] for one in found.openings]
+    if pattern.openings:
+        cells = [[f"{1e2 * each.length:.1f}", ", ".join(each.edges)] for each in pattern.openings]
         lines += ["", align([["opening cm", "edges round it"], *cells], left=(1,))]
-    wrong = [remark for remark in found.remarks if remark.wrong]
-    for title, remarks in (("wrong", wrong), ("remarks", [one for one in found.remarks if not one.wrong])):
+    wrong = [remark for remark in pattern.remarks if remark.wrong]
+    for title, remarks in (("wrong", wrong), ("remarks", [each for each in pattern.remarks if not each.wrong])):
         if remarks:
-            lines += ["", *_told(title, remarks)]
+            lines += ["", *_remark_table(title, remarks)]
     verdict = f"cannot be sewn: {many(len(wrong), 'error')}" if wrong else "can be sewn"
-    return "\n".join([*lines, "", f"{file}: {verdict}, {many(len(found.remarks) - len(wrong), 'remark')}", ""])
+    return "\n".join([*lines, "", f"{file}: {verdict}, {many(len(pattern.remarks) - len(wrong), 'remark')}", ""])
 
 
-def _told(title: str, remarks: list[Remark]) -> list[str]:
+def _remark_table(title: str, remarks: list[Remark]) -> list[str]:
     rows = [[title, "line", "where", "what"]]
     for one in remarks:
         remedy = f" ({one.remedy})" if one.remedy else ""

@@ -18,7 +18,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def serve(desk: Desk, name: str, place: str, opened: bool) -> int:
-    """Serve the page, and show it at a place of it, until Ctrl-C; the exit code."""
+    """Serve the page, opened at `place`, until Ctrl-C; return the exit code."""
     try:
         with serving(desk.server(), name, opened, place):
             threading.Event().wait()

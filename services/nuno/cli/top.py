@@ -19,16 +19,16 @@ from nuno.service import SUPERVISOR
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 3.0
-"""How long the run is waited for [s]."""
+"""Longest wait for the run [s]."""
 COLUMNS = (
     ("service", "service", ""), ("frame", "frame", ""), ("frames/s", "frames", ".1f"), ("behind", "behind", ""),
     ("ms", "late", ".0f"), ("out/s", "sent", ".1f"), ("out MB/s", "sent_megabytes", ".2f"), ("in/s", "received", ".1f"),
     ("in MB/s", "received_megabytes", ".2f"), ("waiting", "waiting", ""), ("missing", "missing", ""),
     ("refused", "refused", ""), ("CPU", "processor", ".0%"), ("memory", "memory", ""), ("process", "process", ""),
 )  # fmt: skip
-"""Heading, what of a line stands below it, and its format."""
+"""Heading, field of a line, and its format."""
 Line = dict[str, Any]
-"""What one service did between two answers of it, as --json prints it; see `compare`."""
+"""Rates and counts of one service between two answers, as `compare` returns and --json prints them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,28 +39,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Look at the run until it ends or the user has seen enough."""
+    """Show the run until it or the user ends this."""
     run, endpoint = find_run(args)
 
-    def told(lines: list[Line]) -> str:
+    def show(lines: list[Line]) -> str:
         return json.dumps({"run": run, "services": lines}) if args.json else f"{head(run, lines)}\n{table(lines)}"
 
     with spoke(endpoint, args.config) as session, contextlib.suppress(KeyboardInterrupt):
-        looks = filter(None, (compare(*pair) for pair in look(Bus(session, run, "top"), args.interval)))
+        pairs = filter(None, (compare(*pair) for pair in look(Bus(session, run, "top"), args.interval)))
         if args.once:
-            lines = next(looks, [])
-            print(told(lines) if lines or args.json else f"{run} has ended")
+            lines = next(pairs, [])
+            print(show(lines) if lines or args.json else f"{run} has ended")
         elif args.json or not sys.stdout.isatty():
-            for lines in looks:
-                print(told(lines), end="\n" if args.json else "\n\n", flush=True)
+            for lines in pairs:
+                print(show(lines), end="\n" if args.json else "\n\n", flush=True)
         else:
-            _show(run, map(told, looks))
+            _show(run, map(show, pairs))
             print(f"{run} has ended")
     return 0
 
 
 def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[str, Health]]]:
-    """What services tell at both ends of each interval [s] until the run ends. Raises BadInput where there is none."""
+    """Yield the health of services at both ends of each interval [s] until the run ends. Raises BadInput."""
     if not 0.05 <= interval <= 3600.0:
         raise BadInput("no such interval", field="--interval", value=interval, limit="0.05 to 3600 s")
     end = time.monotonic() + PATIENCE
@@ -79,7 +79,7 @@ def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[st
 
 
 def _show(run: str, looks: Iterator[str]) -> None:
-    """In place, on a terminal."""
+    """Show the tables in place, on a terminal."""
     from rich.live import Live
     from rich.text import Text
 
@@ -89,9 +89,9 @@ def _show(run: str, looks: Iterator[str]) -> None:
 
 
 def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
-    """A line for each service that answered twice; who leads comes first.
+    """Return a line for each service that answered twice; the leader is first.
 
-    behind is the number of frames that it has still to take in, and late what they take at the present rate [ms], None
+    behind is the number of frames that it has not received yet, and late their time at the present rate [ms], None
     while the run stands still; frames, sent and received are rates [1/s]; processor is a share of one core, of the
     whole process.
     """
@@ -116,13 +116,13 @@ def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[L
 
 
 def rate(old: Health, now: Health, name: str) -> float:
-    """Change of a count in a second."""
+    """Return the change of a count in a second."""
     seconds = now.time - old.time
     return (getattr(now, name) - getattr(old, name)) / seconds if seconds > 0.0 else 0.0
 
 
 def head(run: str, lines: list[Line]) -> str:
-    """Where the run is."""
+    """Return the run's frame, time and speed in words."""
     first = lines[0]
     if not first["leads"]:
         return f"{run}: before its first frame"
@@ -132,7 +132,7 @@ def head(run: str, lines: list[Line]) -> str:
 
 
 def table(lines: list[Line]) -> str:
-    """Aligned columns; services of one process share its processor time and memory, which stand at the first."""
+    """Return aligned columns; services of one process share its processor time and memory, shown at the first."""
     rows, seen = [[heading for heading, _, _ in COLUMNS]], set[str]()
     for line in lines:
         shown = line | {"memory": f"{line['memory'] / 2**20:.0f} MiB"}
@@ -147,7 +147,7 @@ def table(lines: list[Line]) -> str:
 
 
 def align(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
-    """Lines of cells; columns are flush right, those of `left` flush left."""
+    """Align cells in columns, flush right, those of `left` flush left."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     sides = [str.ljust if i in left else str.rjust for i in range(len(widths))]
     padded = ([side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)] for row in rows)

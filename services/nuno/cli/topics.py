@@ -1,4 +1,4 @@
-"""`nuno topics`: what a run that goes on publishes on its bus, for whoever wants to listen."""
+"""`nuno topics`: the topics that a run publishes on its bus."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Look at the run for one interval."""
+    """Measure the run for one interval."""
     run, endpoint = find_run(args)
     with spoke(endpoint, args.config) as session:
         bus = Bus(session, run, "topics")
@@ -40,16 +40,16 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _cells(line: Line) -> list[str]:
-    """Under HEADINGS."""
+    """Return the cells of a line under HEADINGS."""
     size = f"{line['size']:,.0f}" if line["messages"] else "-"
-    told = [line[name] for name in ("topic", "type", "encoding", "service")]
-    return [*told, f"{line['messages']:,}", size, f"{line['rate']:.1f}", f"{line['megabytes']:.3f}"]
+    texts = [line[name] for name in ("topic", "type", "encoding", "service")]
+    return [*texts, f"{line['messages']:,}", size, f"{line['rate']:.1f}", f"{line['megabytes']:.3f}"]
 
 
 def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
-    """A line for each topic of each service that answered twice, in the order of their names.
+    """Return a line for each topic of each service that answered twice, in the order of their names.
 
-    messages and their mean size [bytes] are since the service's start, rate and megabytes what went out in a second.
+    messages and their mean size [bytes] are since the service's start, rate and megabytes are per second.
     """
     lines: list[Line] = []
     for name in before.keys() & after.keys():

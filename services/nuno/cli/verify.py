@@ -21,38 +21,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Compare; 1 where the recording differs, or is cut or damaged."""
+    """Compare; return 1 if the recording differs, or is cut or damaged."""
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         with restored_scene(recording) as loaded:
             scene = loaded.scene
         with ProgressLine(scene) as progress:
-            found = verify(recording, args.threads, progress.show)
+            result = verify(recording, args.threads, progress.show)
         complete, cut = recording.complete, recording.recovered and not recording.growing
-    if found.frame is None:
-        dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
-        kept = f"{found.published:,} as published, {many(found.kept, 'checkpoint')}"
-        print(f"compared: {found.compared + found.dyed:,} digests, {kept}", file=sys.stderr)
-        if cut or (complete and str(found.lacks)):  # a run that was stopped has written all that it had
-            why = found.incomplete.removeprefix("INCOMPLETE: ") if cut else f"though its end says so; {found.lacks}"
-            print(f"not whole, {why}; the {found.compared} frames that are there are equal", file=sys.stderr)
+    if result.frame is None:
+        dyed = f" of cloth, {result.dyed} of dye" if result.dyed else ""
+        kept = f"{result.published:,} as published, {many(result.kept, 'checkpoint')}"
+        print(f"compared: {result.compared + result.dyed:,} digests, {kept}", file=sys.stderr)
+        if cut or (complete and str(result.lacks)):  # a run that was stopped has written all that it had
+            reason = (
+                result.incomplete.removeprefix("INCOMPLETE: ") if cut else f"though its end says so; {result.lacks}"
+            )
+            print(f"not whole, {reason}; the {result.compared} frames that are there are equal", file=sys.stderr)
             return 1
-        print(f"equal to the last bit: {found.compared} frames{dyed}")
+        print(f"equal to the last bit: {result.compared} frames{dyed}")
         return 0
-    print(plain("\n".join(describe(found))), file=sys.stderr)
+    print(plain("\n".join(describe(result))), file=sys.stderr)
     return 1
 
 
-def describe(found: Verification) -> list[str]:
-    """Lines about what differs."""
-    lines = [f"the {found.part} differs first at frame {found.frame} (t = {found.t:g} s)"]
-    if (value := found.difference) is None:
+def describe(result: Verification) -> list[str]:
+    """Describe the difference in lines."""
+    lines = [f"the {result.part} differs first at frame {result.frame} (t = {result.t:g} s)"]
+    if (value := result.difference) is None:
         lines.append(
             "  where: not to be said: its digest is another, and what is kept of this frame and later is equal"
         )
     else:
         later = (
-            f", seen at frame {value.frame}: of earlier ones too little is kept" if value.frame != found.frame else ""
+            f", seen at frame {value.frame}: of earlier ones too little is kept" if value.frame != result.frame else ""
         )
         kept = "the checkpoint" if value.kept == "checkpoint" else "what was published, which is float32"
         lines += [
@@ -61,7 +63,7 @@ def describe(found: Verification) -> list[str]:
             f"  recorded: {value.recorded!r}, in {kept}",
             f"  in all:   {value.number:,} of {value.of:,} values differ, by at most {value.farthest:.3g}",
         ]
-    if found.others:
+    if result.others:
         lines.append("equal bits are promised for the same versions and processor only; the recording was made with")
-        lines += [f"  {text}" for text in found.others]
+        lines += [f"  {text}" for text in result.others]
     return lines

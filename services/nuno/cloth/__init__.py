@@ -1,1 +1,1 @@
-"""From a loaded scene to the cloth that is simulated, and what is measured on it."""
+"""Building the simulated cloth of a scene, and measurements on it."""

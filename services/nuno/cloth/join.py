@@ -1,4 +1,4 @@
-"""Several fabrics as one."""
+"""Joining of several fabrics into one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nuno_schemas.yarns import Yarns
 
 
 def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
-    """One fabric of all, in their order; a single one as it is."""
+    """Join fabrics in order; a single one is returned unchanged."""
     if len(fabrics) == 1:
         return fabrics[0]
     starts = np.cumsum([0, *(f.number for f in fabrics)])
@@ -47,7 +47,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
 
 
 def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
-    """Those of all; a fabric without any has one of each vertex, at its texture coordinates."""
+    """Join corners; a fabric without any has one for each vertex, at its texture coordinates."""
     parts = [f.laid_out or Corners(np.zeros((f.number, 2), np.float32), np.arange(f.number, dtype=np.int32), f.faces)
              for f, _ in moved]  # fmt: skip
     before = np.cumsum([0, *(len(part.vertex) for part in parts)])
@@ -60,9 +60,9 @@ def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
 
 
 def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
-    """Those of all; triangles of a fabric that has none are of none."""
-    none = np.full((max(len(part.faces) for part in parts), 3), -1, np.int32)
-    plain = [Panels((), none[: len(c.faces), 0], none[: len(c.faces)], np.empty(0), none[:0, :2], none[:0, 0])
+    """Join panels; triangles of a fabric without panels belong to none."""
+    free = np.full((max(len(part.faces) for part in parts), 3), -1, np.int32)
+    plain = [Panels((), free[: len(c.faces), 0], free[: len(c.faces)], np.empty(0), free[:0, :2], free[:0, 0])
              for c in parts]  # fmt: skip
     all_ = [part.panels or empty for part, empty in zip(parts, plain, strict=True)]
     names = np.cumsum([0, *(len(panels.names) for panels in all_)]).tolist()

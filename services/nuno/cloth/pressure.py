@@ -1,4 +1,4 @@
-"""Pressure of knits on bodies, by the operation `pressure`: for reports, tables and pictures."""
+"""Pressure of knits on bodies, by the operation `pressure`, for reports, tables and pictures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ OPERATION = "pressure"
 
 
 def has_pressure(fabric: Fabric) -> bool:
-    """Whether the fabric is a net of yarns with areas, as knits are."""
+    """Return whether the fabric is a net of yarns with areas, as knits are."""
     return fabric.yarns is not None and fabric.cells is not None and len(fabric.cells) > 0
 
 
 def named_heights(loaded: Loaded) -> dict[str, float]:
-    """Heights [m] of places with a name, of bodies that stand still and know some; of several such bodies the first
-    has the word.
-    """
+    """Return the heights [m] of named places on bodies at rest; if several bodies have a name, the first one counts."""
     heights: dict[str, float] = {}
     for collider, motion in zip(loaded.colliders, loaded.motions, strict=True):
         if motion is None and isinstance(collider.plugin, Landmarked):
@@ -28,7 +26,7 @@ def named_heights(loaded: Loaded) -> dict[str, float]:
 
 
 def find_pressure(loaded: Loaded, fabric: Fabric, x: Float) -> Outcome:
-    """What the operation finds at x (n, 3) [m]: array `pressure` (n,) [Pa], and facts, also at `named_heights`."""
+    """Apply the operation at x (n, 3) [m]: array `pressure` (n,) [Pa], and facts, also at `named_heights`."""
     operation = registry.load("nuno.operations", OPERATION)
     config = operation.Config.model_validate({"heights": named_heights(loaded)})
     outcome: Outcome = operation.apply(config, fabric, State(x, 0.0 * x), None)

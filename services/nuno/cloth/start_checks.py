@@ -1,7 +1,7 @@
-"""Whether cloth starts where it can be worn: near the frame that it is attached to, and outside of bodies.
+"""Checks of the cloth's start: near the frame that it is attached to, and outside bodies.
 
-Attached vertices keep their place in the frame from the start on, wherever that is: a skirt whose
-centre was forgotten would be dragged along from a metre away, without an error.
+Attached vertices keep their place in the frame from the start on: a skirt without its centre
+would be dragged along from a metre away, without an error.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ lies within a few centimetres; a cape on a chest that is attached to the hips wi
 
 
 def check_wearer(loaded: Loaded, body: str, x: Float) -> None:
-    """Raises BadInput for a body of a scene, x (v, 3) [m], that no one has: its file may be in another unit."""
+    """Raise BadInput for a body x (v, 3) [m] of an impossible size: its file may be in another unit."""
     collider = loaded.colliders[[one.name for one in loaded.scene.bodies].index(body)]
     check_size(x, body, float(getattr(collider.config, "scale", 1.0)))
 
 
 def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:
-    """Raises BadInput where attached vertices x (n, 3) [m] start far from their frame, an index.
+    """Raise BadInput where attached vertices x (n, 3) [m] start far from their frame, an index.
 
-    What counts is the nearest of them and of their middle: a flag is held at one end, and a
-    wide ring has its middle on the body. Planes have no end, so nothing is far from them.
+    The nearest of the vertices and their centre counts: a flag is held at one end, and a wide
+    ring has its centre on the body. Planes are infinite, so nothing is far from them.
     """
     places = np.concatenate([x, x.mean(axis=0, keepdims=True)])
     distance, radius = _nearest(places, geometry, poses, frame)
@@ -46,24 +46,24 @@ def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:
 
 
 def start_warnings(fabric: Fabric, x: Float, geometry: Geometry | None, poses: Poses | None) -> list[str]:
-    """What is to be said of cloth at x (n, 3) [m] before its first step, beside bodies or without any.
+    """Return the warnings about cloth at x (n, 3) [m] before its first step, with bodies or without.
 
-    A body through an edge that is held is not refused: capsules are rough bodies, and a waistband that cuts a little
-    into one is how it is worn. But nothing takes held vertices out of a body as contact does free ones.
+    A body through a held edge is not an error: capsules are rough bodies, and a worn waistband may cut a little into
+    one. But nothing moves held vertices out of a body, as contact does with free ones.
     """
-    found = _loose(fabric, x)
+    warnings = _loose(fabric, x)
     if geometry is None or poses is None:
-        return found
+        return warnings
     depth = penetration(x, geometry, poses)
-    if inside := _told(depth, "vertices"):
-        found.append(f"{inside}: place or size the cloth, or move the body, otherwise")
-    if inside := _told(depth[fabric.pinned], "held vertices"):
-        found.append(f"a body is through the edge that is held: {inside}, and stay there: widen or move that edge")
-    return found
+    if inside := _inside_text(depth, "vertices"):
+        warnings.append(f"{inside}: place or size the cloth, or move the body, otherwise")
+    if inside := _inside_text(depth[fabric.pinned], "held vertices"):
+        warnings.append(f"a body is through the edge that is held: {inside}, and stay there: widen or move that edge")
+    return warnings
 
 
 def _loose(fabric: Fabric, x: Float) -> list[str]:
-    """Springs that have a length, and start with both ends at one place: which way they push is nowhere said."""
+    """Return a warning of springs with a rest length whose ends coincide: they have no direction to push in."""
     springs = fabric.springs
     pairs = springs.pairs() if springs is not None else np.zeros((0, 2), np.int32)
     loose = (x[pairs[:, 0]] == x[pairs[:, 1]]).all(axis=1)
@@ -74,24 +74,24 @@ def _loose(fabric: Fabric, x: Float) -> list[str]:
     return [f"{number}, such as vertices {i} and {j}: they do not push until these part: place them apart"]
 
 
-def _told(depth: Float, what: str) -> str:
-    """How many of the vertices that are so deep (n,) [m] in bodies start there; empty where none is seen to."""
+def _inside_text(depth: Float, what: str) -> str:
+    """Return the number of vertices at depths (n,) [m] in bodies, in words; "" if none is visibly inside."""
     most = float(depth.max(initial=0.0))
     number = f"{np.count_nonzero(depth):,} of {len(depth):,} {what}"
     return f"{number} start in a body, up to {most * 1e3:.3g} mm deep" if most > SEEN_DEPTH else ""
 
 
 def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tuple[float, float]:
-    """Distance of places (m, 3) to the nearest primitive that the frame carries, and its radius [m].
+    """Return the distance of places (m, 3) to the nearest primitive of the frame, and its radius [m].
 
-    A frame that carries none counts as a ball round its origin, as thick as its body at most.
+    A frame without primitives counts as a ball around its origin, with the body's largest radius.
     """
-    found = [
+    distances = [
         (float(signed_distance(places, geometry.of_primitives([i]), poses).min()), _radius(geometry, i))
         for i in np.flatnonzero(geometry.frame == frame).tolist()
     ]
-    if found:
-        return min(found)
+    if distances:
+        return min(distances)
     body = geometry.bodies.index(geometry.frames[frame].partition("/")[0])
     radius = max((_radius(geometry, i) for i in np.flatnonzero(geometry.body == body).tolist()), default=0.0)
     return float(np.linalg.norm(places - poses.translation[frame], axis=1).min()) - radius, radius

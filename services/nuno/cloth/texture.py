@@ -1,6 +1,4 @@
-"""A texture on cloth: whether there can be one, and how large it is: so large is what is printed, or dyed in its own
-measures, on it.
-"""
+"""Texture coordinates of cloth: their check, and the size of the texture, which a print or a dyed pattern has."""
 
 from __future__ import annotations
 
@@ -14,13 +12,13 @@ UV_ROUNDING = 1e-6
 
 
 def texture_size(fabric: Fabric) -> tuple[float, float]:
-    """Width and height [m] of the whole texture, [0, 1] x [0, 1], on cloth at its start: means over its triangles, by
-    area, of |dx/du| and |dx/dv|. Raises ValueError for cloth without texture coordinates.
+    """Return width and height [m] of the whole texture, [0, 1] x [0, 1], on cloth at its start: means of |dx/du| and
+    |dx/dv| over its triangles, by area. Raises ValueError for cloth without texture coordinates.
     """
-    laid = fabric.laid_out
-    if laid is None:
+    corners = fabric.laid_out
+    if corners is None:
         raise ValueError("cloth without texture coordinates")
-    points, faces = laid.points[laid.faces], fabric.faces
+    points, faces = corners.points[corners.faces], fabric.faces
     # x = x0 + (dx/du) u + (dx/dv) v on each triangle, so that its two sides have [e1 e2] = [dx/du dx/dv] [t1 t2].
     sides = np.diff(fabric.position[faces], axis=1)
     t = np.diff(points.astype(np.float64), axis=1)
@@ -29,17 +27,17 @@ def texture_size(fabric: Fabric) -> tuple[float, float]:
     flat = det != 0.0
     along_u = (sides[flat, 0] * t[flat, 1, 1:] - sides[flat, 1] * t[flat, 0, 1:]) / det[flat, None]
     along_v = (sides[flat, 1] * t[flat, 0, :1] - sides[flat, 0] * t[flat, 1, :1]) / det[flat, None]
-    width, height = (float(np.average(np.linalg.norm(one, axis=1), weights=area[flat])) for one in (along_u, along_v))
+    width, height = (float(np.average(np.linalg.norm(per, axis=1), weights=area[flat])) for per in (along_u, along_v))
     return width, height
 
 
 def check_texture(fabric: Fabric, name: str) -> None:
-    """Raises BadInput for a fabric that does not say where on it a cloth's cells lie, in [0, 1] x [0, 1]."""
-    laid = fabric.laid_out
-    if laid is None:
+    """Raise BadInput for a fabric without texture coordinates in [0, 1] x [0, 1], which dye cells need."""
+    corners = fabric.laid_out
+    if corners is None:
         remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
         raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
-    low, high = float(laid.points.min(initial=0.0)), float(laid.points.max(initial=1.0))
+    low, high = float(corners.points.min(initial=0.0)), float(corners.points.max(initial=1.0))
     if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
         problem = "texture coordinates leave the cloth that is dyed"
         remedy = "lay the mesh's texture out without repeating it"

@@ -1,4 +1,4 @@
-"""A fabric's yarns and springs for those who look at them: lengths for the report, and what is shown."""
+"""A fabric's yarns and springs for output: lengths for the report, edges for display."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from nuno_schemas.fabric import Fabric, Float
 
 
 def measure_yarns(fabric: Fabric) -> dict[str, dict[str, float]]:
-    """Rest lengths [m] by name of yarn: of all of that name, and of the longest, which in a knit is a course."""
+    """Return rest lengths [m] by name of yarn: of all with that name, and of the longest, a course in a knit."""
     if fabric.yarns is None or fabric.springs is None:
         return {}
     lengths = fabric.yarns.lengths(fabric.springs)
-    found: dict[str, dict[str, float]] = {}
+    measures: dict[str, dict[str, float]] = {}
     for index, name in enumerate(fabric.yarns.names):
-        own = lengths[fabric.yarns.kind == index]
-        found[name] = {"length": float(own.sum()), "longest": float(own.max(initial=0.0))}
-    return found
+        selected = lengths[fabric.yarns.kind == index]
+        measures[name] = {"length": float(selected.sum()), "longest": float(selected.max(initial=0.0))}
+    return measures
 
 
 def measure_courses(fabric: Fabric, x: Float) -> dict[str, Any]:
-    """How long each yarn of at least two links is at x (n, 3) [m], as a ratio of its rest length.
+    """Return the length of each yarn of at least two links at x (n, 3) [m], as a ratio of its rest length.
 
-    `min`, `mean` and `max` with the number of the yarn, counted from 0, that is the shortest and the longest; in a
-    knit these are courses from the bottom. `rest` and `present` [m] hold all. Nothing where there is no such yarn.
+    `min`, `mean` and `max`, with the numbers, from 0, of the shortest and the longest yarn; in a knit these are courses
+    from the bottom. `rest` and `present` [m] hold all. Empty if there is no such yarn.
     """
     if fabric.yarns is None or fabric.springs is None:
         return {}
@@ -49,19 +49,19 @@ def measure_courses(fabric: Fabric, x: Float) -> dict[str, Any]:
 
 
 def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
-    """(e,) which of its yarns' names each of `structural_edges` is, -1 where it is in none; None without yarns."""
+    """Return the index (e,) of the yarn's name of each of `structural_edges`, -1 for none; None without yarns."""
     springs, yarns = fabric.springs, fabric.yarns
     if springs is None or yarns is None:
         return None
     kind = np.full(springs.number, -1, np.int8)
     kind[yarns.links] = np.repeat(yarns.kind, np.diff(yarns.ptr))
     structural = springs.of_kind(0)
-    return beside_sides(fabric, kind[structural] if structural.any() else kind, -1)
+    return append_sides(fabric, kind[structural] if structural.any() else kind, -1)
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
-    """Pairs and rest lengths of the structural springs (all springs if nothing is structural), and of the sides of a
-    membrane's triangles, for display.
+    """Return pairs and rest lengths of the structural springs (all springs if none is structural), and of the sides of
+    a membrane's triangles, for display.
     """
     springs, membrane = fabric.springs, fabric.membrane
     pairs, rest = np.zeros((0, 2), np.int32), np.zeros(0)
@@ -76,8 +76,8 @@ def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
     return pairs, rest
 
 
-def beside_sides(fabric: Fabric, values: NDArray[Any], fill: float) -> NDArray[Any]:
-    """Values (s, ...) of springs, then `fill` for sides of a membrane's triangles, as `structural_edges` has both."""
+def append_sides(fabric: Fabric, values: NDArray[Any], fill: float) -> NDArray[Any]:
+    """Append `fill` for sides of a membrane's triangles to values (s, ...) of springs, as in `structural_edges`."""
     if fabric.membrane is None:
         return values
     more = np.full((len(fabric.membrane.edges()[0]), *values.shape[1:]), fill, values.dtype)

@@ -1,4 +1,4 @@
-"""All bodies of a scene as one geometry, and where they are at any time."""
+"""All bodies of a scene as one geometry, and their poses."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from nuno_schemas.plugin import BodyShape, Mover
 
 @dataclass(frozen=True)
 class Bodies:
-    """All bodies of a scene: their geometry and where they are at any time."""
+    """All bodies of a scene: their geometry and their motions."""
 
     geometry: Geometry
     movers: tuple[Mover | None, ...]
     notes: tuple[str, ...] = ()
-    """What the user should know of them, in words."""
+    """Notes about the bodies for the user."""
 
     def live(self) -> Iterator[tuple[str, tuple[str, ...], Live]]:
-        """Those that are told where to be while a run goes on: name, joints and where they are."""
+        """Yield name, joints and present pose of each live body."""
         for name, mover in zip(self.geometry.bodies, self.movers, strict=True):
             if mover is not None and mover.live is not None:
                 yield name, mover.joints, mover.live
 
     def poses(self, t: float) -> Poses:
-        """Poses of all frames at time t [s]."""
+        """Return the poses of all frames at time t [s]."""
         parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in self.movers]
         return Poses(t, np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts]))
 
 
 def build_bodies(loaded: Loaded) -> Bodies:
-    """Join a scene's bodies. Raises BadInput."""
+    """Build a scene's bodies and join them. Raises BadInput."""
     shapes: list[BodyShape] = []
     movers: list[Mover | None] = []
     for i, (collider, motion) in enumerate(zip(loaded.colliders, loaded.motions, strict=True)):
@@ -80,7 +80,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
 
 
 def _join_meshes(shapes: list[BodyShape]) -> tuple[Float, Int, Int]:
-    """Vertices, faces and owners of all bodies' meshes, in Geometry's layout."""
+    """Return vertices, faces and owners of all bodies' meshes, in Geometry's layout."""
     vertices = np.cumsum([0, *(len(s.vertices) for s in shapes)])
     primitives = np.cumsum([0, *(len(s.kind) for s in shapes)])
     return (

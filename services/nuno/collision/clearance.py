@@ -1,8 +1,8 @@
-"""How near cloth comes to cloth: the least distance of an edge from a triangle that it shares no vertex with.
+"""Least distance of cloth from cloth: of an edge from a triangle that shares no vertex with it.
 
-That is the least distance of vertices from triangles and of edges from edges, but for pairs all of whose surroundings
-share vertices, as a corner of cloth and the triangle next to it. Found apart from the solver's lists, and in another
-way than its closest points: by lines and planes where what is closest is inside of both, and by the ends of edges.
+That is the least distance of vertices from triangles and of edges from edges, except for pairs whose neighbours all
+share vertices, as a corner of cloth and the triangle next to it. It is independent of the solver's lists and of its
+closest points: by lines and planes where the closest points are inside both, and by the ends of edges.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from nuno.collision.pairs import Boxes, Long, Mesh, boxes_of, once, overlap
 from nuno_schemas.fabric import Float
 
 PARALLEL = 1e-12
-"""Square of the sine between two edges up to which their ends will do: that is off by a millionth of their length."""
+"""Square of the sine between two edges below which their ends are used: the error is a millionth of their length."""
 SURE = 1.0 + 1e-9
-"""Edges' boxes are farther apart than this many times a distance only where the edges are, whatever the rounding."""
+"""Factor over a distance for edges' boxes, which covers rounding."""
 
 
 def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> float | None:
-    """The least distance [m] of edges from triangles of a mesh x (n, 3), in pairs by number that share no vertex and do
-    not cross; None for more than `within`.
+    """Return the least distance [m] of edges from triangles of a mesh x (n, 3), in pairs by number that share no vertex
+    and do not cross; None for more than `within`.
     """
     edge, face = pairs
     along = np.ascontiguousarray(x.T)
@@ -36,18 +36,18 @@ def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float
 
 
 def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple[Long, Long]:
-    """Those of pairs a, b (k,) whose boxes are no farther apart than `within`, each once."""
+    """Return the pairs of a, b (k,) whose boxes are at most `within` apart, each once."""
     return once(*overlap(a, (boxes[0] - within, boxes[1] + within), b, others), others[0].shape[1])
 
 
 def to_triangles(p: Float, triangle: Float) -> Float:
-    """(k,) distances of points p (k, 3) from triangles (k, 3, 3)."""
+    """Return distances (k,) of points p (k, 3) from triangles (k, 3, 3)."""
     a, b, c = (triangle[:, i] for i in range(3))
-    return functools.reduce(np.minimum, (_beside(p, a, b), _beside(p, b, c), _beside(p, c, a)), _above(p, triangle))
+    return functools.reduce(np.minimum, (_to_edge(p, a, b), _to_edge(p, b, c), _to_edge(p, c, a)), _above(p, triangle))
 
 
 def _above(p: Float, triangle: Float) -> Float:
-    """(k,) distances of points p (k, 3) from triangles (k, 3, 3) whose inside they are above; inf from others."""
+    """Return distances (k,) of points p (k, 3) above the inside of triangles (k, 3, 3); inf from others."""
     a, b, c = (triangle[:, i] for i in range(3))
     normal = np.cross(b - a, c - a)
     size = np.linalg.norm(normal, axis=1)
@@ -59,10 +59,10 @@ def _above(p: Float, triangle: Float) -> Float:
 
 
 def _across(one: Float, two: Float) -> float:
-    """The least distance of edges (k, 2, 3) from edges; inf for none."""
+    """Return the least distance of edges (k, 2, 3) from edges; inf for none."""
     (p, q), (a, b) = (edge.transpose(1, 0, 2) for edge in (one, two))
-    least = min(float(_beside(*ends).min(initial=np.inf)) for ends in ((p, a, b), (q, a, b), (a, p, q), (b, p, q)))
-    # Where the shortest way between the lines ends inside of both edges: s (q - p) - t (b - a) + p - a is across both.
+    least = min(float(_to_edge(*ends).min(initial=np.inf)) for ends in ((p, a, b), (q, a, b), (a, p, q), (b, p, q)))
+    # The shortest line ends inside both edges where s (q - p) - t (b - a) + p - a is perpendicular to both.
     u, v, r = q - p, b - a, p - a
     uu, uv, vv, ur, vr = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, r), _dot(v, r)
     det = uu * vv - uv * uv
@@ -73,8 +73,8 @@ def _across(one: Float, two: Float) -> float:
     return min(least, float(distance.min(initial=np.inf)))
 
 
-def _beside(p: Float, a: Float, b: Float) -> Float:
-    """(k,) distances of points p (k, 3) from edges a b."""
+def _to_edge(p: Float, a: Float, b: Float) -> Float:
+    """Return distances (k,) of points p (k, 3) from edges a b."""
     along = b - a
     size = _dot(along, along)
     share = np.divide(_dot(p - a, along), size, out=np.zeros(len(p)), where=size > 0.0).clip(0.0, 1.0)

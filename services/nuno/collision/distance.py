@@ -1,7 +1,7 @@
-"""How deep points lie inside bodies, to measure what the contact force achieved.
+"""Depth of points inside bodies, to measure the result of the contact force.
 
-Written apart from the kernel that computes the force, in another way (all points against one
-primitive at a time, in the primitive's own frame), so that a mistake there shows up here.
+This is independent of the kernel that computes the force (all points against one primitive at a
+time, in the primitive's own frame), so that a mistake there shows here.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.field import DistanceField
 from nuno_schemas.operation import Beside
 
-# How deep points lie inside a closed mesh, found apart from the search that contact uses.
+# Depth of points inside a closed mesh, independent of the search that contact uses.
 #
 # A point is inside where a ray from it along x crosses the mesh an odd number of times. Triangles are listed by the
-# cells of a grid over y and z, so that a ray looks at those of its own cell. Which side of an edge a ray passes is
+# cells of a grid over y and z, so that a ray tests those of its own cell. Which side of an edge a ray passes is
 # computed from the edge's ends in the order of their numbers, and so with the same bits for both of its triangles: a
-# ray that hits an edge or a vertex crosses exactly one. Only of points inside is the distance taken, to the triangles
-# that reach as near as the nearest middle of one.
+# ray that hits an edge or a vertex crosses exactly one. The distance is computed only for points inside, to the
+# triangles that may be nearer than the nearest centre.
 
 AT_ONCE = 2_000_000
-"""Pairs of a point and a triangle whose distances are taken together."""
+"""Pairs of points and triangles whose distances are computed together."""
 ROUNDING = 1e-9
-"""Share of a cell by which a triangle may be crossed beside its box, and of a distance by which its bound is off."""
+"""Relative margin for rounding of a triangle's box, in cells, and of the bound of a distance."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A mesh whose triangles are listed by the cells (y, z) that they reach into.
+    """A mesh whose triangles are listed by the cells (y, z) that they overlap.
 
-    low (2,) [m] and size [m] of the cells, shape: how many; triangles of cell k are listed[start[k]:start[k + 1]].
-    Rays that cross a triangle start in its box of `reached`, which has no end towards -x.
+    low (2,) [m], size [m] and shape (2,) of the cells; triangles of cell k are listed[start[k]:start[k + 1]].
+    Rays that cross a triangle start in its box of `reached`, which is unbounded towards -x.
     """
 
     vertices: Float
@@ -54,8 +54,8 @@ class Columns:
 
     @cached_property
     def trees(self) -> tuple[Any, list[tuple[Any, float, NDArray[np.int64]]]]:
-        """A tree of the triangles' middles, and for triangles of like size one of theirs, the largest distance of a
-        corner from its middle [m], and which they are.
+        """A tree of the triangles' centres, and for each group of similar size a tree, the largest distance of a corner
+        from its centre [m], and the triangles' numbers.
         """
         corners = self.vertices[self.faces]
         middle = corners.mean(axis=1)
@@ -65,14 +65,14 @@ class Columns:
 
 
 def _tree(points: Float) -> Any:
-    """Not balanced: that takes longer than it saves, since what bends has a new one in every frame."""
-    from scipy.spatial import KDTree  # it takes a second, and not all that import this look for a distance
+    """Build an unbalanced tree: balancing takes longer than it saves, since skins need a new one in every frame."""
+    from scipy.spatial import KDTree  # its import takes a second, and is not always needed
 
     return KDTree(points, compact_nodes=False, balanced_tree=False)
 
 
 def make_columns(vertices: Float, faces: Int) -> Columns:
-    """Cells about as wide as the triangles, so that a cell lists a few."""
+    """List triangles by cells about as wide as they are, so that a cell has few."""
     lowest, highest = boxes_of(np.ascontiguousarray(vertices.T), faces)
     least, most = lowest[1:].T, highest[1:].T
     low, high = least.min(axis=0), most.max(axis=0)
@@ -94,7 +94,7 @@ def make_columns(vertices: Float, faces: Int) -> Columns:
 
 
 def are_inside(points: Float, columns: Columns) -> Bool:
-    """(n,) whether points (n, 3) lie inside."""
+    """Return whether points (n, 3) lie inside, shape (n,)."""
     place = (points[:, 1:] - columns.low) / columns.size
     within = ((place >= 0.0) & (place < np.array(columns.shape))).all(axis=1)
     which = np.flatnonzero(within)
@@ -110,7 +110,7 @@ def are_inside(points: Float, columns: Columns) -> Bool:
 
 
 def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
-    """(m,) whether the rays from p (m, 3) towards +x cross the triangles `face` (m,)."""
+    """Return whether the rays from p (m, 3) towards +x cross the triangles `face` (m,), shape (m,)."""
     corner = columns.faces[face]
     sides = []
     for k in range(3):
@@ -120,15 +120,15 @@ def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
         off = p[:, 1:] - start
         left = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0] >= 0.0
         sides.append(left == (a < b))
-    around = (sides[0] == sides[1]) & (sides[1] == sides[2])
+    same_side = (sides[0] == sides[1]) & (sides[1] == sides[2])
     start, second_corner, third = (columns.vertices[corner[:, k]] for k in range(3))
     normal = np.cross(second_corner - start, third - start)
     height = ((p - start) * normal).sum(axis=1)
-    return np.asarray(around & (height * normal[:, 0] < 0.0))
+    return np.asarray(same_side & (height * normal[:, 0] < 0.0))
 
 
 def distances(points: Float, columns: Columns) -> Float:
-    """(n,) distance [m] of points (n, 3) to the nearest triangle."""
+    """Return the distance (n,) [m] of points (n, 3) to the nearest triangle."""
     (near, groups), corners = columns.trees, columns.vertices[columns.faces]
     bound = near.query(points)[0] * (1.0 + ROUNDING)
     least = np.full(len(points), np.inf)
@@ -138,55 +138,55 @@ def distances(points: Float, columns: Columns) -> Float:
         at = 0
         while at < len(points):
             end = max(at + 1, int(np.searchsorted(count, (count[at - 1] if at else 0) + AT_ONCE, side="right")))
-            found = tree.query_ball_point(points[at:end], reach[at:end])
-            point = np.repeat(np.arange(at, end), [len(one) for one in found])
-            face = which[np.concatenate([*found, []]).astype(np.int64)]
+            candidates = tree.query_ball_point(points[at:end], reach[at:end])
+            point = np.repeat(np.arange(at, end), [len(faces) for faces in candidates])
+            face = which[np.concatenate([*candidates, []]).astype(np.int64)]
             np.minimum.at(least, point, to_triangles(points[point], corners[face]))
             at = end
     return least
 
 
 _COLUMNS: dict[int, tuple[Geometry, Columns]] = {}
-"""By the identity of the geometry that they are of: the last mesh or few of a run."""
+"""Columns of the last few meshes, by the identity of their geometry."""
 
 
 def columns_of(geometry: Geometry, primitive: int) -> Columns:
-    """The columns of a primitive that has a mesh, made once."""
-    name = hash((id(geometry), primitive))
-    kept = _COLUMNS.get(name)
-    if kept is None or kept[0] is not geometry:
+    """Return the columns of a primitive with a mesh, made once."""
+    key = hash((id(geometry), primitive))
+    cached = _COLUMNS.get(key)
+    if cached is None or cached[0] is not geometry:
         while len(_COLUMNS) >= 16:
             del _COLUMNS[next(iter(_COLUMNS))]
-        kept = _COLUMNS[name] = (geometry, make_columns(*geometry.mesh(primitive)))
-    return kept[1]
+        cached = _COLUMNS[key] = (geometry, make_columns(*geometry.mesh(primitive)))
+    return cached[1]
 
 
 def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
-    """(n,) distance [m] of (n, 3) points to the union of all bodies, negative inside.
+    """Return the distance (n,) [m] of points (n, 3) to the union of all bodies, negative inside.
 
-    Points that are not finite, as in the last frame of a diverged run, are outside of everything.
+    Points that are not finite, as in the last frame of a diverged run, are outside all bodies.
     """
     return _lowest(points, geometry, poses, range(len(geometry.kind)))
 
 
-def beside(points: Float, geometry: Geometry, poses: Poses, name: str) -> Beside:
-    """A body, by its name, beside (n, 3) points."""
+def body_distances(points: Float, geometry: Geometry, poses: Poses, name: str) -> Beside:
+    """Return a body by name, with the distances of points (n, 3) from each of its frames."""
     number = geometry.bodies.index(name)
-    own = [i for i, frame in enumerate(geometry.frames) if frame.split("/", 1)[0] == name]
-    carried = [np.flatnonzero((geometry.frame == frame) & (geometry.body == number)).tolist() for frame in own]
+    frames = [i for i, frame in enumerate(geometry.frames) if frame.split("/", 1)[0] == name]
+    primitives = [np.flatnonzero((geometry.frame == frame) & (geometry.body == number)).tolist() for frame in frames]
     return Beside(
-        tuple(geometry.frames[frame].split("/", 1)[1] for frame in own),
-        poses.rotation[own],
-        poses.translation[own],
-        np.array([_lowest(points, geometry, poses, chosen) for chosen in carried]),
+        tuple(geometry.frames[frame].split("/", 1)[1] for frame in frames),
+        poses.rotation[frames],
+        poses.translation[frames],
+        np.array([_lowest(points, geometry, poses, chosen) for chosen in primitives]),
     )
 
 
 def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
-    """(n,) how deep [m] points lie inside bodies, 0 outside.
+    """Return the depth (n,) [m] of points inside bodies, 0 outside.
 
-    Primitives whose bounding sphere does not reach the points' bounding box are passed over: nothing can lie inside of
-    them. Not so skins, which bend.
+    Primitives whose bounding sphere does not reach the points' bounding box are skipped: no point can lie inside
+    them. Skins are not skipped, since they bend.
     """
     finite = points[np.isfinite(points).all(axis=1)]
     if not len(finite):
@@ -204,8 +204,8 @@ def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
 
 
 def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int], inside_only: bool = False) -> Float:
-    """(n,) signed distance to the nearest of the chosen primitives, inf for points not finite, and, where only
-    points inside count, for points outside of a mesh.
+    """Return the signed distance (n,) to the nearest of the chosen primitives; inf for points that are not finite, and
+    with `inside_only` for points outside a mesh.
     """
     nearest = np.full(len(points), np.inf)
     finite = np.asarray(np.isfinite(points).all(axis=1))
@@ -227,9 +227,9 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
 
 
 def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
-    """To a mesh; of a field that contact is with what it says, exact to its tolerance: cloth that rests on it lies
-    inside by the depth of penalty contact, and the distance of so many vertices to every triangle would take longer
-    than the run.
+    """Return the distance to a mesh; if contact uses a distance field, that of the field, exact to its tolerance: cloth
+    at rest lies inside by the depth of penalty contact, and distances of all its vertices to all triangles would take
+    longer than the run.
     """
     if (field := geometry.distance_field(i)) is not None:
         return field_distance(p, field)
@@ -237,7 +237,7 @@ def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
 
 
 def _bent(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool) -> Float:
-    """To a skin, of points in the world."""
+    """Return the distance of points in the world to a skin."""
     vertices, faces = geometry.placed(i, poses)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     near = ((p >= low) & (p <= high)).all(axis=1) if inside_only else np.ones(len(p), bool)
@@ -273,8 +273,8 @@ def _primitive(p: Float, kind: int, a: Float, b: Float, radius: float) -> Float:
 
 
 def field_distance(p: Float, field: DistanceField) -> Float:
-    """(n,) distance [m] of points (n, 3) in the field's frame; outside of its box that of the box's nearest point,
-    and so much longer as that is away.
+    """Return the distance (n,) [m] of points (n, 3) in the field's frame; outside its box that of the box's nearest
+    point, plus the distance to that.
     """
     place = np.clip((p - field.low) / field.size, 0.0, field.shape)
     away = np.linalg.norm(p - field.low - field.size * place, axis=1)

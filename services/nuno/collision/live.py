@@ -1,7 +1,7 @@
-"""Bodies that are told where to be while a run goes on: what comes for them, and what of it they follow.
+"""Live bodies: their poses come from outside during the run.
 
-Whatever comes, each frame has one pose of each body, and a run goes on: what cannot be read is refused and told, what
-jumps is gone to at the greatest speed, and where nothing comes bodies stay where they are, or the run ends.
+Each frame has one pose of each body, and the run goes on with any input: unreadable poses are refused with a warning,
+bodies follow jumps at their greatest speed, and without input they stay in place, or the run ends.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from nuno_schemas.live import BodyPoses, Live
 from nuno_schemas.messages import POSES
 
 MOST = 10_000
-"""Poses that may lie there for frames that wait for theirs; by the clock the newest alone is kept."""
+"""Most queued poses of a body whose frames wait for theirs; a body that follows the clock keeps only the newest."""
 BYTES = 1024
-"""Of poses, besides as many for each joint: more is no pose, and would take long to read."""
+"""Most bytes of a message, besides as many for each joint: a larger one is no pose, and would take long to read."""
 FARTHEST, SHORTEST = 1e6, 1e-100
-"""From the origin that a joint can be [m], and the least length of a quaternion that has a direction."""
+"""Largest distance of a joint from the origin [m], and least length of a quaternion with a direction."""
 LONGEST = 500
-"""Characters of a refused message's error that are told."""
+"""Most characters of a refused message's error in a warning."""
 
 
 @dataclass
 class Tally:
-    """What came for a body, for the report.
+    """Counts of a live body's poses, for the report.
 
-    heard poses in all, of them used by a frame, refused, and left_out since others came before the frame; frames
-    without any, frames after which the body was behind where it was told to be, and the longest silence [s].
+    heard poses in all, of them used by a frame, refused, and left_out since newer ones came before the frame; frames
+    without any, frames after which the body was behind its goal, and the longest silence [s].
     """
 
     heard: int = 0
@@ -53,183 +53,181 @@ class Tally:
 
 
 class Follower:
-    """One body, what has come for it, and where it is told to be."""
+    """One live body, its queued poses, and its goal."""
 
     def __init__(self, body: str, joints: tuple[str, ...], live: Live, wake: Callable[[], None]) -> None:
-        """`wake` is called where poses have come that a frame may wait for."""
+        """`wake` is called when poses arrive that a frame may wait for."""
         self.body, self.joints, self.live, self.wake = body, joints, live, wake
         self.goal = live.pose(0.0)
-        self.tally, self.said = Tally(), set[str]()
+        self.tally, self.warned = Tally(), set[str]()
         self.since = 0.0
-        """Of the scene's time, since poses came last [s]."""
+        """Time of the scene since the last poses [s]."""
         self.heard = False
-        """Whether it has its poses of the frame under way."""
-        self._came: deque[bytes] = deque()
+        """Whether the body has its poses of the present frame."""
+        self._queue: deque[bytes] = deque()
         self._lock = threading.Lock()
         self._too_large = 0
 
     def receive(self, sample: zenoh.Sample) -> None:
-        """Keep what came, in a thread of zenoh's."""
+        """Queue a message, in a thread of zenoh."""
         with self._lock:
             self.tally.heard += 1
             if len(sample.payload) > BYTES * (1 + len(self.joints)):
                 self._too_large += 1
-            elif not self.live.waits and self._came:
-                self._came[0] = sample.payload.to_bytes()
+            elif not self.live.waits and self._queue:
+                self._queue[0] = sample.payload.to_bytes()
                 self.tally.left_out += 1
-            elif len(self._came) < MOST:
-                self._came.append(sample.payload.to_bytes())
+            elif len(self._queue) < MOST:
+                self._queue.append(sample.payload.to_bytes())
             else:
                 self.tally.left_out += 1
         if self.live.waits:
             self.wake()
 
     def take(self) -> bytes | None:
-        """The next of what has come, or the newest; None where nothing has."""
+        """Return the next queued message, or the newest; None if there is none."""
         with self._lock:
-            return self._came.popleft() if self._came else None
+            return self._queue.popleft() if self._queue else None
 
     def too_large(self) -> int:
-        """How many came that were no poses for their size, since this was last asked."""
+        """Return the number of messages that were too large since the last call."""
         with self._lock:
             number, self._too_large = self._too_large, 0
         return number
 
 
 class Followers:
-    """All such bodies of a run."""
+    """All live bodies of a run."""
 
     def __init__(
         self, context: Context, bodies: Iterator[tuple[str, tuple[str, ...], Live]], wake: Callable[[], None]
     ) -> None:
-        """`bodies` by name, with the joints of each; `wake` is called where poses come that a frame may wait for.
+        """`bodies` by name, with the joints of each; `wake` is called when poses arrive that a frame may wait for.
         Raises BadInput for a key that zenoh does not take.
         """
         self.context, self.rate = context, context.loaded.scene.frame_rate
-        self.each = [Follower(*one, wake) for one in bodies]
+        self.each = [Follower(*follower, wake) for follower in bodies]
         self._began: float | None = None
-        """When the frame under way was asked for [s]."""
+        """Time of the query for the present frame [s]."""
         bus = context.bus
-        for one in self.each:
+        for follower in self.each:
             try:
-                bus.offers.append(bus.session.declare_subscriber(self._key(one), one.receive))
+                bus.offers.append(bus.session.declare_subscriber(self._key(follower), follower.receive))
             except zenoh.ZError as error:
-                raise BadInput(f"the bus has no such key: {error}", field="key", value=self._key(one)) from None
-        self._strange: set[str] = set()
+                raise BadInput(f"the bus has no such key: {error}", field="key", value=self._key(follower)) from None
+        self._unknown_names: set[str] = set()
         if self.each:
-            bus.offers.append(bus.session.declare_subscriber(bus.key(f"{POSES.name}/*"), self._doubt))
+            bus.offers.append(bus.session.declare_subscriber(bus.key(f"{POSES.name}/*"), self._warn_of_unknown))
 
-    def _doubt(self, sample: zenoh.Sample) -> None:
-        """Say once of each name that poses come for that it is of no body which is told where to be."""
+    def _warn_of_unknown(self, sample: zenoh.Sample) -> None:
+        """Warn once of each name that poses arrive for and that is not a live body."""
         key = str(sample.key_expr)
         name = key.rsplit("/", 1)[-1]
-        if name not in self._strange and all(key != self._key(one) for one in self.each):
-            self._strange.add(name)
-            own = ", ".join(f"{one.body} by {self._key(one)}" for one in self.each)
-            self.context.event("warning", f"poses come for {name!r:.60}, and no body follows them: {own}")
+        if name not in self._unknown_names and all(key != self._key(follower) for follower in self.each):
+            self._unknown_names.add(name)
+            followed = ", ".join(f"{follower.body} by {self._key(follower)}" for follower in self.each)
+            self.context.event("warning", f"poses come for {name!r:.60}, and no body follows them: {followed}")
 
-    def _key(self, one: Follower) -> str:
-        return one.live.key or self.context.bus.key(f"{POSES.name}/{one.body}")
+    def _key(self, follower: Follower) -> str:
+        return follower.live.key or self.context.bus.key(f"{POSES.name}/{follower.body}")
 
-    def told(self) -> dict[str, dict[str, Any]]:
-        """Of each body its joints, and the key by which its poses come."""
-        return {one.body: {"joints": one.joints, "key": self._key(one)} for one in self.each}
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """Return the joints and the key of the poses of each body."""
+        return {follower.body: {"joints": follower.joints, "key": self._key(follower)} for follower in self.each}
 
     def take_up(self, poses: Poses, frames: tuple[str, ...]) -> None:
-        """Have all bodies where they were in a frame of a recording; `frames` are the names of its frames."""
-        for one in self.each:
-            rows = [frames.index(f"{one.body}/{joint}") for joint in one.joints]
-            one.goal = one.live.rotation, one.live.translation = poses.rotation[rows], poses.translation[rows]
+        """Move all bodies to their poses in a recording; `frames` are the names of its body frames."""
+        for body in self.each:
+            rows = [frames.index(f"{body.body}/{joint}") for joint in body.joints]
+            body.goal = body.live.rotation, body.live.translation = (poses.rotation[rows], poses.translation[rows])
 
     def wait(self, frame: int) -> float:
-        """How much longer [s] the next poses of a frame are to be waited for: 0 where they are there, or none waits."""
+        """Return the longest further wait for a frame's poses [s]: 0 if they have arrived, or no body waits."""
         now = time.monotonic()
         self._began = now if self._began is None else self._began
         left = 0.0
-        for one in self.each:
-            one.heard = one.heard or (one.live.waits and self._next(one, frame))
-            if one.live.waits and not one.heard:
-                left = max(left, self._began + one.live.silence - now)
+        for follower in self.each:
+            follower.heard = follower.heard or (follower.live.waits and self._next(follower, frame))
+            if follower.live.waits and not follower.heard:
+                left = max(left, self._began + follower.live.silence - now)
                 if now - self._began > WAITING_AFTER:
                     text = (
-                        f"is waited for: there are no poses of frame {frame} by {self._key(one)} yet "
-                        f"(for {one.live.silence:g} s at most); has the program that sends them ended?"
+                        f"is waited for: there are no poses of frame {frame} by {self._key(follower)} yet "
+                        f"(for {follower.live.silence:g} s at most); has the program that sends them ended?"
                     )
-                    self._say(one, "wait", text, frame - 1)
+                    self._say(follower, "wait", text, frame - 1)
         return left
 
     def go_on(self, frame: int, dt: float) -> None:
-        """Bring all bodies to where they are at the end of a frame of dt [s]. Raises RunFailed where silence ends the
-        run.
-        """
-        for one in self.each:
-            self._hear(one, frame, dt)
-            left = one.live.follow(*one.goal, dt)
+        """Move all bodies to the end of a frame of dt [s]. Raises RunFailed where silence ends the run."""
+        for follower in self.each:
+            self._hear(follower, frame, dt)
+            left = follower.live.follow(*follower.goal, dt)
             if left > 0.0:
-                one.tally.behind += 1
-                limit = f"{one.live.fastest:g} m/s and {one.live.fastest_turn:g} rad/s at most"
-                text = f"is told to be farther on than it gets in a frame, by {left:.0%} of the way"
-                self._say(one, "jump", f"{text}: it follows at {limit}", frame)
+                follower.tally.behind += 1
+                limit = f"{follower.live.fastest:g} m/s and {follower.live.fastest_turn:g} rad/s at most"
+                text = f"has a goal farther on than it gets in a frame, by {left:.0%} of the way"
+                self._say(follower, "jump", f"{text}: it follows at {limit}", frame)
         self._began = None
 
-    def _hear(self, one: Follower, frame: int, dt: float) -> None:
-        """Take in what has come for a body: the next of it, or the newest."""
-        heard, one.heard = one.heard or self._next(one, frame), False
-        if one.tally.left_out and one.live.waits:
-            self._say(one, "full", f"was sent more than {MOST:,} poses ahead: those beyond are left out", frame)
-        one.since = 0.0 if heard else one.since + dt
-        # A frame that waits is silent for as long as it does; by the clock pauses and compiling are not counted.
-        silent = time.monotonic() - (self._began or 0.0) if one.live.waits else one.since
-        one.tally.silence = max(one.tally.silence, silent)
+    def _hear(self, follower: Follower, frame: int, dt: float) -> None:
+        """Take the poses of a body for a frame: the next queued ones, or the newest."""
+        heard, follower.heard = follower.heard or self._next(follower, frame), False
+        if follower.tally.left_out and follower.live.waits:
+            self._say(follower, "full", f"was sent more than {MOST:,} poses ahead: those beyond are left out", frame)
+        follower.since = 0.0 if heard else follower.since + dt
+        # The silence of a waiting frame is its wait; by the clock, pauses and compilation do not count.
+        silent = time.monotonic() - (self._began or 0.0) if follower.live.waits else follower.since
+        follower.tally.silence = max(follower.tally.silence, silent)
         if heard:
-            one.said -= {"silence", "wait"}
+            follower.warned -= {"silence", "wait"}
             return
-        one.tally.without += 1
-        if silent >= one.live.silence:
+        follower.tally.without += 1
+        if silent >= follower.live.silence:
             problem = f"has heard nothing for {silent:.2g} s"
-            # By the clock nobody has begun yet where nothing has ever come.
-            if one.live.stops and (one.live.waits or one.tally.used):
-                raise RunFailed(f"the body {one.body} {problem}, and its motion says silent: stop")
-            each = f", and each frame waits {one.live.silence:g} s for it" if one.live.waits else ""
-            self._say(one, "silence", f"{problem} by {self._key(one)}: it stays where it is{each}", frame)
+            # By the clock, the sender has not begun yet if nothing has ever arrived.
+            if follower.live.stops and (follower.live.waits or follower.tally.used):
+                raise RunFailed(f"the body {follower.body} {problem}, and its motion says silent: stop")
+            each = f", and each frame waits {follower.live.silence:g} s for it" if follower.live.waits else ""
+            self._say(follower, "silence", f"{problem} by {self._key(follower)}: it stays where it is{each}", frame)
 
-    def _next(self, one: Follower, frame: int) -> bool:
-        """Have the next poses that can be followed as the goal; whether there were any."""
+    def _next(self, body: Follower, frame: int) -> bool:
+        """Make the next valid poses the goal; return whether there were any."""
         while True:
-            payload = one.take()
-            if number := one.too_large():
-                one.tally.refused += number
-                self._say(one, "size", f"was sent what is too large for poses of {len(one.joints)} joints", frame)
+            payload = body.take()
+            if number := body.too_large():
+                body.tally.refused += number
+                self._say(body, "size", f"was sent what is too large for poses of {len(body.joints)} joints", frame)
             if payload is None:
                 return False
             try:
-                one.goal = read_poses(payload, one.joints)
+                body.goal = read_poses(payload, body.joints)
             except BadInput as error:
-                one.tally.refused += 1
-                self._say(one, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
+                body.tally.refused += 1
+                self._say(body, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
                 continue
-            one.tally.used += 1
+            body.tally.used += 1
             return True
 
-    def _say(self, one: Follower, what: str, text: str, frame: int) -> None:
-        """Say each thing once, silence each time anew."""
-        if what not in one.said:
-            one.said.add(what)
-            self.context.event("warning", f"the body {one.body} {text}", frame, frame / self.rate)
+    def _say(self, follower: Follower, kind: str, text: str, frame: int) -> None:
+        """Log a warning of each kind once, of silence each time."""
+        if kind not in follower.warned:
+            follower.warned.add(kind)
+            self.context.event("warning", f"the body {follower.body} {text}", frame, frame / self.rate)
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """What came for each body."""
-        return {one.body: vars(one.tally) for one in self.each}
+        """Return the counts of each body."""
+        return {follower.body: vars(follower.tally) for follower in self.each}
 
 
 def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
-    """Rotation (j, 4) and translation (j, 3) [m] of what was sent for these joints. Raises BadInput."""
+    """Read rotations (j, 4) and translations (j, 3) [m] of these joints from a message. Raises BadInput."""
     try:
         sent = BodyPoses.model_validate_json(payload)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place, said = ".".join(map(str, first["loc"])), str(first["msg"])
-        problem = f"no poses: {place}: {said}" if place else f"no poses, which are JSON: {said}"
+        place, message = ".".join(map(str, first["loc"])), str(first["msg"])
+        problem = f"no poses: {place}: {message}" if place else f"no poses, which are JSON: {message}"
         remedy, value = (
             'for example {"position": [0, 1, 0], "rotation": [1, 0, 0, 0]}',
             payload[:60].decode(errors="replace"),

@@ -13,17 +13,17 @@ from nuno_schemas.bodies import SKIN, Geometry, Poses
 from nuno_schemas.field import DistanceField
 from nuno_schemas.skin import Skin
 
-GEOMETRY_QUESTION = "collision/ask/geometry"
-POSES_QUESTION = "collision/ask/poses"
-TOLD_QUESTION = "collision/ask/told"
-"""What to ask for the bodies, and which of them are told where to be: as JSON, of each its joints and its key."""
+GEOMETRY_QUERY = "collision/ask/geometry"
+POSES_QUERY = "collision/ask/poses"
+LIVE_BODIES_QUERY = "collision/ask/told"
+"""Names of the queries; the reply about live bodies is JSON with the joints and the key of each."""
 
 NUMBERS = ("size", "tolerance", "band")
-"""Of a distance field, beside its arrays."""
+"""Numbers of a distance field, besides its arrays."""
 
 
 def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
-    """Bytes of a geometry; one that is not `whole` is only to be drawn, and leaves the distance fields out."""
+    """Encode a geometry; one that is not `whole` is only for drawing, and has no distance fields."""
     arrays = arrays_of(geometry)
     text: dict[str, Any] = {"bodies": geometry.bodies, "frames": geometry.frames, "fields": []}
     for number, field in enumerate(geometry.fields if whole else ()):
@@ -36,7 +36,7 @@ def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
 
 
 def decode_geometry(payload: bytes) -> Geometry:
-    """Raises BadMessage."""
+    """Decode a geometry. Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
         plain = {name: values for name, values in arrays.items() if "." not in name}
@@ -46,7 +46,7 @@ def decode_geometry(payload: bytes) -> Geometry:
         )
         skins = tuple(Skin(**_part(arrays, f"skin{i}.")) for i in range(int((plain["kind"] == SKIN).sum())))
         geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields, skins=skins)
-        check_layout("", geometry)  # kernels take shapes and indices as they are
+        check_layout("", geometry)  # kernels do not check shapes and indices
         check_skins(geometry)
         for number, field in enumerate(geometry.fields):
             if field is not None:
@@ -58,9 +58,9 @@ def decode_geometry(payload: bytes) -> Geometry:
         raise BadMessage(f"geometry of which {error}") from None
 
 
-def _part(arrays: Mapping[str, NDArray[Any]], before: str) -> dict[str, Any]:
-    """Those whose names begin so, by the rest."""
-    return {name.removeprefix(before): values for name, values in arrays.items() if name.startswith(before)}
+def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, Any]:
+    """Return the arrays whose names have a prefix, without it."""
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
 
 
 def encode_poses(poses: Poses, frame: int) -> bytes:
@@ -68,7 +68,7 @@ def encode_poses(poses: Poses, frame: int) -> bytes:
 
 
 def decode_poses(payload: bytes, frames: int | None = None) -> Poses:
-    """Raises BadMessage, also for poses of another number of frames where that is given."""
+    """Decode poses. Raises BadMessage, also for another number of `frames` if that is given."""
     arrays, text = decode_arrays(payload)
     try:
         poses = Poses(float(text["t"]), arrays["rotation"], arrays["translation"])

@@ -1,6 +1,6 @@
-"""Which edges and triangles of a cloth are near each other: boxes of both in the cells of a grid.
+"""Pairs of near edges and triangles of a cloth, by boxes of both in the cells of a grid.
 
-Written apart from what keeps cloth from passing through cloth, in another way: cells instead of a tree over the mesh.
+This is independent of the contact that keeps cloth from passing through cloth: cells instead of a tree over the mesh.
 So a mistake there shows here.
 """
 
@@ -21,26 +21,26 @@ from nuno_schemas.fabric import Float, Int
 
 Long = NDArray[np.int64]
 Boxes = tuple[Float, Float]
-"""Least and most along each of d axes (d, k) [m]."""
+"""Lower and upper bounds along each of d axes (d, k) [m]."""
 DIAGONALS = np.array([[1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1], [0, 1, 1], [0, 1, -1]], np.float64)
 """Axes between those of space: with both, boxes are 18-DOPs (Klosowski et al. 1998, Efficient collision detection using
-bounding volume hierarchies of k-DOPs), which hold less beside cloth that lies askew."""
+bounding volume hierarchies of k-DOPs), which fit oblique cloth more tightly."""
 ROUNDING = 1e-14
-"""Share of the largest coordinate that a place along a diagonal is off by at most."""
+"""Bound on the rounding of a position along a diagonal, as a share of the largest coordinate."""
 CELL = 2.0
-"""Width of a grid's cells over that of the triangles' boxes: fewer, larger cells leave more pairs to be told apart."""
+"""Width of a grid's cells over that of the triangles' boxes: fewer, larger cells leave more pairs to test."""
 MOST_CELLS = 1 << 20
-"""Of a grid along an axis."""
+"""Most cells of a grid along an axis."""
 MOST_OF_ONE = 512
-"""Cells that a box is looked for in: a larger one, of a triangle with a vertex far away, is held against all others."""
+"""Most cells of a box: a larger one, of a triangle with a distant vertex, is compared with all others."""
 WIDE = 8
-"""Boxes of a cell that one box is held against at once."""
+"""Boxes of a cell that one box is compared with at once."""
 AT_ONCE = 1 << 12
-"""How often that is done together: as many as stay in the core's cache."""
+"""Number of these comparisons in one batch, which fits into the core's cache."""
 ROOM, FRAMES = 0.5, 3.0
-"""In how much more room pairs are kept, as a share of the triangles' width, where they last so many frames then."""
+"""Extra distance of kept pairs, as a share of the triangles' width, if they then last for this many frames."""
 BITS = 9
-"""Of a box' side in units of the whole cloth, for the first look: six of them and a bit each above fill a number."""
+"""Bits of a box's side in units of the whole cloth, for the first test: six with a spare bit each fill an integer."""
 
 
 @dataclass(frozen=True)
@@ -53,25 +53,25 @@ class Mesh:
 
 
 def mesh_of(faces: Int) -> Mesh:
-    """With all edges of the triangles (f, 3)."""
+    """Build the mesh of triangles (f, 3), with all their edges."""
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, sides = np.unique(ends, axis=0, return_inverse=True)
     return Mesh(faces, edges, sides.reshape(-1, 3).astype(np.int64))
 
 
 def near_pairs(x: Float, mesh: Mesh, within: float) -> tuple[Long, Long]:
-    """Numbers (k,) of edges and of triangles of a mesh x (n, 3), which must be finite, that share no vertex and are no
-    farther apart than `within` [m] along any axis of space or DIAGONALS; each pair once, in order.
+    """Return numbers (k,) of edges and of triangles of a mesh x (n, 3), which must be finite, that share no vertex and
+    are at most `within` [m] apart along each axis of space and DIAGONALS; each pair once, in order.
     """
-    none = np.zeros(0, np.int64)
+    empty = np.zeros(0, np.int64)
     if not len(mesh.faces) or not len(mesh.edges):
-        return none, none
+        return empty, empty
     (low, high), faces = boxes_of(x.T, mesh.edges), boxes_of(x.T, mesh.faces)
     edges = low - within, high + within
     ends, corners = ([np.ascontiguousarray(each) for each in part.T] for part in (mesh.edges, mesh.faces))
-    found, near, below = [(none, none)], _reaching(edges, faces), _reaching(faces, edges)
-    for a, b in _candidates(_some(edges, near), _some(faces, below)):
-        edge, face = near.take(a), below.take(b)
+    found, near_edges, near_faces = [(empty, empty)], _reaching(edges, faces), _reaching(faces, edges)
+    for a, b in _candidates(_some(edges, near_edges), _some(faces, near_faces)):
+        edge, face = near_edges.take(a), near_faces.take(b)
         apart = np.ones(len(edge), bool)
         for one, other in itertools.product(
             [end.take(edge) for end in ends], [corner.take(face) for corner in corners]
@@ -80,13 +80,13 @@ def near_pairs(x: Float, mesh: Mesh, within: float) -> tuple[Long, Long]:
         left = np.flatnonzero(apart)
         found.append(overlap(edge.take(left), edges, face.take(left), faces))
     edge, face = (np.concatenate(each) for each in zip(*found, strict=True))
-    # A pair that is in several cells was found in each.
+    # A pair in several cells was found in each.
     return _along_diagonals(x, mesh, once(edge, face, len(mesh.faces)), within)
 
 
 class NearPairs:
-    """What `near_pairs` finds of a mesh in frame after frame, in less time where little moves: of the pairs that are
-    near within more room, until a vertex has gone half of that.
+    """Near pairs of a mesh over many frames, faster than `near_pairs` where little moves: from the pairs within a
+    larger distance, until a vertex has moved half of the difference.
     """
 
     def __init__(self, mesh: Mesh, within: float) -> None:
@@ -95,7 +95,7 @@ class NearPairs:
         self.pairs = np.zeros(0, np.int64), np.zeros(0, np.int64)
 
     def at(self, x: Float) -> tuple[Long, Long]:
-        """See `near_pairs`."""
+        """Return `near_pairs` at x (n, 3)."""
         if len(x) != len(self.found_at) or 2.0 * _farthest(x, self.found_at) > self.room:
             if np.isnan(self.wide):
                 low, high = boxes_of(x.T, self.mesh.faces)
@@ -108,20 +108,20 @@ class NearPairs:
 
 
 def _farthest(x: Float, from_there: Float) -> float:
-    """How far any vertex has gone [m], rounding included."""
-    way = x - from_there
-    return sqrt(float(np.einsum("ki,ki->k", way, way).max(initial=0.0))) + ROUNDING * float(np.abs(x).max(initial=0.0))
+    """Return the largest displacement of a vertex [m], including rounding."""
+    d = x - from_there
+    return sqrt(float(np.einsum("ki,ki->k", d, d).max(initial=0.0))) + ROUNDING * float(np.abs(x).max(initial=0.0))
 
 
 def _nearer(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> tuple[Long, Long]:
-    """Those of the pairs that are no farther apart than `within` along any axis."""
+    """Return the pairs that are at most `within` apart along each axis."""
     edges, faces = boxes_of(x.T, mesh.edges), boxes_of(x.T, mesh.faces)
     near = overlap(pairs[0], (edges[0] - within, edges[1] + within), pairs[1], faces)
     return _along_diagonals(x, mesh, near, within)
 
 
 def _along_diagonals(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> tuple[Long, Long]:
-    """Those of them that are no farther apart along any of DIAGONALS."""
+    """Return the pairs that are at most `within` apart along each of DIAGONALS."""
     edge, face = pairs
     room = sqrt(2.0) * within + ROUNDING * float(np.abs(x).max())
     for axis in DIAGONALS:
@@ -132,13 +132,13 @@ def _along_diagonals(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: flo
 
 
 def boxes_of(along: Float, vertices: Int) -> Boxes:
-    """Of the k that have vertices (k, w), by where all vertices are along each of d axes, along (d, n)."""
+    """Return the boxes of k elements with vertices (k, w), from coordinates `along` (d, n) on d axes."""
     corners = [along.take(each, axis=1) for each in vertices.T]
     return functools.reduce(np.minimum, corners), functools.reduce(np.maximum, corners)
 
 
 def overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> tuple[Long, Long]:
-    """Those of pairs a, b (k,) of boxes of one kind and of another that overlap."""
+    """Return the pairs of a, b (k,) whose boxes, of two kinds, overlap."""
     for low, high, other_low, other_high in zip(*one, *two, strict=True):
         near = np.flatnonzero((low.take(a) <= other_high.take(b)) & (other_low.take(b) <= high.take(a)))
         a, b = a.take(near), b.take(near)
@@ -146,7 +146,7 @@ def overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> tuple[Long, Long]:
 
 
 def _reaching(one: Boxes, two: Boxes) -> Long:
-    """Numbers of the boxes of one kind that reach into the room that those of the other take up."""
+    """Return the numbers of boxes of one kind that overlap the bounding box of the other kind."""
     low, high = two[0].min(axis=1), two[1].max(axis=1)
     return np.flatnonzero(((one[0] <= high[:, None]) & (low[:, None] <= one[1])).all(axis=0))
 
@@ -156,15 +156,15 @@ def _some(boxes: Boxes, number: Long) -> Boxes:
 
 
 def once(a: Long, b: Long, number: int) -> tuple[Long, Long]:
-    """Each of the pairs a, b (k,) once, in order; b are below `number`."""
+    """Return each of the pairs a, b (k,) once, in order; b are below `number`."""
     both = np.sort(a * number + b)
     both = both[np.diff(both, prepend=-1) != 0]
     return both // number, both % number
 
 
 def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
-    """Numbers of boxes of the one kind and of the other that overlap but for rounding, once or more for each cell that
-    both reach into; some at a time.
+    """Yield batches of numbers of boxes of both kinds that overlap up to rounding, at least once for each cell that
+    both overlap.
     """
     if not one[0].size or not two[0].size:
         return
@@ -172,7 +172,7 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     size = np.maximum(one[1].max(axis=1), two[1].max(axis=1)) - low
     cell = max(CELL * float((two[1] - two[0]).max(axis=0).mean()), float(size.max()) / MOST_CELLS) or 1.0
     shape = np.floor(size / cell).astype(np.int64) + 1
-    # Cells far from each other may share a place in the table: what is found too much, the boxes tell apart.
+    # Distant cells may share an entry of the table: the boxes exclude the extra pairs.
     table = 1 << (2 * two[0].shape[1]).bit_length()
     (own, key, big), (other, other_key, other_big) = (_cells(box, low, cell, shape, table) for box in (one, two))
     for k in big:
@@ -190,11 +190,11 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     (low_one, high_one), (low_two, high_two) = (
         [((side - low[:, None]) * scale).astype(np.int64) for side in box] for box in (one, two)
     )
-    # Six comparisons in one subtraction: of each only the bit above tells, which is lost where it is too small.
+    # Six comparisons in one subtraction: the bit above each is the result, and is cleared where it is too small.
     most = 2**BITS - 1
     above = _pack(np.full((3, 1), most + 1), np.full((3, 1), most + 1))
     upper, lower = _pack(high_one, most - low_one) | above, _pack(low_two, most - high_two)
-    # A row is a box and WIDE of the others next to each other in the table, the last of which may be of other cells.
+    # A row is a box and WIDE consecutive others of the table, the last of which may be of other cells.
     other = np.resize(other, len(other) + WIDE)
     rows = np.ascontiguousarray(sliding_window_view(lower[other], WIDE))
     total = np.cumsum(count)
@@ -215,14 +215,14 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
 
 
 def _pack(*numbers: Long) -> Long:
-    """(k,) twice three numbers (3, k) in one."""
+    """Pack twice three numbers (3, k) into integers (k,)."""
     packed = (number << place * (BITS + 1) for place, number in enumerate(itertools.chain(*numbers)))
     return functools.reduce(np.bitwise_or, packed)
 
 
 def _cells(box: Boxes, low: Float, cell: float, shape: Any, table: int) -> tuple[Long, Long, Long]:
-    """(m,) number of a box and (m,) place in the table of a cell that it reaches into; and the numbers of boxes that
-    reach into too many.
+    """Return the number (m,) of a box and the entry (m,) in the table of a cell that it overlaps; and the numbers of
+    boxes that overlap too many cells.
     """
     first, last = (np.floor((corner - low[:, None]) / cell).astype(np.int64) for corner in box)
     wide = last - first + 1

@@ -1,4 +1,4 @@
-"""The collision service: owns the bodies, answers where they are, measures penetration."""
+"""The collision service: owns the bodies, publishes their poses, measures penetration."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.distance import penetration
 from nuno.collision.live import Followers
 from nuno.collision.messages import (
-    GEOMETRY_QUESTION,
-    POSES_QUESTION,
-    TOLD_QUESTION,
+    GEOMETRY_QUERY,
+    LIVE_BODIES_QUERY,
+    POSES_QUERY,
     decode_poses,
     encode_geometry,
     encode_poses,
@@ -37,15 +37,15 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration, Topic
 
-# How cloth lies to cloth in published frames: where it passes through, and how near it comes; and where it passes
-# through bodies that it is not to.
+# Check of cloth against cloth in published frames: crossings, and the least distance; and crossings with bodies that
+# the cloth contact includes.
 
 MOST_PLACES = 100
-"""Where cloth passes through cloth is told of so many edges at most."""
+"""Most edges whose crossings are reported."""
 
 
 class ClothCheck:
-    """The cloth of one run, where it meets cloth and bodies as it meets cloth, and what was found of it so far."""
+    """Checks a run's cloth for crossings with cloth and with the bodies of the cloth contact, and keeps the results."""
 
     def __init__(self, loaded: Loaded, bodies: Bodies | None) -> None:
         assert loaded.cloth_contact is not None
@@ -56,61 +56,61 @@ class ClothCheck:
         self.surface = surface(bodies.geometry.of_bodies(numbers)) if bodies is not None and numbers else NO_SURFACES
         self.solid = mesh_of(self.surface.faces)
         self.body = np.repeat(np.arange(len(each)), [len(one.vertices) for one in each])
-        """(v,) number of the body that each of their vertices is of."""
+        """(v,) number of the body of each surface vertex."""
         self.meet, self.objects = loaded.scene.meet(), [part.name for part in loaded.scene.objects]
         self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
-        """Distances are looked for up to this [m]; 0 of contact that has none."""
+        """Largest distance that is measured [m]; 0 for contact without a thickness."""
         self.near: NearPairs | None = None
         self.through: list[NearPairs] = []
-        """Of cloth with cloth; and of its edges with bodies' triangles, and of theirs with its triangles, these
-        bodies' vertices numbered behind the cloth's."""
+        """Near pairs of cloth's edges with bodies' triangles, and of bodies' edges with cloth's triangles; the bodies'
+        vertices are numbered after the cloth's."""
         self.names: list[str] = []
         self.piece = np.zeros(0, np.int64)
-        """(n,) number of the object that each vertex is of."""
-        self.looked = self.crossed = self.most = 0
-        """Frames that were looked at, those in which cloth passed through cloth, and the most crossings in one."""
+        """(n,) number of each vertex's object."""
+        self.checked = self.crossed = self.most = 0
+        """Checked frames, frames with crossings, and the most crossings in one frame."""
         self.first: dict[str, Any] | None = None
-        """Where it first did."""
+        """First crossing."""
         self.least: float | None = None
-        """The least distance of all frames [m]."""
+        """Least distance in all frames [m]."""
 
     def take(self, payload: bytes) -> None:
-        """Look at another cloth from now on: the run's, or what an operation has made of it. Raises BadMessage."""
+        """Replace the cloth by that of a message, the first one or a changed one. Raises BadMessage."""
         arrays, text = decode_arrays(payload)
         try:
             faces = arrays["faces"]
             check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
             number = [piece["stop"] - piece["start"] for piece in text["objects"]]
             self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
-            mesh, n, none = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
+            mesh, n, no_sides = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
             self.near, self.piece = NearPairs(mesh, self.thickness), np.repeat(np.arange(len(self.meet)), number)
-            both = Mesh(self.solid.faces + n, mesh.edges, none), Mesh(mesh.faces, self.solid.edges + n, none)
-            self.through = [NearPairs(one, 0.0) for one in both]
+            meshes = Mesh(self.solid.faces + n, mesh.edges, no_sides), Mesh(mesh.faces, self.solid.edges + n, no_sides)
+            self.through = [NearPairs(one, 0.0) for one in meshes]
         except (LookupError, TypeError, ValueError) as error:
             raise BadMessage(f"a fabric without {error}") from None
         except ContractError as error:
             raise BadMessage(f"a fabric of which {error}") from None
 
     def look(self, points: Float, header: Header, poses: Poses | None = None) -> dict[str, Any]:
-        """What a frame's report says of points (n, 3), with bodies where they are then. Raises BadMessage for points of
-        another cloth.
+        """Return the crossings and the distance of a frame's points (n, 3), with bodies at `poses`, for its report.
+        Raises BadMessage for points of another cloth.
         """
         if self.near is None or not np.isfinite(points).all():
             return {}
         if len(points) != len(self.piece):
             raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
-        self.looked += 1
+        self.checked += 1
         mesh, (edge, face) = self.near.mesh, self.near.at(points)
         one, other = self.piece[mesh.edges[edge, 0]], self.piece[mesh.faces[face, 0]]
         meeting = self.meet[one, other]
         pairs = edge[meeting], face[meeting]
-        found = [find_crossings(points, mesh, pairs)]
-        distance = 0.0 if len(found[0].places) else least_distance(points, mesh, pairs, self.thickness)
+        crossings = [find_crossings(points, mesh, pairs)]
+        distance = 0.0 if len(crossings[0].places) else least_distance(points, mesh, pairs, self.thickness)
         if poses is not None and self.bodies:
-            whole = np.concatenate([points, self.surface.at(poses)])
-            found += [find_crossings(whole, near.mesh, near.at(whole)) for near in self.through]
+            all_points = np.concatenate([points, self.surface.at(poses)])
+            crossings += [find_crossings(all_points, near.mesh, near.at(all_points)) for near in self.through]
         edges, triangles, crossed = (
-            np.concatenate([getattr(one, name) for one in found]) for name in ("edges", "triangles", "places")
+            np.concatenate([getattr(one, name) for one in crossings]) for name in ("edges", "triangles", "places")
         )
         number, piece = len(crossed), np.concatenate([self.piece, len(self.meet) + self.body])
         if distance is not None:
@@ -126,9 +126,9 @@ class ClothCheck:
         return {"crossings": number, "places": places, "objects": objects, "distance": distance}
 
     def summary(self) -> dict[str, Any]:
-        """What the report says of a run."""
+        """Return the results of all frames, for the report."""
         return {
-            "looked": self.looked,
+            "looked": self.checked,
             "crossed": self.crossed,
             "crossings": self.most,
             "first_crossing": self.first,
@@ -140,13 +140,13 @@ class ClothCheck:
 
 
 CLOTH_AND_STATES = Topic("sim/*", "json", "")
-"""By one subscription: a cloth comes before its first state then, and a changed one before the first that it has."""
+"""One subscription for both, in which each cloth, also a changed one, arrives before its first state."""
 KEPT = 16
-"""Frames whose poses are kept: more than the simulation runs ahead."""
+"""Frames whose poses are cached: more than the simulation runs ahead."""
 
 
 class Collision:
-    """Bodies of one run, and its cloth where that meets itself."""
+    """Serves the bodies of one run, and checks its cloth if that has cloth contact."""
 
     def __init__(self, context: Context, bodies: Bodies | None, inbox: Inbox) -> None:
         self.context, self.bodies, self.inbox = context, bodies, inbox
@@ -157,59 +157,59 @@ class Collision:
         self.followers: Followers | None = None
         if bodies is not None and context.loaded.live:
             self.followers = Followers(context, bodies.live(), inbox.wake)
-        self.asked: list[Query] = []
-        """For the poses of the next frame, while bodies may still be told where to be in it."""
+        self.waiting: list[Query] = []
+        """Queries for the poses of the next frame that wait for live bodies."""
         self.followed = 0
-        """The last frame to which they have been brought."""
+        """Last frame that live bodies have moved to."""
         self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
-        """None where cloth passes through cloth."""
+        """None without cloth contact."""
 
-    def answer(self, question: Query) -> None:
-        """The geometry, which bodies are told where to be, or the poses of a frame."""
+    def answer(self, query: Query) -> None:
+        """Answer a query for the geometry, the live bodies, or the poses of a frame."""
         if self.bodies is None:
-            self.inbox.refuse(question)
-            question.refuse("the scene has no bodies")
+            self.inbox.refuse(query)
+            query.refuse("the scene has no bodies")
             return
-        if question.name == GEOMETRY_QUESTION:
-            question.answer(encode_geometry(self.bodies.geometry))
+        if query.name == GEOMETRY_QUERY:
+            query.answer(encode_geometry(self.bodies.geometry))
             return
-        if question.name == TOLD_QUESTION:
-            told = self.followers.told() if self.followers is not None else {}
-            question.answer_json({"bodies": self.bodies.geometry.bodies, "told": told})
+        if query.name == LIVE_BODIES_QUERY:
+            live = self.followers.describe() if self.followers is not None else {}
+            query.answer_json({"bodies": self.bodies.geometry.bodies, "told": live})
             return
-        frame = question.json().get("frame")
+        frame = query.json().get("frame")
         if type(frame) is not int or not 0 <= frame <= self.frames:
-            self.inbox.refuse(question)
-            question.refuse(f"poses are asked for by frame, 0 to {self.frames}")
+            self.inbox.refuse(query)
+            query.refuse(f"poses are asked for by frame, 0 to {self.frames}")
             return
-        if self.followers is not None and not self._known(frame):
-            self.inbox.refuse(question)
-            question.refuse(f"bodies are told where to be in frame {self.followed + 1} next; earlier ones are recorded")
+        if self.followers is not None and not self._is_available(frame):
+            self.inbox.refuse(query)
+            query.refuse(f"bodies are told where to be in frame {self.followed + 1} next; earlier ones are recorded")
             return
-        if self.followers is not None and self._awaited(frame):
-            self.asked.append(question)
+        if self.followers is not None and self._is_pending(frame):
+            self.waiting.append(query)
             return
-        question.answer(self.poses(frame)[1])
+        query.answer(self.poses(frame)[1])
 
     def between(self) -> float:
-        """Answer for the next frame where its poses are there, or are waited for no more; how long [s] until then."""
-        if self.followers is None or not self.asked:
+        """Answer waiting queries if the poses have arrived, or their time is over; return the wait for that [s]."""
+        if self.followers is None or not self.waiting:
             return LOOK_SECONDS
         if (left := self.followers.wait(self.followed + 1)) > 0.0:
             return min(left, LOOK_SECONDS)
-        questions, self.asked = self.asked, []
+        queries, self.waiting = self.waiting, []
         try:
             payload = self.poses(self.followed + 1)[1]
-        except RunFailed as error:  # whoever steps ends the run, with all that has come until here
-            for question in questions:
-                question.refuse(str(error))
+        except RunFailed as error:  # the simulation ends the run after the present frame
+            for query in queries:
+                query.refuse(str(error))
         else:
-            for question in questions:
-                question.answer(payload)
+            for query in queries:
+                query.answer(payload)
         return LOOK_SECONDS
 
     def poses(self, frame: int) -> tuple[Poses, bytes]:
-        """Poses of a frame, and their message; the last few are kept, so that each frame's are encoded once."""
+        """Return the poses of a frame, and their message; a cache keeps the last few, which are encoded once."""
         if frame not in self.cache:
             assert self.bodies is not None
             if self.followers is not None:
@@ -220,33 +220,33 @@ class Collision:
                 del self.cache[next(iter(self.cache))]
         return self.cache[frame]
 
-    def _known(self, frame: int) -> bool:
-        """Whether bodies that are told where to be can have poses in a frame: the next, the last few, or a recording's
-        that the run goes on from.
+    def _is_available(self, frame: int) -> bool:
+        """Return whether live bodies can have poses in a frame: the next one, the last few, or a frame of the recording
+        that the run resumes.
         """
-        known = frame in self.cache or frame in self.context.loaded.recorded_poses
-        return known or frame == self.followed + 1 or frame == self.followed == 0
+        recorded_or_cached = frame in self.cache or frame in self.context.loaded.recorded_poses
+        return recorded_or_cached or frame == self.followed + 1 or frame == self.followed == 0
 
-    def _awaited(self, frame: int) -> bool:
-        """Whether bodies are still to be told where to be in a frame."""
+    def _is_pending(self, frame: int) -> bool:
+        """Return whether the poses of live bodies in a frame are still to come."""
         return frame > self.followed and frame not in self.context.loaded.recorded_poses
 
     def _follow(self, bodies: Bodies, followers: Followers, frame: int) -> None:
-        """Bring bodies that are told where to be to the end of a frame: to where they were in the recording that the
-        run goes on from, or to where they are told to be now.
+        """Move live bodies to the end of a frame: to their poses in the recording that the run resumes, or to those
+        that have arrived.
         """
         if frame in self.context.loaded.recorded_poses:
             frames = bodies.geometry.frames
             with fitting(self.context.loaded):
-                found = decode_poses(self.context.loaded.recorded_poses[frame], len(frames))
-            followers.take_up(found, frames)
+                recorded = decode_poses(self.context.loaded.recorded_poses[frame], len(frames))
+            followers.take_up(recorded, frames)
             self.followed = frame
         while self.followed < frame:
             self.followed += 1
             followers.go_on(self.followed, 1.0 / self.rate)
 
     def publish(self, header: Header) -> None:
-        """Where the bodies are in a published frame; at the first one also what they are, and what is to be said of it.
+        """Publish the poses of a frame; with the first one also the geometry, and the notes about it.
 
         Not before: until the first frame some services may still be starting.
         """
@@ -288,16 +288,16 @@ class Collision:
 
 
 def main(context: Context) -> None:
-    """Serve one run's bodies, and look at its cloth, until asked to finish."""
+    """Serve one run's bodies, and check its cloth, until the query to finish."""
     scene = context.loaded.scene
-    if context.options.resume is not None and context.loaded.live:  # a process of its own has read the scene alone
+    if context.options.resume is not None and context.loaded.live:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
-    inbox.answer(GEOMETRY_QUESTION)
-    inbox.answer(TOLD_QUESTION)
-    inbox.answer(POSES_QUESTION)
+    inbox.answer(GEOMETRY_QUERY)
+    inbox.answer(LIVE_BODIES_QUERY)
+    inbox.answer(POSES_QUERY)
 
     def handle(message: Message) -> None:
         try:
@@ -309,11 +309,11 @@ def main(context: Context) -> None:
             inbox.refuse(message)
 
     finish = each_message(context, inbox, handle, collision.answer, collision.between)
-    found: dict[str, Any] = {"seconds": collision.seconds}
+    facts: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
         if collision.followers is not None:
-            found["followed"] = collision.followers.summary()
-        found |= {"deepest": collision.deepest, "last_depth": collision.last}
+            facts["followed"] = collision.followers.summary()
+        facts |= {"deepest": collision.deepest, "last_depth": collision.last}
     if collision.cloth is not None:
-        found["cloth_contact"] = collision.cloth.summary()
-    finish.answer_json(context.counts(inbox) | found)
+        facts["cloth_contact"] = collision.cloth.summary()
+    finish.answer_json(context.counts(inbox) | facts)

@@ -1,6 +1,4 @@
-"""Surfaces of a scene's bodies, from their geometry alone and wherever its frames are, and normals of any: for all that
-draws them.
-"""
+"""Surfaces of a scene's bodies from their geometry and poses, and normals of any mesh, for drawing."""
 
 from __future__ import annotations
 
@@ -12,16 +10,16 @@ from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Pos
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.skin import Skin
 
-# Meshes of primitives, by which bodies are drawn.
+# Meshes of primitives, for drawing bodies.
 #
-# Weighed: trimesh's capsule and box, whose import takes a second that a run with a viewer waits for at its first frame.
+# Rejected: trimesh's capsule and box, whose import delays the first frame of a run with a viewer by a second.
 
 AROUND, RINGS = 24, 6
-"""Vertices round a capsule, and rings on each of its caps."""
+"""Vertices around a capsule, and rings on each of its caps."""
 
 
 def _frame_along(direction: Float) -> Float:
-    """(3, 3) rotation whose second column is `direction` (any length, y where it is 0)."""
+    """Return a rotation (3, 3) whose second column is `direction` (any length, y where it is 0)."""
     length = float(np.linalg.norm(direction))
     y = direction / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
     helper = np.eye(3)[int(np.argmin(np.abs(y)))]
@@ -31,7 +29,7 @@ def _frame_along(direction: Float) -> Float:
 
 
 def _grid_faces(rows: int, columns: int) -> Int:
-    """Triangles of a tube of `rows` rings, its columns closed, seen from outside."""
+    """Return the triangles of a closed tube of `rows` rings, counter-clockwise from outside."""
     row, column = np.divmod(np.arange((rows - 1) * columns), columns)
     a, b = row * columns + column, row * columns + (column + 1) % columns
     c, d = a + columns, b + columns
@@ -39,7 +37,7 @@ def _grid_faces(rows: int, columns: int) -> Int:
 
 
 def capsule_mesh(a: Float, b: Float, radius: float) -> tuple[Float, Int]:
-    """A closed capsule (a sphere where a = b): rings from pole to pole, all vertices on it."""
+    """Return a closed capsule (a sphere where a = b): rings from pole to pole, all vertices on its surface."""
     latitude = np.concatenate([np.linspace(-0.5, 0.0, RINGS + 1), np.linspace(0.0, 0.5, RINGS + 1)])[1:-1] * np.pi
     angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
     ring = radius * np.cos(latitude)[:, None, None] * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
@@ -57,7 +55,7 @@ def capsule_mesh(a: Float, b: Float, radius: float) -> tuple[Float, Int]:
 
 
 def box_mesh(centre: Float, half: Float) -> tuple[Float, Int]:
-    """The eight corners and twelve triangles of a box."""
+    """Return the eight corners and twelve triangles of a box."""
     corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     faces = [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -67,7 +65,7 @@ def box_mesh(centre: Float, half: Float) -> tuple[Float, Int]:
 
 
 def plane_mesh(point: Float, normal: Float, size: float) -> tuple[Float, Int]:
-    """A square patch of edge `size` [m] round a point of the plane, facing along its normal."""
+    """Return a square of edge `size` [m] around a point of the plane, facing along its normal."""
     turn = _frame_along(normal)
     corner = 0.5 * size * np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
     return point + corner @ turn.T, np.array([[0, 2, 1], [0, 3, 2]], np.int32)
@@ -76,8 +74,8 @@ def plane_mesh(point: Float, normal: Float, size: float) -> tuple[Float, Int]:
 @dataclass(frozen=True)
 class Surfaces:
     """Triangles of all bodies in their frames: vertices (n, 3) [m], faces (f, 3) counter-clockwise seen from outside,
-    and the frame (n,) that each vertex is in; and of skins, whose vertices go with several frames, the number of the
-    first vertex and what carries them.
+    and the frame (n,) of each vertex; and for skins, whose vertices follow several frames, the number of the first
+    vertex and the skin.
     """
 
     vertices: Float
@@ -86,12 +84,12 @@ class Surfaces:
     skins: tuple[tuple[int, Skin], ...] = ()
 
     def at(self, poses: Poses) -> Float:
-        """(n, 3) vertices in the world [m]. Raises IndexError for poses of fewer frames."""
+        """Return the vertices (n, 3) in the world [m]. Raises IndexError for poses of fewer frames."""
         turned = np.einsum("nij,nj->ni", rotation_matrices(poses.rotation)[self.frame], self.vertices)
         placed = np.asarray(turned + poses.translation[self.frame])
         for first, skin in self.skins:
-            own = slice(first, first + len(skin.joint))
-            placed[own] = poses.bend(skin, int(self.frame[first]), self.vertices[own])
+            part = slice(first, first + len(skin.joint))
+            placed[part] = poses.bend(skin, int(self.frame[first]), self.vertices[part])
         return placed
 
 
@@ -99,10 +97,10 @@ NO_SURFACES = Surfaces(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0,
 
 
 def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> Surfaces:
-    """The surfaces of all primitives, one after the other.
+    """Return the surfaces of all primitives, in order.
 
-    `inset` [m] draws bodies thinner by so much: between its vertices cloth cuts through round bodies that its vertices
-    rest on. Meshes and skins are as they are. Planes, which have no end, are patches of `plane_size` [m].
+    `inset` [m] makes bodies thinner: between its vertices, cloth cuts through the round bodies that it rests on. It
+    does not apply to meshes and skins. Infinite planes become squares of `plane_size` [m].
     """
     parts = [_primitive(geometry, i, inset, plane_size) for i in range(len(geometry.kind))]
     if not parts:
@@ -117,7 +115,7 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
 
 
 def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
+    """Return vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
     kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])
     if kind in OF_TRIANGLES:
         return geometry.mesh(i)
@@ -131,7 +129,7 @@ def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> t
 
 
 def vertex_normals(x: Float, faces: Int) -> Float:
-    """(n, 3) unit normals of vertices at (n, 3): means of their triangles' by area, 0 where there is none."""
+    """Return unit normals (n, 3) of vertices x (n, 3): means over their triangles by area, 0 without any."""
     a, b, c = np.take(x, faces.T, axis=0)
     u, v, corners = (b - a).T, (c - a).T, faces.reshape(-1)
     twice = (u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))  # the cross product, by axes
@@ -142,7 +140,7 @@ def vertex_normals(x: Float, faces: Int) -> Float:
 
 
 def outlines(faces: Int) -> list[list[int]]:
-    """Points round triangles (f, 3), along their sides, loop by loop."""
+    """Return the boundary loops of triangles (f, 3), as lists of points."""
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
     inner = {(b, a) for a, b in sides}
     after: dict[int, list[int]] = {}
@@ -151,7 +149,7 @@ def outlines(faces: Int) -> list[list[int]]:
             after.setdefault(a, []).append(b)
     loops = []
     while any(after.values()):
-        loop = [next(point for point, others in after.items() if others)]
+        loop = [next(point for point, ends in after.items() if ends)]
         while (point := after[loop[-1]].pop()) != loop[0]:
             loop.append(point)
         loops.append(loop)

@@ -1,1 +1,1 @@
-"""The dye service: dye spreads in a woven cloth that does not move."""
+"""The dye service: spreading of dye in woven cloth."""

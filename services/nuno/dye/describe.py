@@ -1,4 +1,4 @@
-"""What a dyeing will take, for `nuno plan`: its size, its step, and its cost by a frame."""
+"""The plan of a dyeing, for `nuno plan`: size, step, and cost estimated from a frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nuno_schemas.dye import Dye
 
 
 def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
-    """Rows of (heading, text). Raises BadInput for a scene that would not start."""
+    """Return rows (heading, text). Raises BadInput for a scene that would not start."""
     dyeing = DyeRun(loaded, 0)
     return [
         (

@@ -16,21 +16,21 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop
 
 PICTURE_SIDE, MOST_AUTO = 1000, 16
-"""What `scale: auto` aims at: pixels of the longer side; and pixels a cell at most."""
+"""Target of `scale: auto`: pixels of the longer side, and most pixels a cell."""
 MOST_PIXELS = 2**26
 ROUNDING = 1e-9
-"""Of a cell: a crop's side this near to a cell's middle counts as on it."""
+"""Tolerance in cells of a crop's side at a cell's centre."""
 
 
 class DyePainter:
-    """Draws a scene's cloth and its amounts as they come.
+    """Draws pictures of a scene's dyed cloth from messages.
 
     look, colours  the scene's picture and its dyes' colours
-    side           pixels of the longer side that `scale: auto` aims at
-    most           pixels of a picture at most, for which a given scale is made smaller; None: as given
+    side           target pixels of the longer side for `scale: auto`
+    most           most pixels of a picture, which reduces a given scale; None: no reduction
     duration       of the scene [s]
     speed          seconds of dyeing in one of the scene
-    object         the object whose texture is drawn; None: a cloth by itself
+    object         the object whose texture is drawn; None: flat cloth
     """
 
     def __init__(self, loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None) -> None:
@@ -41,25 +41,25 @@ class DyePainter:
         self.colours = tuple(one.colour for one in dye.dyes)
         self.side, self.most = side, most
         self.size = self.pixel = 0.0
-        """Of a cell, and of a pixel [m]."""
+        """Size of a cell, and of a pixel [m]."""
         self.shape = (0, 0)
-        """Of the picture [pixels], high and wide."""
+        """Height and width of the picture [pixels]."""
         self.time = math.nan
-        """Of the dyeing that was drawn last [s]."""
+        """Time of the dyeing in the last picture [s]."""
         self.prepared: Any = None
         self._shape: tuple[int, ...] = ()
 
     @property
     def ready(self) -> bool:
-        """Whether the cloth is known."""
+        """Whether the cloth has arrived."""
         return self.prepared is not None
 
     def take_cloth(self, payload: bytes) -> None:
-        """The cloth, from a message. Raises BadMessage, and BadInput for what cannot be drawn."""
+        """Prepare the cloth of a message. Raises BadMessage, and BadInput for a bad picture."""
         self.prepare(*read_layers(payload))
 
     def prepare(self, layers: Layers, size: float) -> None:
-        """The cloth, of cells of `size` [m]. Raises BadInput for a crop beyond it, or too many pixels."""
+        """Prepare cloth with cells of `size` [m]. Raises BadInput for a crop outside it, or too many pixels."""
         _, ny, nx = layers.fibre.shape
         window = find_window(self.look.crop, (ny, nx), size)
         scale = self._scale(window)
@@ -69,12 +69,12 @@ class DyePainter:
         self.prepared = plugin.prepare(config, self.files, layers, self.colours, window, scale)
 
     def draw(self, payload: bytes) -> Picture:
-        """A frame's amounts, from a message. Raises BadMessage for such as are not the cloth's."""
+        """Draw a frame's amounts from a message. Raises BadMessage for amounts of another cloth."""
         arrays, text = decode_arrays(payload)
         shape = (len(self.colours), *self._shape)
         if not self.ready or not all(name in arrays and arrays[name].shape == shape for name in ("phi", "fixed")):
-            found = {name: array.shape for name, array in arrays.items()}
-            raise BadMessage(f"amounts of shapes {found} for a cloth of {shape}")
+            shapes = {name: array.shape for name, array in arrays.items()}
+            raise BadMessage(f"amounts of shapes {shapes} for a cloth of {shape}")
         try:
             self.time = float(text.get("time", text.get("t", math.nan)))
         except (TypeError, ValueError, OverflowError) as error:
@@ -99,7 +99,7 @@ class DyePainter:
 
 
 def check_picture(loaded: Loaded, cells: Cells) -> None:
-    """Raises BadInput, before a run, for a picture that could not be drawn after it."""
+    """Raise BadInput, before a run, for a picture that could not be drawn after it."""
     painter = DyePainter(loaded)
     look = painter.look
     try:
@@ -107,7 +107,7 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
             problem, remedy = "an object shows all of the cloth that dyes it", "leave crop out"
             raise BadInput(problem, field="crop", value=look.crop.model_dump(), remedy=remedy)
         painter._scale(find_window(look.crop, cells.fibre.shape[1:], cells.size))
-        # The files that a plugin may need are read for one cell as for all.
+        # The files that a plugin may need are the same for one cell as for all.
         plugin, config = painter.chosen.plugin, painter.chosen.config
         plugin.prepare(config, loaded.files, cells, painter.colours, Window(0, 1, 0, 1), 1)
     except BadInput as error:
@@ -115,7 +115,7 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
 
 
 def read_layers(payload: bytes) -> tuple[Layers, float]:
-    """A cloth's layers and the side of its cells [m], from its message. Raises BadMessage."""
+    """Read a cloth's layers and the side of its cells [m] from its message. Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
         fibre, up = arrays["fibre"].astype(bool), arrays["up"].astype(bool)
@@ -131,9 +131,9 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
         _, ny, nx = fibre.shape
         for which, side in enumerate((ny, nx)):
             if yarns is not None:
-                check_array("yarns", (own := yarns[which]), np.int32, (side,))
-                if own.min() < 0 or own.max() > side:
-                    raise ContractError(f"yarns go from {own.min()} to {own.max()}, of {side} cells side by side")
+                check_array("yarns", (rows := yarns[which]), np.int32, (side,))
+                if rows.min() < 0 or rows.max() > side:
+                    raise ContractError(f"yarns go from {rows.min()} to {rows.max()}, of {side} cells side by side")
             if ground is not None:
                 check_array("colours", ground[which], ground[which].dtype.type, (side, 3))
                 if not ((ground[which] >= 0.0) & (ground[which] <= 1.0)).all():
@@ -150,7 +150,7 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
 
 
 def find_window(crop: Crop | None, shape: tuple[int, int], size: float) -> Window:
-    """The cells whose middles lie in a crop, of (ny, nx) cells of `size` [m]. Raises BadInput for none of them."""
+    """Return the cells, of (ny, nx) with side `size` [m], whose centres are in a crop. Raises BadInput without any."""
     ny, nx = shape
     if crop is None:
         return Window(0, ny, 0, nx)

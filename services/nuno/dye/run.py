@@ -1,4 +1,4 @@
-"""The dye service's work: from a scene to frames, independent of how they are sent."""
+"""Simulation of a scene's dye, frame by frame, independent of the bus."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, Event
 
 BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
-"""What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages; and a
-byte for each supply."""
+"""Most memory of a run per cell: the cloth and its faces, and for each dye amounts, bands and messages; and a byte for
+each supply."""
 
 
 def estimate_memory(loaded: Loaded) -> tuple[int, int]:
-    """Cells that the cloth will have, and what a run of them takes at most [bytes]. Raises BadInput."""
+    """Return the number of the cloth's cells, and the most memory of a run [bytes]. Raises BadInput."""
     cloth, dyes = loaded.dyed.cloth, loaded.dyed.said.dyes
     try:
         cells = int(cloth.plugin.count(cloth.config, loaded.files))
@@ -51,17 +51,17 @@ class DyeRun(Stepper):
     quantities = MappingProxyType({"phi": "mobile dye", "fixed": "fixed dye"})
 
     def __init__(self, loaded: Loaded, threads: int, steps: int = 0, leave: NDArray[np.int64] | None = None) -> None:
-        """`steps` a frame, stable or not; 0: as the scene says; `leave` as in System. Raises BadInput."""
+        """`steps` a frame, stable or not; 0 takes the scene's; `leave` as in System. Raises BadInput."""
         chosen, dye = loaded.dyed, loaded.dyed.said
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
         self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.speed = dye.speed
         self._solver = chosen.solver
         self.threads = threads or os.cpu_count() or 1
-        self.cells, self.state, given = build_cloth(loaded)
+        self.cells, self.state, added = build_cloth(loaded)
         check_picture(loaded, self.cells)
         self._resist = self.cells.resist
-        """B as the scene has it; of what was added over dye, the cells have less."""
+        """B of the scene; dyed cells may have less of a resist that was added later."""
         self.resisted = False
         """Whether B has changed since the start."""
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
@@ -72,14 +72,14 @@ class DyeRun(Stepper):
         )
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads, leave=self.leave)
         self._keeping = self.system
-        """With what is kept up at present. Solvers hold what follows from a system as long as it is the same."""
+        """The system with the supplies that are maintained now. Solvers cache results while the system is the same."""
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
-            whole = dye.speed / loaded.scene.frame_rate
+            frame = dye.speed / loaded.scene.frame_rate
             self.steps, self.dt = (
-                (steps, whole / steps) if steps else choose_step(loaded, self.limit, self._resolved(given), dyed=True)
+                (steps, frame / steps) if steps else choose_step(loaded, self.limit, self._resolved(added), dyed=True)
             )
-            supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
+            supplies = Supplies(added, self.cells.mobile_room, self.dt, len(dye.dyes))
             self.memory = self._prepare(supplies)
         except BadInput as error:
             raise loaded.at("dye.solver", error) from None
@@ -91,12 +91,13 @@ class DyeRun(Stepper):
         self.supplies = supplies
         self.supplies.begin(self.state.phi, 0)
 
-    def _resolved(self, given: Sequence[Supply]) -> float:
-        """Longest step [s] in which cells in a finite bath hand on no more than they hold, d^2 / (2 D0 g); inf without.
+    def _resolved(self, supplies: Sequence[Supply]) -> float:
+        """Return the longest step [s] in which cells in a finite bath pass on at most their dye, d^2 / (2 D0 g); inf
+        without such a bath.
 
-        Such a bath meets its cells between steps only: over longer ones it would give too slowly.
+        It exchanges with its cells only between steps: with longer ones it would give too slowly.
         """
-        dyes = [self.system.dyes[one.dye] for one in given if one.liquor is not None and one.dye is not None]
+        dyes = [self.system.dyes[one.dye] for one in supplies if one.liquor is not None and one.dye is not None]
         fastest = max((one.D0 * one.steepest for one in dyes), default=0.0)
         return self.cells.size**2 / (2.0 * fastest) if fastest > 0.0 else np.inf
 
@@ -106,19 +107,19 @@ class DyeRun(Stepper):
 
     @property
     def time(self) -> float:
-        """Time of the dyeing [s], which supplies and steps count."""
+        """Time of the dyeing [s], to which supplies and steps refer."""
         return self.t * self.speed
 
     def arrays(self) -> Arrays:
-        """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
+        """Return the state itself: phi and fixed (dyes, 2, ny, nx)."""
         return {"phi": self.state.phi, "fixed": self.state.fixed}
 
     def digested(self) -> list[NDArray[Any]]:
-        """See `Stepper`: amounts, and what finite baths hold."""
+        """Return the arrays of the digest: amounts, and shares of finite baths."""
         return [*self.arrays().values(), np.array(list(self.supplies.begun(self.frame * self.steps).values()))]
 
     def encode(self) -> bytes:
-        """See `Stepper`."""
+        """Return the amounts as they are published, float32."""
         return encode_arrays({name: a.astype(np.float32) for name, a in self.arrays().items()}, self._text())
 
     def _text(self) -> dict[str, Any]:
@@ -126,33 +127,33 @@ class DyeRun(Stepper):
 
     @staticmethod
     def decode(payload: bytes) -> Arrays:
-        """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
+        """Return published amounts, phi and fixed (dyes, 2, ny, nx). Raises BadMessage."""
         arrays, _ = decode_arrays(payload)
         return {name: arrays.get(name, np.zeros(0)) for name in ("phi", "fixed")}
 
     def place(self, index: Sequence[int]) -> str:
-        """See `Stepper`."""
+        """Return an index of phi or fixed in words."""
         dye, layer, row, column = index
         return f"{self.names[dye]} in the {('weft', 'warp')[layer]} of cell ({column}, {row})"
 
     def step(self) -> Stepped:
-        """See `Stepper`."""
+        """Step one frame."""
         return self.advance()
 
     def present(self) -> Stepped:
-        """See `Stepper`."""
+        """Return the present frame, without a step; compiles the kernels of a step."""
         return Stepped(self.frame, self.measure(), 0.0, self.digest())
 
     def measure(self, kept: Float | None = None) -> DyeReport:
-        """The present amounts, without a step; compiles what steps need, and those with supplies `kept` up."""
+        """Return the present amounts, without a step; compiles the kernels of a step, also with supplies `kept` up."""
         return self._step(kept, 0)
 
     def _step(self, kept: Float | None, steps: int) -> DyeReport:
-        """Steps of the solver with supplies kept up: the same system as long as they are the same."""
+        """Take steps with maintained supplies; the system is the same while they are the same."""
         if self._keeping.supply is not kept or self._keeping.cells is not self.cells:
             self._keeping = replace(self.system, supply=kept)
-        found: DyeReport = self._solver.plugin.advance(self._keeping, self.state, self.memory, steps, self.dt)
-        return found
+        report: DyeReport = self._solver.plugin.advance(self._keeping, self.state, self.memory, steps, self.dt)
+        return report
 
     def advance(self) -> Stepped:
         """Spread dye for one frame, in pieces between which supplies begin, end or exchange."""
@@ -163,7 +164,7 @@ class DyeRun(Stepper):
         taken, exchanged = 0, False
         while True:
             if self.supplies.begin(self.state.phi, step):
-                # Amounts have jumped: a solver of long steps begins anew, as it does after what it can see itself.
+                # Amounts have jumped: a solver with long steps starts again, as after jumps that it detects itself.
                 self.memory = self._prepare(self.supplies)
             until = self.supplies.until(step, end)
             kept = self.supplies.keep(step)
@@ -188,37 +189,37 @@ class DyeRun(Stepper):
 
     @property
     def supplied(self) -> tuple[float, ...]:
-        """What was supplied in all, by dye."""
+        """Total supplied amount by dye."""
         return self.supplies.total
 
     def balance(self, report: DyeReport) -> float:
-        """Largest |mobile + fixed - supplied| of the dyes, over what was supplied before baths took any back.
+        """Return the largest |mobile + fixed - supplied| of the dyes, relative to the gross supply.
 
-        nan where an amount is not finite.
+        It is nan where an amount is not finite.
         """
         amounts = zip(report.mobile, report.fixed, self.supplied, self.supplies.gross, strict=True)
         shares = [abs(fsum((mobile, fixed, -net))) / (gross or 1.0) for mobile, fixed, net, gross in amounts]
         return float(np.max(shares))
 
     def about(self) -> str:
-        """See `Stepper`."""
+        """Return how the solver's kernels run, in words."""
         return str(self._solver.plugin.about(self.system))
 
     def whole(self) -> tuple[Arrays, dict[str, Any]]:
-        """See `Stepper`: with what supplies gave so far, and B where it has changed."""
+        """Return arrays and text of a checkpoint, with the account of supplies, and B where it has changed."""
         arrays, text = super().whole()
         resist = {"resist": self.cells.resist} if self.resisted else {}
         return arrays | resist, self._text() | text | {"supply": self.supplies.save(self.frame * self.steps)}
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
-        """See `Stepper`."""
+        """Continue from a checkpoint, with the additions until then. Raises BadInput."""
         self.check_time(point)
         for event in changes:
             if event.frame < point.frame:
                 self.frame = event.frame
                 self.add(str(event.args["item"]))
         self._restore(point)
-        # Added at the checkpoint's frame: whether before the checkpoint or after it, once more changes nothing.
+        # Additions in the checkpoint's frame may be in it already; repeating them changes nothing.
         for event in changes:
             if event.frame == point.frame:
                 self.add(str(event.args["item"]))
@@ -237,27 +238,27 @@ class DyeRun(Stepper):
         self.state.t = self.time
 
     def add(self, item: str) -> str:
-        """Give the cloth another supply or resist, `supply: {kind: drop, ...}`; its field in the scene.
+        """Add a supply or resist, `supply: {kind: drop, ...}`; return its field in the scene.
 
-        Raises BadInput, and has then changed nothing.
+        Raises BadInput, without any change.
         """
-        before = self.loaded
-        changed, field = extend(before, item)
+        previous = self.loaded
+        changed, field = extend(previous, item)
         cloth = changed.dyed.cloth
         try:
-            given = cloth.plugin.supplies(cloth.config, self.cells, self.names)
-            parts = cloth.plugin.resists(cloth.config, self.cells, changed.files)
+            supplies = cloth.plugin.supplies(cloth.config, self.cells, self.names)
+            resists = cloth.plugin.resists(cloth.config, self.cells, changed.files)
         except BadInput as error:
             raise changed.at("dye.cloth", error) from None
-        loaded = as_run(changed, before)
-        if len(given) > len(self.supplies.entries):
-            stop = given[-1].stop
+        loaded = as_run(changed, previous)
+        if len(supplies) > len(self.supplies.entries):
+            stop = supplies[-1].stop
             if stop is not None and stop <= self.time:
                 limit = f"after {self.time:g} s"
                 raise BadInput("its time has passed", NAME, field=f"{field}.stop", value=stop, limit=limit)
-            self.supplies.add(given[-1], self.frame * self.steps)
+            self.supplies.add(supplies[-1], self.frame * self.steps)
         else:
-            after = 1.0 - (1.0 - self._resist) * (1.0 - parts[-1])
+            after = 1.0 - (1.0 - self._resist) * (1.0 - resists[-1])
             self.change_resist(resist_around(self.state.phi, self.cells, self._resist, after))
             self._resist = after
         self.memory = self._prepare(self.supplies)
@@ -265,21 +266,21 @@ class DyeRun(Stepper):
         return field
 
     def change_resist(self, resist: Float) -> None:
-        """Give the cells another B (2, ny, nx) with room for what they hold; the memory is then to be prepared."""
+        """Replace the cells' B (2, ny, nx), with room for their content; the memory has to be prepared afterwards."""
         self.resisted = True
         self.cells = replace(self.cells, resist=resist)
         self.system = replace(self.system, cells=self.cells)
         self.supplies.change_room(self.cells.mobile_room)
 
     def set(self, item: str) -> None:
-        """Raises BadInput: what dye spreads in and by does not change."""
+        """Raise BadInput: cloth and law of the dyeing cannot change."""
         field = item.partition("=")[0]
         remedy = "stop, and run again with --set; nuno control RUN add gives supplies and resists"
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 
 def build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
-    """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
+    """Build the cells, the amounts at the start, and the supplies. Raises BadInput."""
     number, size = estimate_memory(loaded)
     require_memory(loaded, "dye.cloth", number, "cells", size, "coarser: 2, larger cells, or fewer dyes")
     cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]

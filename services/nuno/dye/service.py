@@ -1,4 +1,4 @@
-"""The dye service: has dye spread, and publishes what only dye has."""
+"""The dye service: steps the dyeing, and publishes its frames."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from nuno_schemas.messages import CLOTH, STATUS
 
 
 class DyeDriver(Driver):
-    """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
+    """Runs a dyeing frame by frame: leads and answers control requests, or follows the dyed garment's simulation."""
 
-    def __init__(self, context: Context, dyeing: DyeRun, attendant: FrameWatchdog) -> None:
-        super().__init__(context, dyeing, attendant, STATUS if context.loaded.scene.moves else None)
+    def __init__(self, context: Context, dyeing: DyeRun, watchdog: FrameWatchdog) -> None:
+        super().__init__(context, dyeing, watchdog, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         if (every := self.scene.record.dye_every) is not None:
             self.every = self.scene.in_frames(every)
@@ -30,11 +30,11 @@ class DyeDriver(Driver):
         self.amounts: dict[str, dict[str, float | None]] = {}
 
     def publish_constant(self) -> None:
-        """The cloth."""
+        """Publish the cloth."""
         self.publish_cloth()
 
     def publish_cloth(self) -> None:
-        """What viewers and recordings need to know about the cloth: at the start, and when it has changed."""
+        """Publish the cloth's data for viewers and recordings, at the start and after a change."""
         dyeing, cells = self.dyeing, self.dyeing.cells
         arrays: dict[str, NDArray[Any]] = {"fibre": cells.fibre, "up": cells.up} | {
             name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
@@ -50,7 +50,7 @@ class DyeDriver(Driver):
         self._put(CLOTH, encode_arrays(arrays, text))
 
     def add(self, item: str) -> dict[str, Any]:
-        """See `Driver`; a cloth with more resist is published again."""
+        """Add an item to the running scene; publish a cloth with another resist again."""
         resist = self.dyeing.cells.resist
         change = super().add(item)
         if self.dyeing.cells.resist is not resist:
@@ -58,7 +58,7 @@ class DyeDriver(Driver):
         return change
 
     def status_of(self, frame: Stepped) -> dict[str, Any]:
-        """The time of the dyeing, and totals of the amounts."""
+        """Return the time of the dyeing, and totals of the amounts."""
         dyeing, report = self.dyeing, frame.report
         balance = dyeing.balance(report)
         self.balance = max(self.balance, balance) if math.isfinite(balance) else math.nan
@@ -70,7 +70,7 @@ class DyeDriver(Driver):
         return {"time": dyeing.time, "balance": _finite(balance), **self.amounts}
 
     def facts(self, ended: str) -> dict[str, Any]:
-        """Amounts, balance, limit and sizes for the report."""
+        """Return amounts, balance, limit and sizes for the report."""
         dyeing = self.dyeing
         return {
             "limit": {"dt": dyeing.limit},
@@ -90,24 +90,24 @@ class DyeDriver(Driver):
         }
 
     def given(self) -> dict[str, dict[str, float | None]]:
-        """What came from where, by dye."""
+        """Return the amount from each supply, by dye."""
         accounts = zip(self.dyeing.names, self.dyeing.supplies.given, strict=True)
         return {dye: {name: _finite(amount) for name, amount in account.items()} for dye, account in accounts}
 
     def baths(self) -> dict[str, float]:
-        """What is left in finite baths, as a share of what they can hold."""
+        """Return the content of finite baths, as a share of their capacity."""
         return {entry.name: entry.share for entry in self.dyeing.supplies.entries if entry.finite}
 
 
 def _finite(value: float) -> float | None:
-    """A number as JSON can say it."""
+    """Return a number for JSON, None if it is not finite."""
     return value if math.isfinite(value) else None
 
 
 def main(context: Context) -> None:
-    """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
-    attendant = FrameWatchdog(context)
-    dyeing = DyeRun(context.loaded, context.options.threads, leave=attendant.leave)
+    """Run the dye of one scene: prepare, step all frames, reply to the query for the end."""
+    watchdog = FrameWatchdog(context)
+    dyeing = DyeRun(context.loaded, context.options.threads, leave=watchdog.leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
-    DyeDriver(context, dyeing, attendant).serve()
+    DyeDriver(context, dyeing, watchdog).serve()

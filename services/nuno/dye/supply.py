@@ -1,10 +1,10 @@
-"""What gives dye to a cloth while it is dyed: when each supply acts, what it gave, what is left in a finite bath.
+"""Supplies of dye during a dyeing: their times, the account of their amounts, the content of finite baths.
 
-A rinse is a supply that takes: what it gave counts below 0.
+A rinse is a supply with a negative amount.
 
-Times are whole steps: a supply begins, and ends, with the first step that starts at its time or after it. What is
-kept up is raised once at its start; from then on the solver keeps it (`DyeSystem.supply`). A finite bath and the
-cells in it are brought to equal shares at its start and after every step, so that its error is of the order of a
+Times are whole steps: a supply begins, and ends, with the first step that starts at its time or after it. A maintained
+supply raises its cells once at its start; then the solver maintains them (`DyeSystem.supply`). A finite bath and
+its cells are brought to equal shares at its start and after every step, so that its error is of the order of a
 step, as the explicit scheme's own is.
 """
 
@@ -21,34 +21,34 @@ from nuno_schemas.dye import DyeState, Supply
 from nuno_schemas.fabric import Bool, Float, Int
 
 ROUNDING = 1e-9
-"""Relative: a time that is a whole number of steps but for rounding counts as one."""
+"""Relative tolerance of a time that is a whole number of steps."""
 ROW = 1024
-"""Numbers that are added at once."""
+"""Length of the rows that are added at once."""
 AT_THE_START = "at the start"
-"""What a cloth's own arrays hold."""
+"""Name of the amounts in a cloth's own arrays."""
 
 
 class Given(NamedTuple):
-    """Amounts afterwards (2, ny, nx), and how much was given in all (taken, below 0)."""
+    """New amounts (2, ny, nx), and the total given amount, negative if taken."""
 
     phi: Float
     given: float
 
 
 def give(phi: Float, room: Float, cells: Bool, amount: float) -> Given:
-    """Raise cells (2, ny, nx) to a share of their room V_u; what holds more is left alone."""
+    """Raise cells (2, ny, nx) to a share of their room V_u; cells with more do not change."""
     raised = np.where(cells, np.maximum(phi, amount * room), phi)
     return Given(raised, math.fsum((raised - phi)[cells].tolist()))
 
 
 def rinse(phi: Float, cells: Bool, share: float) -> Given:
-    """Take a share of their mobile dye from cells (2, ny, nx)."""
+    """Take a share of the mobile dye from cells (2, ny, nx)."""
     left = np.where(cells, (1.0 - share) * phi, phi)
     return Given(left, -math.fsum((phi - left)[cells].tolist()))
 
 
 class Exchange(NamedTuple):
-    """Amounts afterwards (n,), what is left in the bath as a share of what it can hold, and what it gave."""
+    """New amounts (n,), the bath's content as a share of its capacity, and the amount that it gave."""
 
     phi: Float
     share: float
@@ -56,9 +56,9 @@ class Exchange(NamedTuple):
 
 
 def exchange(phi: Float, room: Float, share: float, volume: float) -> Exchange:
-    """Well stirred exchange of immersed cells (n,) with a bath of finite volume, down to equal shares.
+    """Exchange immersed cells (n,) with a well stirred bath of finite volume, to equal shares.
 
-    With sum V the room of the cells, and the bath's volume W in the same unit, everything together settles at
+    With sum V the room of the cells, and the bath's volume W in the same unit, both settle at
 
         s = (W share + sum phi) / (W + sum V).
     """
@@ -70,7 +70,7 @@ def exchange(phi: Float, room: Float, share: float, volume: float) -> Exchange:
 
 
 def add_up(values: Float) -> float:
-    """Sum of a flat array in an order of its own: equal bits on every machine, and ten times as fast as fsum."""
+    """Sum a flat array in a fixed order: equal bits on every machine, and ten times as fast as fsum."""
     total = np.zeros(min(ROW, values.size))
     for start in range(0, values.size, ROW):
         row = values[start : start + ROW]
@@ -79,7 +79,7 @@ def add_up(values: Float) -> float:
 
 
 def first_step(time: float, dt: float) -> float:
-    """The first step of dt [s] that starts at a time [s] or after it; inf for never."""
+    """Return the first step of dt [s] that starts at a time [s] or after it; inf for never."""
     at = time / dt
     if not math.isfinite(at):
         return math.inf
@@ -88,25 +88,25 @@ def first_step(time: float, dt: float) -> float:
 
 @dataclass
 class Entry:
-    """A supply in whole steps: it acts from `first` up to `last`, given once where they are equal."""
+    """A supply in whole steps: it acts from `first` up to `last`, once if they are equal."""
 
     supply: Supply
     dyes: tuple[int, ...]
-    """Places of the dyes that it is of."""
+    """Indices of its dyes."""
     name: str
     first: float
     last: float
     volume: float
-    """Of a finite bath: liquor times the room of its cells, in full cells; 0 of any other."""
+    """Volume of a finite bath, liquor times the room of its cells, in full cells; 0 for others."""
     share: float
-    """What a finite bath holds, as a share of its volume."""
+    """Content of a finite bath, as a share of its volume."""
     places: Int
-    """(n,) the cells of a finite bath, in the flat array of one dye."""
+    """Cells (n,) of a finite bath, in the flat array of one dye."""
     begun: bool = False
     """Whether it has begun: a rinse takes its share once."""
 
     def acts(self, step: int) -> bool:
-        """Whether it is kept up in a step."""
+        """Return whether the supply acts in a step."""
         return self.first <= step < self.last
 
     @property
@@ -115,19 +115,19 @@ class Entry:
 
 
 class Supplies:
-    """All supplies of a run, and the account of what they gave."""
+    """All supplies of a run, and the account of their amounts."""
 
     def __init__(self, supplies: Sequence[Supply], room: Float, dt: float, dyes: int) -> None:
         self.room, self.dt = room, dt
         self.entries: list[Entry] = []
         self.given: list[dict[str, float]] = [{} for _ in range(dyes)]
-        """For each dye what came from where, by name. Supplies that are kept up at the same time share a name."""
+        """Amounts of each dye by supply. Supplies that are maintained at the same time share a name."""
         self._kept: tuple[tuple[int, ...], Float | None] = (), None
         for supply in supplies:
             self.add(supply)
 
     def add(self, supply: Supply, earliest: int = 0) -> None:
-        """One more, after those that are there; it does not begin before the step `earliest`."""
+        """Append a supply, which begins at the step `earliest` or later."""
         first = max(float(earliest), first_step(supply.start, self.dt))
         last = first if supply.stop is None else max(first, first_step(supply.stop, self.dt))
         name = f"supply[{len(self.entries)}] {supply.kind}"
@@ -139,8 +139,8 @@ class Supplies:
         self.entries.append(Entry(supply, dyes, name, first, last, volume, supply.amount, places))
 
     def begin(self, phi: Float, step: int) -> bool:
-        """Give or take what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx). Whether it changed."""
-        before = [dict(account) for account in self.given]
+        """Apply supplies that start with a step to phi (dyes, 2, ny, nx), once; return whether it changed."""
+        old_accounts = [dict(account) for account in self.given]
         for entry in self.entries:
             if entry.first != step or (entry.finite and not entry.acts(step)):
                 continue
@@ -155,22 +155,22 @@ class Supplies:
                     phi[dye], given = rinse(phi[dye], supply.cells, supply.rinsed)
                     self.note(dye, entry.name, given)
             entry.begun = True
-        return self.given != before
+        return self.given != old_accounts
 
     def until(self, step: int, end: int) -> int:
-        """The step, `end` at most, up to which the solver can go on from `step` by itself."""
+        """Return the step, at most `end`, up to which the solver can go on from `step` alone."""
         if any(entry.finite and entry.acts(step) for entry in self.entries):
             return step + 1
         edges = (edge for entry in self.entries for edge in (entry.first, entry.last) if step < edge < end)
         return int(min(edges, default=end))
 
     def keep_ever(self) -> Float | None:
-        """(dyes, 2, ny, nx) the most that the solver ever has to keep up, None for nothing."""
+        """Return the largest amounts (dyes, 2, ny, nx) that the solver ever has to maintain, None for none."""
         kept = [i for i, entry in enumerate(self.entries) if entry.supply.stop is not None and not entry.finite]
         return self._least(kept) if kept else None
 
     def keep(self, step: int) -> Float | None:
-        """(dyes, 2, ny, nx) the least that cells hold after a step, None where nothing is kept up."""
+        """Return the least amounts (dyes, 2, ny, nx) after a step, None without maintained supplies."""
         acting = tuple(i for i, entry in enumerate(self.entries) if not entry.finite and entry.acts(step))
         if acting != self._kept[0]:
             self._kept = acting, self._least(acting) if acting else None
@@ -184,12 +184,12 @@ class Supplies:
                 np.maximum(least[dye], full, out=least[dye])
         return least
 
-    def end(self, phi: Float, step: int, kept: Sequence[float]) -> bool:
-        """Account for what the solver kept up in the steps since `step`, and exchange with finite baths.
+    def end(self, phi: Float, step: int, supplied: Sequence[float]) -> bool:
+        """Account for the amounts that the solver supplied in the steps since `step`, and exchange with finite baths.
 
-        Whether there were any: phi is then another.
+        Return whether there were baths, and phi has changed.
         """
-        for dye, amount in enumerate(kept):
+        for dye, amount in enumerate(supplied):
             names = [e.name for e in self.entries if dye in e.dyes and not e.finite and e.acts(step)]
             if names:
                 self.note(dye, " and ".join(names), amount)
@@ -200,7 +200,7 @@ class Supplies:
         return bool(baths)
 
     def note(self, dye: int, name: str, amount: float) -> None:
-        """Add to the account."""
+        """Add an amount to the account."""
         if amount:
             self.given[dye][name] = self.given[dye].get(name, 0.0) + amount
 
@@ -211,7 +211,7 @@ class Supplies:
         self.note(dye, entry.name, given)
 
     def most(self, state: DyeState) -> DyeState:
-        """More than the amounts can come to, for what a solver must know beforehand."""
+        """Return upper bounds of the amounts, which a solver needs beforehand."""
         phi = state.phi.copy()
         for entry in self.entries:
             share = 1.0 if entry.finite else entry.supply.amount
@@ -222,41 +222,41 @@ class Supplies:
 
     @property
     def total(self) -> tuple[float, ...]:
-        """What was supplied in all, by dye."""
+        """Total supplied amount by dye."""
         return tuple(math.fsum(account.values()) for account in self.given)
 
     @property
     def gross(self) -> tuple[float, ...]:
-        """The same without what was rinsed out or has gone back into finite baths, the ways out of a cloth."""
+        """Total supplied amount by dye, without losses to rinses and finite baths."""
         return tuple(math.fsum(amount for amount in account.values() if amount > 0.0) for account in self.given)
 
     def change_room(self, room: Float) -> None:
-        """Go on with cells of another room (2, ny, nx); baths keep their volume."""
+        """Replace the room of the cells (2, ny, nx); baths keep their volume."""
         self.room, self._kept = room, ((), None)
 
     def begun(self, step: int) -> dict[str, float]:
-        """What the finite baths hold that began before a step, by name: part of the state there."""
+        """Return the shares of finite baths that began before a step, by name, as part of its state."""
         return {entry.name: entry.share for entry in self.entries if entry.finite and entry.first < step}
 
     def ahead(self, step: int) -> dict[str, float]:
-        """When supplies are to begin [s] that a run which ends at a step has not come to, by name."""
+        """Return the start times [s] of supplies that a run which ends at a step does not reach, by name."""
         return {entry.name: entry.supply.start for entry in self.entries if entry.first >= max(step, 1)}
 
     def save(self, step: int) -> dict[str, Any]:
-        """State and account at the start of a step as JSON can hold them, exactly."""
+        """Return state and account at the start of a step, exactly, for JSON."""
         volumes = {entry.name: entry.volume for entry in self.entries if entry.finite}
         return {"baths": self.begun(step), "volumes": volumes, "given": self.given}
 
     def restore(self, saved: dict[str, Any], step: int) -> None:
-        """Raises ValueError, KeyError, TypeError or AttributeError where it is not of these supplies."""
+        """Restore saved supplies. Raises ValueError, KeyError, TypeError or AttributeError where they do not fit."""
         baths, given = dict(saved["baths"]), list(saved["given"])
         if baths.keys() != self.begun(step).keys() or len(given) != len(self.given):
             raise ValueError(f"baths {', '.join(baths) or 'none'}, and {len(given)} dyes")
         for entry in self.entries:
-            # What begins with step 0 is given before any step, and so before any checkpoint.
+            # Supplies at step 0 act before any step, and so before any checkpoint.
             entry.begun = entry.first < max(step, 1)
             entry.share = float(baths.get(entry.name, entry.share))
             if entry.finite:
-                # A resist that was added before the bath has left its cells room for the dye of that time.
+                # A resist that was added before the bath has left room for the dye of that time.
                 entry.volume = float(saved["volumes"][entry.name])
         self.given = [{str(name): float(amount) for name, amount in account.items()} for account in given]

@@ -14,7 +14,7 @@ import zenoh
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
-from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
+from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces
 from nuno.live_view.snapshot import NO_POINTS, Board, Sight
 from nuno.live_view.sources import draw_bodies, see_now, size_of
@@ -85,11 +85,11 @@ class Follower:
         if self._bodies is None:
             geometry = None
             with contextlib.suppress(RunFailed, BadMessage):  # a scene without bodies has no such service
-                geometry = decode_geometry(self._bus.ask(GEOMETRY_QUESTION, timeout=ASK))
+                geometry = decode_geometry(self._bus.ask(GEOMETRY_QUERY, timeout=ASK))
             self._bodies = draw_bodies(geometry, size_of(sight.x))
         if len(self._bodies.faces):
             request = json.dumps({"frame": sight.frame}).encode()
-            self._place(decode_poses(self._bus.ask(POSES_QUESTION, request, ASK)))
+            self._place(decode_poses(self._bus.ask(POSES_QUERY, request, ASK)))
         self.board.show(
             self._with_bodies(sight), state=str(status["state"]), run=self.run, frames=int(status["frames"]), message=""
         )

@@ -1,4 +1,4 @@
-"""Calls of other distributions' code, which may do what no plugin may: contained, so that it is said who it was."""
+"""Containment of calls into other distributions' code, so that errors name the plugin."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from nuno.process import refusing_exit, working_folder
 
 T = TypeVar("T")
 OWN_FRAMES = (__file__, process.__file__)
-"""Files that stand between a call and the code that is called."""
+"""Files whose frames lie between a call and the called code."""
 UNWRITTEN = (
     "write it, if the package is yours: docs/reference/protocols.md has what a plugin of each kind is asked for; if "
     "not, update it"
 )
-"""What to do where a plugin lacks a method."""
+"""Remedy for a plugin that lacks a method."""
 
 
-def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **named: Any) -> T:
-    """What `function` gives. Raises `fail(error)` for whatever it raises, but the user's own Ctrl-C or SIGTERM.
+def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    """Return the result of `function`. Raises `fail(error)` for any error, except the user's own Ctrl-C or SIGTERM.
 
-    `os._exit` in it raises SystemExit, instead of ending the process with any exit code it likes; the working folder
-    and how NumPy treats errors are as they were afterwards.
+    `os._exit` in it raises SystemExit, instead of ending the process; the working folder and NumPy's error handling
+    are restored afterwards.
     """
-    with np.errstate(), _same_folder(), refusing_exit(), _signals() as came:
+    with np.errstate(), _same_folder(), refusing_exit(), _signals() as signals:
         try:
-            return function(*args, **named)
+            return function(*args, **kwargs)
         except BaseException as error:
-            if isinstance(error, KeyboardInterrupt) and came:
+            if isinstance(error, KeyboardInterrupt) and signals:
                 raise
             failure = fail(error)
             if failure is error:
@@ -45,32 +45,32 @@ def call(fail: Callable[[BaseException], BaseException], function: Callable[...,
 
 @contextlib.contextmanager
 def _signals() -> Iterator[list[int]]:
-    """The signals that have come meanwhile: a KeyboardInterrupt without any is not the user's.
+    """Collect the signals that arrive: a KeyboardInterrupt without one is not the user's.
 
-    Python handles signals in the main thread alone.
+    Python handles signals only in the main thread.
     """
-    came: list[int] = []
-    before: dict[int, Any] = {}
+    received: list[int] = []
+    handlers: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        before = {n: known for n in (signal.SIGINT, signal.SIGTERM) if callable(known := signal.getsignal(n))}
+        handlers = {n: handler for n in (signal.SIGINT, signal.SIGTERM) if callable(handler := signal.getsignal(n))}
 
     def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        before[number](number, frame)
+        received.append(number)
+        handlers[number](number, frame)
 
-    for number in before:
+    for number in handlers:
         signal.signal(number, note)
     try:
-        yield came
+        yield received
     finally:
-        for number, known in before.items():
+        for number, handler in handlers.items():
             if signal.getsignal(number) is note:
-                signal.signal(number, known)
+                signal.signal(number, handler)
 
 
 @contextlib.contextmanager
 def _same_folder() -> Iterator[None]:
-    """Put back the working folder, which all threads share."""
+    """Restore the working folder, which all threads share."""
     before = working_folder()
     try:
         yield

@@ -1,7 +1,7 @@
 """Checks of plugins' results against the layout that the schema gives them, before any compiled code sees them.
 
-A kernel does not check an index: one out of range reads or writes whatever lies there. Each function raises
-ContractError with the field and the first wrong row. `check_layout` checks what annotations say; here is the rest.
+A kernel does not check an index: one out of range reads or writes other memory. Each function raises
+ContractError with the field and the first wrong row. `check_layout` checks annotations; this module has the rest.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from nuno_schemas.system import StepLimit, StepReport, Term, Touched
 from nuno_schemas.yarns import Yarns
 
 UNIT = 1e-6
-"""How far the length of a unit vector or quaternion may be from 1."""
+"""Tolerance of the length of a unit vector or quaternion."""
 
 
 def check_fabric(fabric: Fabric) -> None:
-    """A fabric's arrays, and that springs, hinges, yarns and bindings name vertices and springs that there are."""
+    """Check a fabric's arrays, and that springs, hinges, yarns and bindings refer to existing vertices and springs."""
     check_layout("", fabric)
     n, springs = fabric.number, fabric.springs
     if springs is not None:
@@ -63,19 +63,19 @@ def check_fabric(fabric: Fabric) -> None:
 
 
 def check_runs(what: str, runs: Springs | Hinges, n: int) -> None:
-    """Runs that end within n vertices, of elements that name none twice."""
+    """Check that runs end within n vertices, and that no element names a vertex twice."""
     reach = np.maximum(runs.count.astype(np.int64) - 1, 0) * runs.stride
     last = runs.first + reach[:, None]
-    if (out := np.argwhere((last < 0) | (last >= n))).size:
-        row, column = out[0]
+    if (outside := np.argwhere((last < 0) | (last >= n))).size:
+        row, column = outside[0]
         raise ContractError(f"{what} of run {row} go on to vertex {last[row, column]}, outside 0 to {n - 1}")
     corners = np.sort(runs.first, axis=1)
-    if (same := np.flatnonzero((np.diff(corners, axis=1) == 0).any(axis=1))).size:
-        raise ContractError(f"{what}.first names a vertex twice at row {same[0]}")
+    if (repeated := np.flatnonzero((np.diff(corners, axis=1) == 0).any(axis=1))).size:
+        raise ContractError(f"{what}.first names a vertex twice at row {repeated[0]}")
 
 
 def check_yarns(yarns: Yarns, springs: int) -> None:
-    """Yarns of so many springs."""
+    """Check yarns of a fabric with this number of springs."""
     check_array("yarns.links", yarns.links, np.int32, (None,), Bounds(0, springs - 1))
     check_array("yarns.ptr", yarns.ptr, np.int32, (yarns.number + 1,))
     if (np.diff(yarns.ptr) < 0).any() or yarns.ptr[0] != 0 or yarns.ptr[-1] != len(yarns.links):
@@ -84,7 +84,7 @@ def check_yarns(yarns: Yarns, springs: int) -> None:
 
 
 def check_body(shape: BodyShape, mover: Mover | None) -> None:
-    """A body on the joints of its mover, or on the world."""
+    """Check a body on the joints of its mover, or on the world."""
     check_layout("", shape)
     joints = 1 if mover is None else len(mover.joints)
     if len(shape.frames) != joints:
@@ -97,8 +97,8 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
     for problem, (kind, good) in kinds.items():
         if (bad := np.flatnonzero((shape.kind == kind) & ~good)).size:
             raise ContractError(f"{problem} at row {bad[0]}")
-    if (wrong := np.flatnonzero(~np.isin(shape.kind[shape.owner], OF_TRIANGLES))).size:
-        raise ContractError(f"owner is {shape.owner[wrong[0]]} at row {wrong[0]}, which has no triangles")
+    if (bad_owners := np.flatnonzero(~np.isin(shape.kind[shape.owner], OF_TRIANGLES))).size:
+        raise ContractError(f"owner is {shape.owner[bad_owners[0]]} at row {bad_owners[0]}, which has no triangles")
     if len(shape.fields) != int((shape.kind == FIELD).sum()):
         raise ContractError(
             f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one"
@@ -111,7 +111,7 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
 
 
 def check_mover(mover: Mover) -> None:
-    """A skeleton whose joints hang on earlier ones, or on the world."""
+    """Check a skeleton, and that the parent of each joint is an earlier one, or the world."""
     check_layout("", mover)
     if not mover.joints or not callable(mover.pose):
         raise ContractError("pose is no function" if mover.joints else "joints are none")
@@ -120,21 +120,21 @@ def check_mover(mover: Mover) -> None:
 
 
 def check_turn(rotation: NDArray[Any]) -> None:
-    """Rotations (j, 4) that are unit quaternions."""
+    """Check that rotations (j, 4) are unit quaternions."""
     length = np.linalg.norm(rotation, axis=1)
     if (bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT))).size:
         raise ContractError(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
 
 
 def check_memory(memory: Memory) -> None:
-    """Memory whose arrays can be kept in a checkpoint."""
+    """Check that the arrays of memory can be stored in a checkpoint."""
     for name, values in memory.arrays.items():
         if not isinstance(values, np.ndarray) or values.dtype.hasobject:
             raise ContractError(f"arrays[{name!r}] is {type(values).__name__}, no array of numbers")
 
 
 def check_term(term: Term, fabric: Fabric) -> None:
-    """A force on a fabric."""
+    """Check a force on a fabric."""
     check_layout("", term)
     for name, value in term.facts.items():
         check_number(f"facts[{name!r}]", value)
@@ -152,14 +152,14 @@ def check_term(term: Term, fabric: Fabric) -> None:
             raise ContractError(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
 
 
-def check_touched(found: Touched, vertices: int) -> None:
-    """Forces on so many vertices."""
-    for name, values in (*((f"by[{name!r}]", values) for name, values in found.by.items()), ("total", found.total)):
+def check_touched(touched: Touched, vertices: int) -> None:
+    """Check forces of bodies on this number of vertices."""
+    for name, values in (*((f"by[{name!r}]", values) for name, values in touched.by.items()), ("total", touched.total)):
         check_array(name, values, np.float64, (vertices, 3), Bounds(finite=False, strided=True))
 
 
 def check_outcome(outcome: Outcome, vertices: int) -> None:
-    """What an operation made of a fabric of so many vertices."""
+    """Check the outcome of an operation on a fabric with this number of vertices."""
     if (changed := outcome.changed) is None:
         return
     check_type("changed.fabric", changed.fabric, Fabric)
@@ -171,32 +171,32 @@ def check_outcome(outcome: Outcome, vertices: int) -> None:
         raise ContractError("changed.source does not keep the order of the old vertices")
 
 
-def check_cloth(found: Any, dyes: int) -> None:
-    """Cells and the amounts of so many dyes that they hold."""
-    if len(found) != 2:
-        raise ContractError(f"it is {len(found)} things, not cells and amounts")
-    cells, state = found
+def check_cloth(result: Any, dyes: int) -> None:
+    """Check cells, and their amounts of this number of dyes."""
+    if len(result) != 2:
+        raise ContractError(f"it is {len(result)} things, not cells and amounts")
+    cells, state = result
     check_type("cells", cells, Cells)
     check_layout("cells.", cells)
     check_type("amounts", state, DyeState)
     check_layout("", state, _lengths(cells, dyes))
 
 
-def check_supplies(found: Sequence[Supply], cells: Cells, dyes: int) -> None:
-    """Supplies of so many dyes to these cells."""
-    for i, supply in enumerate(found):
+def check_supplies(supplies: Sequence[Supply], cells: Cells, dyes: int) -> None:
+    """Check supplies of this number of dyes to the cells."""
+    for i, supply in enumerate(supplies):
         check_type(f"[{i}]", supply, Supply)
         check_layout(f"[{i}].", supply, _lengths(cells, dyes))
 
 
-def check_resists(found: Sequence[Any], cells: Cells) -> None:
-    """What resists take of the room of these cells."""
-    for i, values in enumerate(found):
+def check_resists(resists: Sequence[Any], cells: Cells) -> None:
+    """Check the shares of the cells' room that resists take."""
+    for i, values in enumerate(resists):
         check_array(f"[{i}]", values, np.float64, cells.fibre.shape[1:], Bounds(0.0, 1.0))
 
 
 def check_isotherm(isotherm: Isotherm) -> None:
-    """An isotherm's numbers, or its function."""
+    """Check an isotherm's numbers, or its function."""
     check_layout("", isotherm)
     if isotherm.kind == "python" and not callable(isotherm.function):
         raise ContractError("function is none, of kind 'python'")
@@ -207,7 +207,7 @@ def _lengths(cells: Cells, dyes: int) -> dict[str, int]:
 
 
 def check_picture(picture: NDArray[Any]) -> None:
-    """A picture in sRGB."""
+    """Check a picture in sRGB."""
     check_array("it", picture, np.uint8, (None, None, 3), Bounds(strided=True))
 
 
@@ -246,31 +246,31 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.dye_cloths", "supplies"): (tuple, lambda found, args: check_supplies(found, args[1], len(args[2]))),
     ("nuno.isotherms", "prepare"): (Isotherm, lambda found, args: check_isotherm(found)),
 }  # fmt: skip
-"""What a method of a kind gives, and what it is held against."""
+"""Type of the result of each kind's methods, and its check."""
 
 
-def check(group: str, method: str, found: Any, args: Sequence[Any]) -> None:
-    """Raises ContractError for a result of a plugin's method, called with `args`, that is not what its kind owes."""
+def check(group: str, method: str, result: Any, args: Sequence[Any]) -> None:
+    """Raise ContractError for a result of a plugin's method, called with `args`, that violates its kind's contract."""
     if (group, method) in CHECKS:
-        kind, look = CHECKS[group, method]
-        check_type("it", found, kind)
-        look(found, args)
+        kind, check_result = CHECKS[group, method]
+        check_type("it", result, kind)
+        check_result(result, args)
 
 
 SPAN, MASS, CELL = (1e-3, 1e2), (1e-6, 1e4), (1e-6, 1e-1)
-"""Sizes of cloth and bodies [m], masses of cloth [kg] and sizes of dye cells [m] that are nothing out of the common."""
+"""Usual sizes of cloth and bodies [m], masses of cloth [kg] and sizes of dye cells [m]."""
 
 
-def doubts(found: Any) -> list[str]:
-    """What is possible, but looks as if it were in another unit, in words."""
+def doubts(result: Any) -> list[str]:
+    """Return warnings of values that are possible, but look as if they were in another unit."""
     sizes: list[tuple[str, float, tuple[float, float], str]] = []
-    if isinstance(found, Fabric) and found.number > 1:
-        sizes += [("position", _span(found.position), SPAN, "m"), ("mass", float(found.mass.sum()), MASS, "kg")]
-    elif isinstance(found, BodyShape):
-        sizes += [("radius", 2.0 * float(r), SPAN, "m") for r in found.radius[found.radius > 0.0]]
-        sizes += [("vertices", _span(found.vertices), SPAN, "m")] if len(found.vertices) else []
-    elif isinstance(found, tuple) and found and isinstance(found[0], Cells):
-        sizes += [("cells.size", found[0].size, CELL, "m")]
+    if isinstance(result, Fabric) and result.number > 1:
+        sizes += [("position", _span(result.position), SPAN, "m"), ("mass", float(result.mass.sum()), MASS, "kg")]
+    elif isinstance(result, BodyShape):
+        sizes += [("radius", 2.0 * float(r), SPAN, "m") for r in result.radius[result.radius > 0.0]]
+        sizes += [("vertices", _span(result.vertices), SPAN, "m")] if len(result.vertices) else []
+    elif isinstance(result, tuple) and result and isinstance(result[0], Cells):
+        sizes += [("cells.size", result[0].size, CELL, "m")]
     return [
         f"{what} comes to {size:.3g} {unit}, {low:g} to {high:g} {unit} being usual: is it in {unit}?"
         for what, size, (low, high), unit in sizes

@@ -1,4 +1,4 @@
-"""A recording's file: opened, its messages in order or from the end, with every damage reported."""
+"""The file of a recording: messages in order or from the end, with every damage reported."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ MOST_FRAMES = 2**31
 
 
 class RecordedFile:
-    """What is in a recording, whatever it means. Close it, or use it in a `with`.
+    """The messages of a recording, without their meaning. Close it, or use it in a `with`.
 
-    Opening it reads all of it: what is cut, or damaged, is read up to there. Raises BadInput where the file is missing,
-    no recording, or (while reading) says what cannot be.
+    Opening it reads all of it: a cut or damaged file is read up to there. Raises BadInput where the file is missing,
+    no recording, or (while reading) has impossible values.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.owner: object = None
-        """What the file goes with, where it is a temporary one."""
+        """Owner of a temporary file, which keeps it until this object is gone."""
         try:
             self._stream: BinaryIO = self.path.open("rb")
         except OSError as error:
@@ -53,7 +53,7 @@ class RecordedFile:
             self._stream.close()
             raise
         self._read: tuple[int, list[Message]] = -1, []
-        """Where the chunk stands that was read last, and what is in it."""
+        """Position of the chunk that was read last, and its messages."""
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Self:
@@ -66,45 +66,45 @@ class RecordedFile:
         self._stream.close()
 
     def _check_version(self) -> None:
-        said = self.metadata["run"].get("schema_version", "")
-        if said != str(SCHEMA_VERSION):
+        version = self.metadata["run"].get("schema_version", "")
+        if version != str(SCHEMA_VERSION):
             by = self.metadata.get("versions", {}).get("nuno", "")
             remedy = f"read it with nuno {by}" if by else "read it with the version of nuno that wrote it"
-            raise BadInput("a recording of another version", str(self.path), field="schema_version", value=said,
+            raise BadInput("a recording of another version", str(self.path), field="schema_version", value=version,
                            limit=f"this nuno reads version {SCHEMA_VERSION}", remedy=remedy)  # fmt: skip
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Everything by name: run, scene, versions, plugins and, where it was finished, end."""
+        """All metadata by name: run, scene, versions, plugins and, in a finished file, end."""
         return self.layout.metadata
 
     @property
     def recovered(self) -> bool:
-        """Whether the file was not finished or is damaged, and is read up to its last whole chunk."""
+        """Whether the file is unfinished or damaged, and is read up to its last whole chunk."""
         return not self.layout.indexed
 
     @property
     def damage(self) -> str:
-        """What is damaged, and where, in words; empty for a file that is whole, or only cut."""
+        """The damage and its place in words; empty for a file that is whole, or only cut."""
         return self.layout.damage
 
     @cached_property
     def growing(self) -> bool:
-        """Whether it was still being written when that was first asked: its writer holds it."""
+        """Whether the file was still being written at the first call: its writer has a lock on it."""
         try:
             fcntl.flock(self._stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
             fcntl.flock(self._stream, fcntl.LOCK_UN)
-        except OSError as error:  # another than this where a file system has no locks
+        except OSError as error:  # another error where a file system has no locks
             return isinstance(error, BlockingIOError)
         return False
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages per topic."""
-        found = Counter[str]()
+        """Number of messages by topic."""
+        totals = Counter[str]()
         for id, topic in self._topics.items():
-            found[topic] += self.layout.counts.get(id, 0)
-        return dict(found)
+            totals[topic] += self.layout.counts.get(id, 0)
+        return dict(totals)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -128,9 +128,9 @@ class RecordedFile:
     def messages(
         self, topics: Iterable[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[Recorded]:
-        """Messages in the order they were written, with start <= t < end [s].
+        """Yield messages in the order of writing, with start <= t < end [s].
 
-        A topic that ends in "/*" stands for all that begin so.
+        A topic that ends in "/*" stands for all with that prefix.
         """
         wanted = self._channels(topics)
         first = -1 if start is None else round(start * 1e9)
@@ -142,16 +142,16 @@ class RecordedFile:
                         yield message
 
     def last(self, topic: str, before: float | None = None) -> Recorded | None:
-        """The last message of a topic with t <= before [s], read from the end. Raises BadInput for what is no time."""
+        """Return the last message of a topic with t <= before [s], read from the end. Raises BadInput."""
         if not isinstance(before, int | float | None):
             raise BadInput("a time is a number [s]", str(self.path), field="t", value=before)
         wanted = self._channels([topic])
         limit = 2**64 if before is None else round(before * 1e9)
         for chunk in reversed(self.layout.chunks):
             if chunk.message_start_time <= limit:
-                found = [m for m in self._in_chunk(chunk, wanted) if m.log_time <= limit]
-                if found:
-                    return found[-1]
+                matches = [m for m in self._in_chunk(chunk, wanted) if m.log_time <= limit]
+                if matches:
+                    return matches[-1]
         return None
 
     def _channels(self, topics: Iterable[str] | None) -> frozenset[int]:
@@ -164,11 +164,11 @@ class RecordedFile:
         )  # fmt: skip
 
     def _in_chunk(self, chunk: ChunkIndex, wanted: frozenset[int]) -> Iterator[Recorded]:
-        """Messages of some channels in a chunk; one that holds none of them is not read."""
+        """Yield messages of some channels in a chunk; a chunk without them is not read."""
         if wanted.isdisjoint(chunk.message_index_offsets):
             return
         with self.damage_reported():
-            at, messages = self._read  # who looks for one frame after the other is in the same chunk for many of them
+            at, messages = self._read  # many consecutive frames are in the same chunk
             if at != chunk.chunk_start_offset:
                 messages = read_messages(self._stream, chunk, self.layout.size)
                 self._read = chunk.chunk_start_offset, messages
@@ -177,19 +177,19 @@ class RecordedFile:
                     yield Recorded(self._topics[m.channel_id], m.sequence, m.log_time, m.publish_time, bytes(m.data))
 
     def arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
-        """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""
+        """Return arrays and text of a message; empty for None. Raises BadInput where it is damaged."""
         if message is None:
             return {}, {}
         with self.damage_reported(message):
             return decode_arrays(message.payload)
 
     def points(self, message: Recorded) -> Float:
-        """(n, 3) positions [m] in a message of `sim/state`. Raises BadInput where it is damaged."""
+        """Return the positions (n, 3) [m] in a message of `sim/state`. Raises BadInput where it is damaged."""
         with self.damage_reported(message):
             return decode_points(message.payload)
 
     def json(self, payload: bytes | str) -> dict[str, Any]:
-        """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
+        """Return the mapping in a message; empty for anything else. Raises BadInput where it is damaged."""
         try:
             if len(payload) > MOST_TEXT:
                 raise ValueError(f"a text of {len(payload):,} bytes")
@@ -199,7 +199,7 @@ class RecordedFile:
         return value if isinstance(value, dict) else {}
 
     def said(self, message: Recorded) -> dict[str, Any]:
-        """What a message of text says. Raises BadInput for one that is not of its topic's schema, or of no frame."""
+        """Return the fields of a JSON message. Raises BadInput for one that violates its schema, or has a bad frame."""
         topic = topic_of(message.topic)
         with self.damage_reported(message):
             value = self.json(message.payload)
@@ -212,7 +212,7 @@ class RecordedFile:
 
     @contextmanager
     def damage_reported(self, message: Recorded | None = None) -> Iterator[None]:
-        """What is wrong with a message, or the file itself, as BadInput."""
+        """Raise errors of a message, or of the file itself, as BadInput."""
         place = f"{message.topic} {message.seq} at {message.t:g} s: " if message else ""
         try:
             yield

@@ -1,4 +1,4 @@
-"""What a recording lacks, and what it holds twice: told by its numbers, its closing counts and its frames."""
+"""Missing and doubled messages of a recording, by their numbers, the closing counts and the frames."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from nuno.recording.recorded import Recorded
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE, STATUS
 
 FRAMES = ((STATUS.name, STATE.name), (DYE_STATUS.name, CONCENTRATION.name))
-"""Topics of which each frame has one message."""
+"""Topics with one message for each frame."""
 
 
 @dataclass(frozen=True)
 class Lacks:
-    """Messages per topic that are not there, and that are there more than once."""
+    """Numbers of missing and of doubled messages by topic."""
 
     missing: dict[str, int]
     doubled: dict[str, int]
 
     def __str__(self) -> str:
-        """In words; empty where all is there."""
+        """Return the numbers in words; empty if nothing is missing or doubled."""
         lost, twice = counted(self.missing), counted(self.doubled)
         return "; ".join(filter(None, (lost and f"missing: {lost}", twice and f"more than once: {twice}")))
 
@@ -33,10 +33,10 @@ NOTHING = Lacks({}, {})
 
 
 def count_gaps(messages: Iterable[Recorded]) -> dict[str, int]:
-    """How many numbers of each topic are left out before a later one, in messages as they stand in a file.
+    """Return how many numbers of each topic are missing before a later one, in messages in the order of a file.
 
-    Every sender numbers each of its topics from 0 on. A run that goes on from another's checkpoint counts anew; the
-    part that was copied ends where the checkpoint stood, and lacks nothing before it.
+    Every sender numbers each of its topics from 0 on. A resumed run starts at 0 again; the part that it copied ends at
+    the checkpoint, and is complete before it.
     """
     following, lost = Counter[str](), Counter[str]()
     for message in messages:
@@ -46,11 +46,10 @@ def count_gaps(messages: Iterable[Recorded]) -> dict[str, int]:
 
 
 def find_lacks(recording: Recording) -> Lacks:
-    """What a recording lacks. Reads all of it.
+    """Find the missing and doubled messages of a recording. Reads all of it.
 
-    A recorder that was asked to finish knew what had been sent, also after the last message that came. It is not
-    believed alone: the file may have been changed since. Of a run that was killed only the file tells, and of what it
-    does not reach nobody knows.
+    A recorder that had to finish knew all sent messages, also those after its last. Its counts are not trusted alone:
+    the file may have been changed since. After a killed run only the file shows gaps, and its end is unknown.
     """
     found, times = Counter[str](), {topic: Counter[int]() for pair in FRAMES for topic in pair}
     numbers = {status: set[int]() for status, _ in FRAMES}
@@ -67,7 +66,7 @@ def find_lacks(recording: Recording) -> Lacks:
     lost = Counter(count_gaps(counting())) | _uncounted(recording, found)
     rare = (recording.scene.get("record") or {}).get("dye_every") is not None
     for status, published in FRAMES[: 1 if rare else 2]:
-        # What is cut ends between two messages of a frame.
+        # A cut file may end between two messages of a frame.
         last = min(max(times[one], default=-1) for one in (status, published)) if recording.recovered else 2**64
         for one, other in ((status, published), (published, status)):
             lost |= Counter({one: sum(t <= last for t in times[other].keys() - times[one].keys())})
@@ -78,15 +77,15 @@ def find_lacks(recording: Recording) -> Lacks:
 
 
 def _uncounted(recording: Recording, found: Mapping[str, int]) -> Counter[str]:
-    """What is missing by the closing metadata, of so many messages."""
+    """Return the messages that are missing by the closing metadata, given the numbers `found`."""
     counts = {topic: number - found.get(topic, 0) for topic, number in recording.numbers("counts").items()}
     return Counter(recording.missing) | Counter(counts)
 
 
 def shortcoming(recording: Recording, lacks: Lacks | None = None) -> str:
-    """Why a recording is not complete, in one line for a person; empty where it is.
+    """Return why a recording is incomplete, in one line; empty if it is complete.
 
-    Without `lacks`, of a recording that was finished only by its closing metadata and its index.
+    Without `lacks`, a finished recording is only checked by its closing metadata and its index.
     """
     if lacks is None:
         finished = END in recording.metadata and not recording.recovered
@@ -94,13 +93,13 @@ def shortcoming(recording: Recording, lacks: Lacks | None = None) -> str:
     if recording.complete and not str(lacks):
         return ""
     if recording.growing:
-        seen = f"its run goes on, and is recorded up to {recording.span[1]:g} s"
+        reason = f"its run goes on, and is recorded up to {recording.span[1]:g} s"
     elif recording.damage:
-        seen = f"{recording.damage}, and read up to {recording.span[1]:g} s"
+        reason = f"{recording.damage}, and read up to {recording.span[1]:g} s"
     elif recording.recovered:
-        seen = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
+        reason = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
     else:
         state = recording.metadata.get(END, {}).get("state", "")
         ended = f"was {state} by {SIGNALS[state]}" if state in SIGNALS else "" if str(lacks) else "failed"
-        seen = ended and f"its run {ended}"
-    return "INCOMPLETE: " + "; ".join(filter(None, (seen, str(lacks))))
+        reason = ended and f"its run {ended}"
+    return "INCOMPLETE: " + "; ".join(filter(None, (reason, str(lacks))))

@@ -1,8 +1,8 @@
-"""Where everything stands in a recording, from a scan of all of it.
+"""Layout of a recording, from a scan of the whole file.
 
-Records are the mcap library's. Around them no length in the file is believed before it is compared with the file's
-size, and no chunk before its checksum fits: the library reads cut records short without a word, and unpacks whatever a
-chunk says it holds. Weighed: to go by the index, which reads less; but all has to be read to know that it is whole.
+Records are the mcap library's. No length in the file is trusted before it is compared with the file's size, and no
+chunk before its checksum matches: the library returns cut records silently, and unpacks a chunk to any size.
+Rejected: the index, which needs less reading; but only a full read shows that the file is whole.
 """
 
 from __future__ import annotations
@@ -42,52 +42,51 @@ from nuno.recording.mcap_file import LATEST, MAGIC
 from nuno_schemas.errors import BadInput
 
 PIECE = 1 << 20
-"""Bytes that are unpacked at once."""
+"""Bytes that are unpacked in one read."""
 MOST_TOPICS, PRIVATE = 1000, 0x80
 FREE, PACKED = 1 << 24, 200
-"""A file may unpack to FREE bytes and PACKED times its size: what moves packs to a half, what rests to a hundredth."""
+"""A file may unpack to FREE bytes plus PACKED times its size: moving cloth packs to a half, cloth at rest to 1%."""
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
-BESIDE = (Header, Schema, Channel, Message, MessageIndex, DataEnd, NoneType)
-"""What else may stand among the data: records of another program's own, too, from PRIVATE on."""
+OTHER_RECORDS = (Header, Schema, Channel, Message, MessageIndex, DataEnd, NoneType)
+"""Other allowed records in the data; private ones of other programs begin at PRIVATE."""
 
 
 class Damaged(Exception):
-    """Bytes that are not what they should be; never leaves this package."""
+    """The file has invalid bytes; this error is internal to the package."""
 
 
 class _Absent(Damaged):
-    """What is not there: the end of a file that is cut."""
+    """The end of the file is missing."""
 
 
 @dataclass
 class Layout:
-    """The table of contents of a recording; attachments are the places of their records in the file."""
+    """The table of contents of a recording; attachments are the positions of their records in the file."""
 
     size: int
-    """Bytes of the file."""
+    """Size of the file [bytes]."""
     indexed: bool
-    """Whether it is whole: it was finished, and all checksums fit."""
+    """Whether the file is whole: it was finished, and all checksums match."""
     readable: int
     """Bytes up to the end of the last whole record."""
     damage: str = ""
-    """What is damaged, and where, in words; empty for a file that is whole, or only cut."""
+    """The damage and its place in words; empty for a file that is whole, or only cut."""
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     attachments: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
     unpacked: int = 0
-    """Bytes of all chunks, by what these say."""
+    """Unpacked size of all chunks, as they declare it [bytes]."""
 
 
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
-    """The layout of an open file, all of which is read, up to the first record that is cut or damaged. A file that is
-    attached is held to its checksum where it is asked for: damaged, it hides no message.
+    """Read the layout of an open file, up to the first record that is cut or damaged. The checksum of an attached file
+    is checked only when that is read: its damage hides no message.
 
-    Raises BadInput where it is no recording at all, and for messages without chunks: nothing would tell damaged ones
-    from others.
+    Raises BadInput where the file is no recording, and for messages without chunks, whose damage would not show.
     """
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
@@ -110,7 +109,7 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
             elif isinstance(record, Message) and not layout.chunks:
                 problem, remedy = "its messages stand outside of chunks", "write it with chunks"
                 raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
-            elif not isinstance(record, BESIDE):
+            elif not isinstance(record, OTHER_RECORDS):
                 raise Damaged(f"no record of data at byte {at:,}")
             layout.readable = end
         _check_end(stream, record, at, size)
@@ -124,22 +123,22 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
 
 
 def _check_limits(layout: Layout, path: Path) -> Layout:
-    """The same layout. Raises BadInput for what would take far more time and memory than a file of its size should."""
+    """Return the layout. Raises BadInput for one that would take far more time and memory than a file of its size."""
     limits = {
         "topics": (len(layout.channels), MOST_TOPICS),
         "bytes, unpacked": (layout.unpacked, FREE + PACKED * layout.size),
     }
-    for what, (number, most) in limits.items():
+    for noun, (number, most) in limits.items():
         if number > most:
-            problem, remedy = f"the recording holds {number:,} {what}", "record its scene again: no run records that"
+            problem, remedy = (f"the recording holds {number:,} {noun}", "record its scene again: no run records that")
             limit = f"{most:,}, of a file of {layout.size:,} bytes"
             raise BadInput(problem, str(path), limit=limit, remedy=remedy)
     return layout
 
 
 def read_record(stream: BinaryIO, at: int, size: int, whole: bool = True) -> tuple[McapRecord | None, int]:
-    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged; a
-    file that is attached is held to its checksum only where it is to be `whole`.
+    """Read the record at a byte of a file, None for an unknown kind; return it and its end. Raises Damaged; the
+    checksum of an attached file is checked only if `whole`.
     """
     head = _read_at(stream, at, _HEAD.size, size)
     opcode, length = _HEAD.unpack(head)
@@ -158,15 +157,15 @@ def read_record(stream: BinaryIO, at: int, size: int, whole: bool = True) -> tup
 
 
 def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Message]:
-    """The messages of a chunk, in order. Raises Damaged."""
+    """Read the messages of a chunk, in order. Raises Damaged."""
     record, _ = read_record(stream, chunk.chunk_start_offset, size)
     if not isinstance(record, Chunk):
         raise Damaged(f"no chunk at byte {chunk.chunk_start_offset}")
-    return [one for one in _records_of(record) if isinstance(one, Message)]
+    return [item for item in _records_of(record) if isinstance(item, Message)]
 
 
 def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
-    """A piece of a file. Raises Damaged where it does not lie in the file."""
+    """Read a piece of a file. Raises Damaged where it is not within the file."""
     if at < 0 or length < 0 or at + length > size:
         raise _Absent(f"{length:,} bytes are to stand at byte {at:,}")
     stream.seek(at)
@@ -175,7 +174,7 @@ def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
 
 @contextmanager
 def _damage() -> Iterator[None]:
-    """Whatever the libraries, each of which has errors of its own, make of bytes that are not what they should be."""
+    """Raise any error of the libraries about invalid bytes as Damaged."""
     try:
         yield
     except Damaged:
@@ -185,13 +184,13 @@ def _damage() -> Iterator[None]:
 
 
 def _fits(crc: int, data: bytes | memoryview) -> bool:
-    """Whether a checksum is that of data. By the format, 0 stands for none: what other programs write may have none."""
+    """Return whether a checksum matches data. In the format, 0 is no checksum: other programs may write none."""
     return crc in (0, zlib.crc32(data))
 
 
 def _check_end(stream: BinaryIO, data_end: DataEnd, at: int, size: int) -> None:
-    """Raises Damaged where what stands before the end of the data, at byte `at`, or the index behind it, is not as it
-    was written. By itself the index is not needed.
+    """Raise Damaged where the data before their end, at byte `at`, or the index after it, do not match their checksums.
+    The index itself is not needed.
     """
     crc = 0
     for piece in range(0, at if data_end.data_section_crc else 0, PIECE):
@@ -206,23 +205,23 @@ def _check_end(stream: BinaryIO, data_end: DataEnd, at: int, size: int) -> None:
 
 
 def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
-    found: Counter[int] = Counter()
+    counts: Counter[int] = Counter()
     size = chunk.uncompressed_size
     for record in _records_of(chunk):
         if isinstance(record, Message):
-            found[record.channel_id] += 1
+            counts[record.channel_id] += 1
         else:
             layout.channels[record.id] = record
-    layout.counts += found
-    held, (start, stop) = dict.fromkeys(found, 0), (chunk.message_start_time, chunk.message_end_time)
-    index = ChunkIndex(end - at, at, chunk.compression, len(chunk.data), stop, 0, held, start, size)
+    layout.counts += counts
+    channels, (start, stop) = dict.fromkeys(counts, 0), (chunk.message_start_time, chunk.message_end_time)
+    index = ChunkIndex(end - at, at, chunk.compression, len(chunk.data), stop, 0, channels, start, size)
     layout.chunks.append(index)
 
 
 def _records_of(chunk: Chunk) -> Iterator[Message | Channel]:
-    """A chunk's messages and channels, when its checksum fits. Raises Damaged.
+    """Yield a chunk's messages and channels, if its checksum matches. Raises Damaged.
 
-    The library's reader takes zeros for records without end, and copies each message twice.
+    The library's reader loops forever on zeros, and copies each message twice.
     """
     with _damage():
         data = _unpack(chunk) if chunk.compression else chunk.data
@@ -246,11 +245,11 @@ def _records_of(chunk: Chunk) -> Iterator[Message | Channel]:
 
 
 def _unpack(chunk: Chunk) -> bytes:
-    """What a chunk holds: at most what it says and a piece, whatever it would unpack to. Raises Damaged, and more."""
+    """Unpack a chunk, at most to its declared size and one piece more. Raises Damaged, and the libraries' errors."""
     opened: Callable[[io.BytesIO], BinaryIO]
     if chunk.uncompressed_size > psutil.virtual_memory().available:
         raise Damaged(f"a chunk would unpack to {chunk.uncompressed_size} bytes, more than the memory that is free")
-    # As the format names them: https://mcap.dev/spec/registry.
+    # Names of the format: https://mcap.dev/spec/registry.
     if chunk.compression == "lz4":
         import lz4.frame
 

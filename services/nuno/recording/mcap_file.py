@@ -1,7 +1,7 @@
 """One indexed MCAP file, written without copying payloads.
 
-Weighed: the mcap library's writer, which copies a message into its chunk and the chunk into a
-record: beside a checkpoint's payload it allocates twice as much, where a tenth is allowed
+Rejected: the mcap library's writer, which copies a message into its chunk and the chunk into a
+record: it allocates twice a checkpoint's payload, where a tenth is allowed
 (tests/services/test_recording.py, `test_payloads_are_not_copied`). Here a chunk is a list of
 references to payloads until it is written; the small records are the library's own.
 Chunks are not compressed: mantissas of moving vertices do not shrink, and the solver needs the
@@ -41,7 +41,7 @@ MAGIC = b"\x89MCAP0\r\n"
 BINARY = "application/octet-stream"
 CHUNK_BYTES = 4 * 2**20
 LATEST = 2**32 * 10**9
-"""Times [ns] are before this: the formats that a recording is made of and exported to hold seconds in 32 bits."""
+"""Upper limit of times [ns]: the formats of recordings and exports have seconds in 32 bits."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<BQQQQIIQ")
 _RECORD_HEAD = 9
@@ -64,7 +64,7 @@ class _OpenChunk:
     start: int = 0
     end: int = 0
     places: dict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
-    """Per channel: (log time, offset in the chunk) of each message."""
+    """(log time, offset in the chunk) of each message, by channel."""
 
     def add(self, piece: bytes) -> None:
         self.pieces.append(piece)
@@ -81,7 +81,7 @@ class _OpenChunk:
 
 
 class McapFile:
-    """Writes to a stream that can seek. Any method may raise the stream's OSError."""
+    """Writes MCAP to a seekable stream. Any method may raise the stream's OSError."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -96,14 +96,14 @@ class McapFile:
         self._write(MAGIC, record_bytes(Header("nuno", "nuno")))
 
     def _write(self, *pieces: bytes) -> int:
-        """The number of bytes, which the checksum of all data has in it."""
+        """Write bytes and add them to the checksum of all data; return their number."""
         for piece in pieces:
             self._crc = zlib.crc32(piece, self._crc)
         self._stream.writelines(pieces)
         return sum(map(len, pieces))
 
     def add_channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, schema_data: bytes) -> int:
-        """The id of a new channel; a schema is written once."""
+        """Add a channel and return its id; a schema is written once."""
         if schema not in self._schemas:
             self._schemas[schema] = Schema(len(self._schemas) + 1, schema_data, schema_encoding, schema)
             self._chunk.add(record_bytes(self._schemas[schema]))
@@ -119,7 +119,7 @@ class McapFile:
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for `flush`; best called at CHUNK_BYTES."""
+        """Size of the chunk in progress [bytes]; `flush` is due at CHUNK_BYTES."""
         return self._chunk.size
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
@@ -146,7 +146,7 @@ class McapFile:
         self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, size, name, BINARY))
 
     def flush(self) -> None:
-        """Write the chunk in progress and its message indexes, and hand all to the system."""
+        """Write the chunk in progress and its message indexes, and flush the stream."""
         chunk, stream = self._chunk, self._stream
         if chunk.places:
             offset, size, times = stream.tell(), chunk.size, (chunk.start, chunk.end)

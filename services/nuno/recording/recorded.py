@@ -1,4 +1,4 @@
-"""What a recording holds: messages, frames and checkpoints, as its reader hands them out."""
+"""Contents of a recording, as its reader returns them: messages, frames and checkpoints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nuno_schemas.fabric import Float
 
 Arrays = dict[str, NDArray[Any]]
 MEMORY = "memory/"
-"""What arrays of a solver's memory begin with in a checkpoint."""
+"""Prefix of the arrays of a solver's memory in a checkpoint."""
 STATE = ("x", "v", "phi", "fixed")
 
 
@@ -43,13 +43,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The float64 state after a frame, with all solver memory: what a run resumes from.
+    """The float64 state after a frame, with all solver memory, from which a run can resume.
 
-    arrays  x and v (n, 3) [m, m/s], or of dye phi and fixed (dyes, 2, ny, nx); each array of the solver's memory as
-            memory/NAME, in which the vertices of renumbered cloth are those of numbers (n,) in turn; of objects that
-            operations have changed fabric/...; energy (2,) [J], see nuno.simulation.energy_growth; and resist
+    arrays  x and v (n, 3) [m, m/s], or phi and fixed (dyes, 2, ny, nx) of dye; each array of the solver's memory as
+            memory/NAME, with the vertices of renumbered cloth in the order of numbers (n,); fabric/... of objects that
+            operations have changed; energy (2,) [J], the account of nuno.simulation.energy_growth; and resist
             (2, ny, nx), B of the cells, where a resist was added during the run
-    text    frame, t [s], digest, dt [s], steps, and what the service says beside the arrays
+    text    frame, t [s], digest, dt [s], steps, and further fields of the service
     """
 
     arrays: Arrays
@@ -69,7 +69,7 @@ class Checkpoint:
 
     @property
     def state(self) -> Arrays:
-        """The state by itself."""
+        """The arrays of the state."""
         return {name: self.arrays[name] for name in STATE if name in self.arrays}
 
     @property
@@ -87,5 +87,5 @@ class Checkpoint:
 
 
 def per_dye(amounts: Float) -> Float:
-    """(dyes, 2, ny, nx) as people write it: without the first axis where there is one dye."""
+    """Return amounts (dyes, 2, ny, nx) without the first axis if there is one dye."""
     return amounts[0] if len(amounts) == 1 else amounts

@@ -1,4 +1,4 @@
-"""A recording's own scene, with the files it used, ready to run again."""
+"""Restoring the scene of a recording, with its files, to run it again or to resume it."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, FRAMES, RE
 from nuno_schemas.scene import Scene
 
 SETTLED = "settled_from", "settled"
-"""Arrays of `sim/fabric` that are `Loaded.settled`."""
+"""Names of the arrays of `Loaded.settled` in `sim/fabric`."""
 CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
-"""Events of the services that answer control."""
+"""Event topics of the services that answer control requests."""
 RESUMABLE = ("duration", "record", "view")
 """Fields that may change on resuming: with any other, the recording could not be simulated again."""
 
 
 def control_events(recording: Recording) -> list[Event]:
-    """What a user did to the run while it went on, in order: pause, resume, step, stop, set."""
+    """Return the control events of a run, in order: pause, resume, step, stop, set, add."""
     return [event for event in recording.events() if event.kind == "control"]
 
 
 @contextmanager
 def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Iterator[Loaded]:
-    """The scene as it was run, its files unpacked into a folder of their own meanwhile.
+    """Load the scene of a recording, with its files unpacked into a temporary folder.
 
-    Raises BadInput where the recording holds no scene, or one that this version refuses.
+    Raises BadInput where the recording has no scene, or one that this version refuses.
     """
     data = recording.scene
     if not data:
@@ -51,10 +51,10 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
                     raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(recording.attachment(name))
-            except (OSError, ValueError) as error:  # of no name, too long a one, one that is also a folder
+            except (OSError, ValueError) as error:  # no name, one that is too long, or that of a folder
                 problem = f"a file in the recording cannot be unpacked: {getattr(error, 'strerror', None) or error}"
                 raise BadInput(problem, str(recording.path), value=name) from None
-        scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
+        scene = base / "scene.yaml"  # JSON is YAML; services in separate processes read it, too
         scene.write_text(json.dumps(data))
         loaded = scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
         loaded.settled, loaded.recorded_sizes = settled_cloth(recording), recorded_sizes(recording)
@@ -64,7 +64,7 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
 
 
 def recorded_sizes(recording: Recording) -> dict[str, int]:
-    """See Loaded.recorded_sizes."""
+    """Return `Loaded.recorded_sizes` of a recording."""
     state, amounts = (next(recording.messages([topic]), None) for topic in FRAMES)
     phi = recording.arrays(amounts)[0].get("phi", np.zeros(0))
     sizes = {"cells": 2 * math.prod(phi.shape[-2:])} if phi.size else {}
@@ -72,13 +72,13 @@ def recorded_sizes(recording: Recording) -> dict[str, int]:
 
 
 def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:
-    """See Loaded.recorded_poses; those up to a time [s]."""
-    marks, found = recording.marks(), recording.messages([BODIES.name])
-    return {marks[one.log_time][0]: one.payload for one in found if one.log_time in marks and one.t <= until + 1e-9}
+    """Return `Loaded.recorded_poses` of a recording, up to a time [s]."""
+    marks, poses = recording.marks(), recording.messages([BODIES.name])
+    return {marks[m.log_time][0]: m.payload for m in poses if m.log_time in marks and m.t <= until + 1e-9}
 
 
 def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
-    """See Loaded.settled."""
+    """Return `Loaded.settled` of a recording."""
     if not recording.counts.get(FABRIC.name):
         return None
     arrays, _ = recording.fabric(0.0)
@@ -88,7 +88,7 @@ def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
 
 @contextmanager
 def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded, str]]:
-    """The scene of a recording, to go on with it, and from where, in words. Raises BadInput for what cannot change."""
+    """Load the scene of a recording to resume it; yield it and a text about it. Raises BadInput for a fixed field."""
     for item in overrides:
         field = item.partition("=")[0].split(".")[0]
         if field not in Scene.model_fields:
@@ -107,15 +107,15 @@ def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded
             raise BadInput(f"{recording.damage}: its scene may be another", str(path), remedy=remedy)
         with restored_scene(recording, tuple(overrides)) as loaded:
             t = check_unfinished(recording, loaded)
-            why = shortcoming(recording, NOTHING)
-            yield loaded, f"going on at {t:g} s of {path}{why and f' ({why})'}"
+            reason = shortcoming(recording, NOTHING)
+            yield loaded, f"going on at {t:g} s of {path}{reason and f' ({reason})'}"
 
 
 def check_unfinished(recording: Recording, loaded: Loaded) -> float:
-    """The time [s] at which a run of the recording's scene goes on. Raises BadInput where it cannot or need not."""
-    if strange := [topic for topic in recording.counts if topic_of(topic) is None]:
+    """Return the time at which a recording's run can resume [s]. Raises BadInput if it cannot, or is complete."""
+    if unknown_topics := [topic for topic in recording.counts if topic_of(topic) is None]:
         problem, remedy = "a run cannot go on with a topic that none records", "write the recording anew without it"
-        raise BadInput(problem, str(recording.path), value=strange[0], remedy=remedy)
+        raise BadInput(problem, str(recording.path), value=unknown_topics[0], remedy=remedy)
     t = recording.common_checkpoint().t
     frame, frames = round(t * loaded.scene.frame_rate), loaded.scene.frames
     if frame > frames or (frame == frames and recording.complete):
@@ -132,8 +132,8 @@ def check_unfinished(recording: Recording, loaded: Loaded) -> float:
 
 
 def copy_until(recording: Recording, writer: RecordingWriter) -> None:
-    """Write everything from before the last checkpoint, and the checkpoint itself: what a resumed run
-    has in common with the one it goes on from.
+    """Write all messages before the last checkpoint, and the checkpoint itself, which a resumed run has in common with
+    the recorded one.
     """
     checkpoint = recording.common_checkpoint()
     for message in recording.messages():

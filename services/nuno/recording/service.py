@@ -1,4 +1,4 @@
-"""The recorder: writes every recorded message of a run and acknowledges each frame."""
+"""The recorder service: writes every recorded message of a run and acknowledges each frame."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Header
 
 DRAIN_SECONDS = 10.0
-"""How long it must be quiet at the end until what was sent but has not arrived is given up. On a slow disk what has
-arrived may take longer than that to write, and is still written."""
+"""Time without a message after which missing ones are given up at the end [s]. Writing queued messages to a slow disk
+may take longer, and they are still written."""
 
 
 def main(context: Context) -> None:
-    """Record until asked to finish.
+    """Record until the query to finish.
 
-    The finishing question holds `expected` (messages sent per topic), `report` and `state`; the
-    answer holds the file, its counts and what is missing. If the supervisor goes, or this service is
-    interrupted, the file is closed as incomplete and kept. Raises BadInput where the file cannot be created, RunFailed
+    That query has `expected` (messages sent per topic), `report` and `state`; the reply has the
+    file, its counts and missing messages. If the supervisor goes, or this service is interrupted, the
+    file is closed as incomplete and kept. Raises BadInput where the file cannot be created, RunFailed
     when the disk is full.
     """
     path = context.options.record
     if path is None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
     inbox = Inbox(context.bus, [ALL])
-    folder, about = context.options.folder, describe_run(context.loaded, context.bus.run)
-    writer = RecordingWriter(folder / path, about, assets(context.loaded))
+    folder, metadata = context.options.folder, describe_run(context.loaded, context.bus.run)
+    writer = RecordingWriter(folder / path, metadata, assets(context.loaded))
     if context.options.resume is not None:
         try:
-            with open_recording(folder / context.options.resume) as before:
-                copy_until(before, writer)
+            with open_recording(folder / context.options.resume) as previous:
+                copy_until(previous, writer)
         except BaseException:
-            writer.discard()  # what is gone on from is still whole
+            writer.discard()  # the resumed recording is still whole
             raise
     recorder = Recorder(context, inbox, writer)
     try:
-        question = each_message(context, inbox, recorder.handle)
-        answer = {} if question.json().get("discard") else recorder.finish(question)
+        query = each_message(context, inbox, recorder.handle)
+        answer = {} if query.json().get("discard") else recorder.finish(query)
     except (RunFailed, KeyboardInterrupt):
         if not writer.closed:
             recorder.close("failed", {})
@@ -59,20 +59,20 @@ def main(context: Context) -> None:
         inbox.close()
     if not writer.closed:
         writer.discard()
-    question.answer_json(answer)
+    query.answer_json(answer)
 
 
 class Recorder:
-    """A writer fed by an inbox."""
+    """Writes the messages of an inbox to a recording."""
 
     def __init__(self, context: Context, inbox: Inbox, writer: RecordingWriter) -> None:
         self._context, self._inbox, self._writer = context, inbox, writer
         self._digests: dict[str, str] = {}
-        """Of the last frame, by topic."""
-        self._told: set[str] = set()
-        """Topics of which it was said that some are missing."""
-        self._before = dict(writer.counts)
-        """Messages copied from the run that this one goes on from."""
+        """Digest of the last frame, by topic."""
+        self._warned: set[str] = set()
+        """Topics with a warning of missing messages."""
+        self._copied = dict(writer.counts)
+        """Numbers of messages copied from the resumed recording, by topic."""
 
     def handle(self, message: Message) -> None:
         """Write one message; acknowledge a frame once the writer has it."""
@@ -86,31 +86,31 @@ class Recorder:
         except BadMessage:
             self._inbox.refuse(message)
             return
-        if message.skipped and message.topic not in self._told:
-            self._told.add(message.topic)
+        if message.skipped and message.topic not in self._warned:
+            self._warned.add(message.topic)
             text = f"{message.skipped} of {message.topic} never came: the recording is incomplete"
             self._context.event("warning", text, header.frame, header.t)
         if message.topic in FRAMES:
             self._digests[message.topic] = header.digest
             self._context.acknowledge(header.frame, header.t)
 
-    def finish(self, question: Query) -> dict[str, Any]:
-        """Wait for what was sent, add the report, close the file; counts for the answer."""
-        wanted = question.json()
-        sent = wanted.get("expected", {})
+    def finish(self, query: Query) -> dict[str, Any]:
+        """Wait for all sent messages, add the report, close the file; return the reply."""
+        request = query.json()
+        sent = request.get("expected", {})
         expected = {str(topic): int(number) for topic, number in sent.items() if topic_of(topic) is not None}
         self._drain(expected)
-        report = wanted.get("report")
+        report = request.get("report")
         if report is not None:
             header = Header(run=self._context.bus.run, service=self._context.bus.service, seq=0, frame=-1, t=0.0)
             self._writer.write(REPORT.name, header, json.dumps(report).encode())
-        return self.close(str(wanted.get("state", "done")), expected)
+        return self.close(str(request.get("state", "done")), expected)
 
     def close(self, state: str, expected: dict[str, int]) -> dict[str, Any]:
         """Write the closing metadata and finish the file.
 
-        Only a run that was asked to finish and lost nothing is complete: without the expected
-        counts, nobody knows what was sent.
+        Only a run that ended in order and lost nothing is complete: without the expected counts,
+        the sent messages are unknown.
         """
         counts, missing = self._writer.counts, self._missing(expected)
         end = {
@@ -137,27 +137,27 @@ class Recorder:
 
     def _drain(self, expected: dict[str, int]) -> None:
         end = time.monotonic() + DRAIN_SECONDS
-        while time.monotonic() < end and any(self._seen(topic) < number for topic, number in expected.items()):
+        while time.monotonic() < end and any(self._accounted(topic) < number for topic, number in expected.items()):
             item = self._inbox.get(timeout=0.1)
             if isinstance(item, Message):
                 self.handle(item)
                 end = time.monotonic() + DRAIN_SECONDS
 
-    def _seen(self, topic: str) -> int:
-        """Messages that came, or never will because later ones came."""
+    def _accounted(self, topic: str) -> int:
+        """Return the number of messages that arrived, or are lost since later ones arrived."""
         return self._inbox.counts.received[topic] + self._inbox.counts.missing[topic]
 
     def _written(self, topic: str) -> int:
-        """Messages of this run in the file."""
-        return self._writer.counts[topic] - self._before.get(topic, 0)
+        """Return the number of this run's messages in the file."""
+        return self._writer.counts[topic] - self._copied.get(topic, 0)
 
     def _refused(self) -> dict[str, int]:
-        """Messages dropped per topic; acknowledgements are for the service that steps to judge."""
+        """Return refused messages by topic; the stepping service checks acknowledgements itself."""
         counts = self._inbox.counts.refused
         return {topic: number for topic, number in counts.items() if number and not topic.startswith(f"{ACK.name}/")}
 
     def _missing(self, expected: dict[str, int]) -> dict[str, int]:
-        """What is not in the file, per topic: lost on the way, or refused by the writer."""
+        """Return messages missing in the file by topic: lost on the way, or refused by the writer."""
         topics = {*expected, *(topic for topic in self._inbox.counts.missing if topic_of(topic) is not None)}
         lost = {
             topic: max(expected.get(topic, 0) - self._written(topic), self._inbox.counts.missing[topic])

@@ -1,4 +1,4 @@
-"""Writes a run's recording: crash-safe while it grows, renamed when it is whole."""
+"""Writer of a run's recording, crash-safe while it grows and renamed at its end."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
 
 FLUSH_SECONDS = 0.5
-"""At most this much wall time is lost when the process is killed."""
+"""Most wall time that is lost if the process is killed [s]."""
 
 
 def topic_of(name: str) -> Topic | None:
-    """The topic of a recorded message; each service has an event topic of its own."""
+    """Return the topic of a recorded message, None for others; each service has its own topic of events."""
     if name.startswith(EVENT.name + "/"):
         return Topic(name, EVENT.encoding, EVENT.schema)
     topic = TOPICS.get(name)
@@ -34,7 +34,7 @@ def topic_of(name: str) -> Topic | None:
 
 
 def check_payload(topic: Topic, payload: bytes) -> None:
-    """Raises BadMessage for bytes that are not of their topic's encoding; arrays are not decoded."""
+    """Raise BadMessage for bytes that violate their topic's encoding; arrays are not decoded."""
     model = MODELS.get(topic.schema)
     if topic.encoding == "protobuf":
         check_protobuf(payload)
@@ -46,7 +46,7 @@ def check_payload(topic: Topic, payload: bytes) -> None:
 
 
 def schema_of(topic: Topic) -> tuple[str, bytes]:
-    """Encoding and text of a topic's schema."""
+    """Return encoding and text of a topic's schema."""
     if topic.encoding == "protobuf":
         return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else foxglove_schema(topic.schema)
     model = MODELS.get(topic.schema)
@@ -55,12 +55,12 @@ def schema_of(topic: Topic) -> tuple[str, bytes]:
 
 
 def part_of(path: Path) -> Path:
-    """Where a recording is written until it is whole."""
+    """Return the path of an unfinished recording."""
     return path.with_name(path.name + ".part")
 
 
 def check_target(path: Path) -> None:
-    """Raises BadInput where a recording could not be written, and leaves nothing behind."""
+    """Raise BadInput where a recording could not be written; leaves no file."""
     _open(path).close()
     part_of(path).unlink()
 
@@ -75,7 +75,7 @@ def _open(path: Path) -> BinaryIO:
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
         stream = part.open("xb")
-        hold(stream.fileno())  # who reads it sees that it grows
+        hold(stream.fileno())  # readers see by the lock that it grows
         return stream
     except FileExistsError:
         remedy = "it is being written, or its run was killed: choose another name, or move it away"
@@ -98,7 +98,7 @@ class RecordingWriter:
     attachments  name -> bytes or path, the files that the scene used
 
     Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
-    full): the ".part" then ends with its last whole chunk and reads up to there.
+    full): the ".part" then ends with its last whole chunk, and can be read.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class RecordingWriter:
         self.seconds = 0.0
         self.bytes = 0
         self._stream = _open(path)
-        self._whole = 0
+        self._last_whole = 0
         self._channels: dict[str, int] = {}
         self._latest = 0
         try:
@@ -120,14 +120,14 @@ class RecordingWriter:
                 self._file.add_attachment(name, data)
             self._flush()
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._failure(error) from None
 
     def write(self, topic: str, header: Header, payload: bytes) -> None:
-        """Add a message; what is older than half a second of wall time is flushed.
+        """Add a message; messages older than half a second of wall time are flushed.
 
         The MCAP sequence is the header's, the log time is simulation time [ns] and the publish
-        time wall time [ns]. Messages outside any frame take the latest simulation time, so that
-        they stand where they happened. Raises BadMessage for a topic or header that cannot be
+        time wall time [ns]. Messages outside any frame have the latest simulation time, so that
+        they keep their order. Raises BadMessage for a topic or header that cannot be
         recorded, RunFailed when the disk is full.
         """
         start = time.perf_counter()
@@ -145,13 +145,13 @@ class RecordingWriter:
             if urgent or self._file.pending >= CHUNK_BYTES or time.monotonic() - self._flushed > FLUSH_SECONDS:
                 self._flush()
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._failure(error) from None
         self.counts[topic] += 1
         self.bytes += len(payload)
         self.seconds += time.perf_counter() - start
 
     def finish(self, metadata: dict[str, dict[str, str]]) -> Path:
-        """Write closing metadata and the index, make it durable, give it its name."""
+        """Write closing metadata and the index, make the file durable, and rename it."""
         try:
             # The last messages come before the closing metadata, also in a file cut in between.
             self._flush()
@@ -163,7 +163,7 @@ class RecordingWriter:
             part_of(self.path).replace(self.path)
             _sync_folder(self.path.parent)
         except OSError as error:
-            raise self._failed(error) from None
+            raise self._failure(error) from None
         return self.path
 
     @property
@@ -171,12 +171,12 @@ class RecordingWriter:
         return self._stream.closed
 
     def abort(self) -> None:
-        """Leave the unfinished file, cut after its last whole chunk."""
+        """Close the unfinished file, cut after its last whole chunk."""
         if not self.closed:
-            _close_cut(self._stream, self._whole)
+            _close_cut(self._stream, self._last_whole)
 
     def discard(self) -> None:
-        """Leave no file."""
+        """Close and remove the unfinished file."""
         self.abort()
         part_of(self.path).unlink(missing_ok=True)
 
@@ -191,18 +191,18 @@ class RecordingWriter:
         self._file.flush()
         if os.fstat(self._stream.fileno()).st_nlink == 0:
             raise OSError(errno.ENOENT, "its file or folder was removed")
-        self._whole = self._stream.tell()
+        self._last_whole = self._stream.tell()
         self._flushed = time.monotonic()
 
-    def _failed(self, error: OSError) -> RunFailed:
-        part, whole = part_of(self.path), self._whole
+    def _failure(self, error: OSError) -> RunFailed:
+        part, end = part_of(self.path), self._last_whole
         self.abort()
-        kept = f"{part} reads up to byte {whole}" if part.exists() else f"nothing is left of {part}"
+        kept = f"{part} reads up to byte {end}" if part.exists() else f"nothing is left of {part}"
         return RunFailed(f"recording stopped: {error.strerror or error}; {kept}")
 
 
 def _close_cut(stream: BinaryIO, size: int) -> None:
-    """Close and cut to `size`: closing writes what is buffered, and on a full disk fails again."""
+    """Close and cut to `size`: closing writes the buffer, and fails again on a full disk."""
     path = stream.name
     with contextlib.suppress(OSError):
         stream.close()
@@ -211,7 +211,7 @@ def _close_cut(stream: BinaryIO, size: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename durable, where the system lets a folder be opened."""
+    """Make a rename durable, where the system can open a folder."""
     if hasattr(os, "O_DIRECTORY"):
         handle = os.open(folder, os.O_DIRECTORY)
         try:

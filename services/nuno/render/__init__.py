@@ -1,1 +1,1 @@
-"""Pictures of yarns by rays while a scene runs."""
+"""Ray-traced pictures of yarns during a run."""

@@ -1,4 +1,4 @@
-"""Draws the yarns of a scene, without a recording: from the scene and where its points are."""
+"""Drawing of a scene's yarns without a recording, from the scene and its positions."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.yarn_picture import Worn
 
 TRIAL = (16, 16)
-"""Pixels of the picture that shows, before anything starts, whether there can be one."""
+"""Size in pixels of the trial picture, which shows errors before anything starts."""
 
 
 class Artist:
-    """Draws frames of one scene with one camera, fitted to the first of them.
+    """Draws frames of one scene with one camera, which is fitted to the first frame.
 
-    Raises BadInput for a scene without yarns, and for what its style cannot draw.
+    Raises BadInput for a scene without yarns, and for one that its style cannot draw.
     """
 
     def __init__(self, loaded: Loaded) -> None:
@@ -50,7 +50,7 @@ class Artist:
             raise loaded.at("view", error) from None
 
     def draw(self, frame: Frame) -> bytes:
-        """A PNG file. Raises BadInput for a frame that cannot be drawn."""
+        """Return a frame's picture as PNG. Raises BadInput for a frame that cannot be drawn."""
         from PIL import Image
 
         if not np.isfinite(frame.x).all():
@@ -62,7 +62,7 @@ class Artist:
         return stream.getvalue()
 
     def show(self, frame: Frame) -> Worn:
-        """Yarns, bodies and other cloth of a frame."""
+        """Return yarns, bodies and other cloth of a frame."""
         meshes = []
         if self.bodies is not None and self.shapes is not None and len(self.shapes.vertices):
             at = self.shapes.at(self.bodies.poses(frame.t))

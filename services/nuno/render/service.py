@@ -1,7 +1,7 @@
-"""The render service: draws yarns of some frames by rays, and publishes the pictures.
+"""The render service: draws yarns of some frames by ray tracing, and publishes the pictures.
 
-Frames are taken in as they come and drawn in a thread of their own, so that the cloth never waits for a picture; at the
-end of the run what is left is drawn before the recording is closed.
+Frames are queued as they arrive and drawn in a separate thread, so that the cloth never waits for a picture; at the end
+of the run, the queue is drawn before the recording is closed.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from nuno_schemas.messages import PICTURE, STATE
 
 
 class Render:
-    """Pictures of one run."""
+    """Draws the pictures of one run."""
 
     def __init__(self, context: Context, artist: Artist) -> None:
         scene = context.loaded.scene
         self.context, self.artist = context, artist
         every = scene.view.pictures
         self.every = None if every == "end" or every is None else scene.in_frames(every)
-        """Frames between two pictures; None: the last frame alone."""
+        """Frames from one picture to the next; None draws only the last frame."""
         self.last: Frame | None = None
         self.queued = -1
-        """The newest frame that is to be drawn."""
+        """The newest queued frame."""
         self.pictures, self.undrawn, self.seconds = 0, 0, 0.0
         self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._draw_all, name="pictures", daemon=True)
         self._thread.start()
 
     def take(self, message: Message) -> None:
-        """Keep a frame, and have it drawn if it is due. Raises BadMessage."""
+        """Keep a frame, and queue it if it is due. Raises BadMessage."""
         header = message.header
         self.last = Frame(header.frame, header.t, header.digest, decode_points(message.payload))
         if self.every is not None and (self.queued < 0 or header.frame % self.every == 0):
             self._queue(self.last)
 
     def end(self, draw_last: bool) -> None:
-        """Draw the last frame, unless it has been, and no more; without it those that wait are left undrawn."""
+        """End after the queue and the last frame; without `draw_last`, drop the queue."""
         if not draw_last:
             self.drop()
         elif self.last is not None and self.last.number != self.queued:
@@ -55,7 +55,7 @@ class Render:
         self._frames.put(None)
 
     def drop(self) -> None:
-        """Leave undrawn what waits."""
+        """Drop the queue."""
         with contextlib.suppress(queue.Empty):
             while self._frames.get_nowait() is not None:
                 self.undrawn += 1
@@ -63,11 +63,11 @@ class Render:
 
     @property
     def drawing(self) -> bool:
-        """Whether there are pictures to wait for."""
+        """Whether pictures are still being drawn."""
         return self._thread.is_alive()
 
-    def told(self) -> dict[str, Any]:
-        """What was drawn, and what was not."""
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers of drawn and dropped pictures, and the time [s]."""
         return {"pictures": self.pictures, "seconds": self.seconds, "undrawn": self.undrawn}
 
     def _queue(self, frame: Frame) -> None:
@@ -88,7 +88,7 @@ class Render:
 
 
 def main(context: Context) -> None:
-    """Draw one run until asked to finish. Raises BadInput for a scene that cannot be drawn."""
+    """Draw one run until the query to finish. Raises BadInput for a scene that cannot be drawn."""
     inbox = Inbox(context.bus, [STATE])
     render = Render(context, Artist(context.loaded))
 
@@ -98,15 +98,15 @@ def main(context: Context) -> None:
         except BadMessage:
             inbox.refuse(message)
 
-    question = each_message(context, inbox, handle)
+    query = each_message(context, inbox, handle)
     while isinstance(item := inbox.get(0), Message):
         handle(item)
-    questions = [question]
-    render.end(draw_last=not question.json().get("error"))
+    queries = [query]
+    render.end(draw_last=not query.json().get("error"))
     while render.drawing:
         again = inbox.get(0.1)
         if isinstance(again, Query) and asks_to_finish(inbox, again):  # the user would not wait
             render.drop()
-            questions.append(again)
-    for each in questions:
-        each.answer_json(context.counts(inbox) | render.told())
+            queries.append(again)
+    for each in queries:
+        each.answer_json(context.counts(inbox) | render.summary())

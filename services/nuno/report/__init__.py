@@ -1,1 +1,1 @@
-"""What is said of a run at its end: made from what services counted, and shown to a person."""
+"""The report of a run, made from its services' counts, and its text."""

@@ -1,4 +1,4 @@
-"""The report at the end of a run: how fast, how accurate, how far from the limit, what was left out."""
+"""The report of a run: speed, accuracy, distance from the step limit, features left out."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from nuno_schemas.messages import FRAMES
 Report = dict[str, Any]
 SIZES, DYE_SIZES = ("vertices", "springs", "triangles of a membrane", "hinges"), ("cells",)
 
-TOLD: dict[str, Any] = {
+LEADER_DEFAULTS: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
     "start_stretch": 0.0, "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "yarns": {},
     "courses": {}, "pressure": {},
 }  # fmt: skip
-"""What the service that leads says of a run, and what stands where it has not."""
+"""Fields of the leading service's summary, and their values where it has none."""
 
 
 def make_report(loaded: Loaded, outcome: Outcome) -> Report:
-    """What a run's services counted, in one mapping that JSON can hold."""
+    """Return the counts of a run's services, in one JSON-able mapping."""
     summary, services = outcome.summary, outcome.services
     simulated = float(summary.get("simulated_seconds", 0.0))
     wall = float(summary.get("wall_seconds", outcome.seconds.get("run", 0.0)))
@@ -55,18 +55,18 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "followed": services.get("collision", {}).get("followed", {}),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
-        # One that was asked to finish before its first frame has no amounts.
+        # A dye that had to finish before its first frame has no amounts.
         "dye": dyer["dye"] if "supplied" in (dyer.get("dye") or {}) else None,
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         **_traffic(outcome),
         "services": list(outcome.plan.services),
         "left_out": list(outcome.plan.left_out),
-        **{name: summary.get(name, unknown) for name, unknown in TOLD.items()},
+        **{name: summary.get(name, default) for name, default in LEADER_DEFAULTS.items()},
     }
 
 
 def _traffic(outcome: Outcome) -> Report:
-    """Frames and messages that went round, and what was recorded of them."""
+    """Return the numbers of frames and messages that were sent, recorded and lost."""
     services = outcome.services
     recorder, viewer = services.get("recorder", {}), services.get("viewer", {})
     return {
@@ -87,7 +87,7 @@ def _sizes(loaded: Loaded) -> tuple[str, ...]:
 
 
 def _dye_steps(loaded: Loaded, dyer: Report) -> Report:
-    """How the dye of a garment was stepped, beside the cloth."""
+    """Return the step data of a garment's dye, separate from its cloth's."""
     names = ("dt", "steps_per_frame", "totals", "threads", "digest", "frame")
     solver = loaded.dye.solver.name if loaded.dye is not None else ""
     limit = (dyer.get("limit") or {}).get("dt")
@@ -99,7 +99,7 @@ def _frames(counts: dict[str, int]) -> int:
 
 
 def _count(name: str, services: dict[str, dict[str, Any]]) -> int:
-    """Messages counted under a name; what several services counted is counted once."""
+    """Return the number of messages counted under a name; one counted by several services counts once."""
     most: dict[str, int] = {}
     for service in services.values():
         for topic, number in (service.get(name) or {}).items():

@@ -1,4 +1,4 @@
-"""A report as rows for a person."""
+"""A report as rows of text."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from nuno.report.make import Report
 from nuno.warnings import result_warnings
 
 LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")
-"""Rows that are left to the whole report."""
+"""Rows that only the whole report has."""
 ENDS = (("min", "shortest"), ("max", "longest"))
 
 
 def show_report(report: Report, out: TextIO, whole: bool) -> None:
-    """Print a report for a person, or what of it everyone asks for."""
+    """Print a report, the whole or the brief one."""
     for name, text in lines(report) if whole else brief(report):
         print(row(name, text), file=out)
 
 
 def row(name: str, text: object) -> str:
-    """A heading and what stands beside it."""
+    """Format a heading and its text."""
     return f"{name:11} {text}"
 
 
 def brief(report: Report) -> list[tuple[str, str]]:
-    """The rows of a report that say how fast, how accurate and how far from the limit a run was, and what was left out.
+    """Return the main rows of a report: speed, accuracy, distance from the step limit, features left out.
 
-    What a researcher looks up is left to the whole: where time and energy went, what was counted, and why.
+    Rows that a researcher looks up, as the shares of time and energy, counts and reasons, are only in the whole report.
     """
     hidden = {*LOOKED_UP, *(("balance",) if report.get("energy") else ())}
     rows, heading = list[tuple[str, str]](), ""
@@ -41,7 +41,7 @@ def brief(report: Report) -> list[tuple[str, str]]:
 
 
 def lines(report: Report) -> list[tuple[str, str]]:
-    """The report as (heading, text) rows."""
+    """Return the report as rows (heading, text)."""
     rows = [("run", f"{report['run']}: {report['state']}{', at rest' if report['rested'] else ''}")]
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
     prepared = report["prepare_seconds"]
@@ -54,16 +54,16 @@ def lines(report: Report) -> list[tuple[str, str]]:
         return [*rows, ("time", f"ended while it was prepared, after {duration(prepared)}")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
-    took = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
+    speed = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
     paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
-    rows.append(("time", f"{took} (prepared in {duration(prepared)}{paused})"))
+    rows.append(("time", f"{speed} (prepared in {duration(prepared)}{paused})"))
     if clock := report.get("clock"):
         late = f"{clock['late']:,} of {clock['frames']:,} were late, by at most {clock['most']:.2g} s"
         rows.append(("clock", f"frames waited for it; {late if clock['late'] else 'none was late'}"))
     parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}
-    inside = {name: seconds for name, seconds in report.get("step_seconds", {}).items() if seconds >= 0.0005}
-    if inside:
-        rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in inside.items())))
+    step_parts = {name: seconds for name, seconds in report.get("step_seconds", {}).items() if seconds >= 0.0005}
+    if step_parts:
+        rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in step_parts.items())))
     rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
     if report["chosen"]:
@@ -89,10 +89,10 @@ def lines(report: Report) -> list[tuple[str, str]]:
 
 
 def recorded_lines(report: Report) -> list[tuple[str, str]]:
-    """The same of a report that comes out of a file, which may have other fields, or of other types."""
+    """Return the rows of a report from a file, which may have other fields, or other types."""
     try:
         return lines(report) if report else []
-    except Exception as error:  # whatever such a field leads to
+    except Exception as error:  # such a field may cause any error
         return [("report", f"damaged: {type(error).__name__}: {error}")]
 
 
@@ -115,22 +115,22 @@ def _step(report: Report) -> str:
     return f"{text}; limit {limit * 1e3:.4g} ms, {share}"
 
 
-def _followed(told: Report) -> str:
-    """What came for a body that is told where to be."""
-    text = f"{told['heard']:,} poses came, {told['used']:,} were used, {told['refused']:,} refused"
-    text += f", {told['left_out']:,} left out for newer ones" if told["left_out"] else ""
-    behind = f", {told['behind']:,} in which it was not yet where it was told to be" if told["behind"] else ""
-    return f"{text}; {told['without']:,} frames without any{behind}; longest silence {told['silence']:.2g} s"
+def _follower_text(counts: Report) -> str:
+    """Return the counts of poses for a body that is moved from outside, in words."""
+    text = f"{counts['heard']:,} poses came, {counts['used']:,} were used, {counts['refused']:,} refused"
+    text += f", {counts['left_out']:,} left out for newer ones" if counts["left_out"] else ""
+    behind = f", {counts['behind']:,} in which it was not yet at its goal" if counts["behind"] else ""
+    return f"{text}; {counts['without']:,} frames without any{behind}; longest silence {counts['silence']:.2g} s"
 
 
 def _dye(report: Report) -> list[tuple[str, str]]:
-    """Amounts of each dye in full cells, and how well they are kept."""
+    """Return rows with the amounts of each dye in full cells, and their balance."""
     dye = report["dye"]
     rows: list[tuple[str, str]] = []
     if report["dye_steps"]:
         rows += [("dye step", _step(report["dye_steps"])), ("dye digest", report["dye_steps"]["digest"])]
     seconds, simulated = dye["seconds"], report["began"] + report["simulated_seconds"]
-    if simulated and seconds != simulated:  # a run whose simulation died has not said how long it went on
+    if simulated and seconds != simulated:  # the simulated time is 0 if the simulation died
         rows.append(("dyeing", f"{duration(seconds)}, {seconds / simulated:g} times as fast as the scene"))
     first = next(iter(dye["supplied"]))
     for name, supplied in dye["supplied"].items():
@@ -138,7 +138,7 @@ def _dye(report: Report) -> list[tuple[str, str]]:
         rows.append(
             ("" if name != first else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed")
         )
-        rows += [("", f"  {text}") for text in _given(dye, name)]
+        rows += [("", f"  {text}") for text in _supply_lines(dye, name)]
         if slower := dye["weisz_zollinger"].get(name):
             rows.append(("", f"  D = D0 P T min({slower['cap']:g}, {slower['phi0']:g} / phi)"))
     late = [f"{name} begins at {duration(start)} of the dyeing, after the end" for name, start in dye["ahead"].items()]
@@ -147,13 +147,13 @@ def _dye(report: Report) -> list[tuple[str, str]]:
     return [*rows, ("balance", f"mobile + fixed - supplied: {text}")]
 
 
-def _given(dye: Report, name: str) -> list[str]:
-    """What each supply gave of a dye, where there is more than one, and what is left in finite baths."""
+def _supply_lines(dye: Report, name: str) -> list[str]:
+    """Return the amount of a dye from each supply, if there are several, and the rest in finite baths."""
     baths, account = dye["baths"], dye["given"][name]
     if len(account) == 1 and not baths.keys() & account.keys():
         return []
-    left = {one: f", {baths[one]:.4g} of the bath is left" if one in baths else "" for one in account}
-    return [f"{one}: {_cells(amount)}{left[one]}" for one, amount in account.items()]
+    left = {supply: f", {baths[supply]:.4g} of the bath is left" if supply in baths else "" for supply in account}
+    return [f"{supply}: {_cells(amount)}{left[supply]}" for supply, amount in account.items()]
 
 
 def _cells(amount: float | None) -> str:
@@ -171,10 +171,10 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("energy", text or "0 J"))
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
-    rows += [(done["operation"], describe_start(done["facts"])) for done in report["arranged"]]
+    rows += [(operation["operation"], describe_start(operation["facts"])) for operation in report["arranged"]]
     stretch = report["stretch"]
-    begun = report.get("start_stretch") or 0.0
-    since = f"; {begun:.2%} at the start" if stretch is not None and begun > stretch else ""
+    start_stretch = report.get("start_stretch") or 0.0
+    since = f"; {start_stretch:.2%} at the start" if stretch is not None and start_stretch > stretch else ""
     rows.append(("stretch", _percent(stretch) + since))
     if rest := report["rest"]:
         beyond = f"; {rest['unsettled']:,} vertices are farther than that" if rest["unsettled"] else ""
@@ -186,7 +186,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
     rows += intersections.rows(report.get("cloth_contact"))
-    rows += [("followed", f"{body}: {_followed(told)}") for body, told in report.get("followed", {}).items()]
+    rows += [("followed", f"{body}: {_follower_text(counts)}") for body, counts in report.get("followed", {}).items()]
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))
@@ -198,7 +198,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
 
 
 def describe_start(facts: dict[str, float]) -> str:
-    """What was done to the cloth before the first frame: by an operation, or as it came to rest on fewer vertices."""
+    """Describe a change before the first frame: an operation, or a coarse start."""
     if "rested" in facts:
         rest = "came to rest" if facts["rested"] else "were let settle"
         took = f"in {facts['frames']:,.0f} frames ({facts['seconds']:.2g} s)"
@@ -211,7 +211,7 @@ def describe_start(facts: dict[str, float]) -> str:
 
 
 def _knit(report: Report) -> list[tuple[str, str]]:
-    """How long courses are against their rest, and what a knit presses with."""
+    """Return rows with the relative lengths of a knit's courses, and its pressure."""
     courses, pressure, rows = report["courses"], dict(report["pressure"]), []
     if courses:
         number, ends = len(courses["rest"]), [f"{courses[end]:.4g} (course {courses[which]})" for end, which in ENDS]
@@ -232,7 +232,7 @@ def _balance(first: dict[str, float | None], last: dict[str, float | None], left
     if start is None or end is None:
         return f"{_joules(start)} -> {_joules(end)}"
     causes = {"damping": "", "wind and other forces": "the scene names none", "friction and moving bodies": "no bodies"}
-    work = ", ".join(cause for cause, none in causes.items() if not (none and none in " ".join(left_out)))
+    work = ", ".join(cause for cause, absent in causes.items() if not (absent and absent in " ".join(left_out)))
     return f"{_joules(start)} -> {_joules(end)}: {_joules(end - start)} by {work}"
 
 

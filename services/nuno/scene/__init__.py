@@ -1,1 +1,1 @@
-"""From a scene's file to what will run: reading, replaced fields, errors in its author's words, solver and step."""
+"""From a scene's file to a run: reading, overrides, errors in the author's terms, solver and step."""

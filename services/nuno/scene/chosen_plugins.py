@@ -1,4 +1,4 @@
-"""Plugins that a scene names, with their configurations validated."""
+"""Plugins of a scene, with their validated configurations."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from nuno_schemas.solver import AUTO
 
 @dataclass
 class Chosen:
-    """A plugin picked by a scene: the instance, its validated configuration, where it stands."""
+    """A plugin chosen by a scene: the instance, its validated configuration, its field."""
 
     group: str
     plugin: Any
     config: BaseModel
     field: str
     given: Mapping[str, Any]
-    """What the scene says of the configuration, as it is written there."""
+    """Configuration as the scene has it."""
 
     @property
     def name(self) -> str:
@@ -40,7 +40,7 @@ class Chosen:
 def choose_plugin(
     group: str, choice: Choice, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int]
 ) -> Chosen:
-    """The plugin that a scene names, with its configuration validated. Raises BadInput."""
+    """Return the plugin that a scene names, with its validated configuration. Raises BadInput."""
     try:
         plugin = registry.load(group, choice.plugin, (AUTO,) if group == "nuno.integrators" else ())
     except BadInput as error:
@@ -48,20 +48,20 @@ def choose_plugin(
     try:
         return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place), choice.config)
     except ValidationError as error:
-        beside = tuple(type(choice).model_fields)
-        found = explain(error, choice.config, place, file, lines, plugin.Config, beside)
-        raise _of_another(found, group, choice, place, lines) from None
+        common_fields = tuple(type(choice).model_fields)
+        explained = explain(error, choice.config, place, file, lines, plugin.Config, common_fields)
+        raise _name_other_plugins(explained, group, choice, place, lines) from None
     except BadInput as error:
         raise located(error, file, lines, dotted((*place, "plugin"))) from None
-    except Exception as error:  # of a validator of another distribution: pydantic lets most pass
+    except Exception as error:  # from another distribution's validator: pydantic passes most through
         problem = f"the configuration of {choice.plugin!r} cannot be read: {type(error).__name__}: {error}"
         raise located(BadInput(problem), file, lines, dotted(place)) from error
 
 
-def _of_another(
+def _name_other_plugins(
     error: BadInput, group: str, choice: Choice, place: yaml_lines.Path, lines: Mapping[yaml_lines.Path, int]
 ) -> BadInput:
-    """An error about a field that only other plugins of the group have: with which, and how to leave it behind."""
+    """Add the plugins that have an unknown field to its error, and how to remove the field."""
     here, _, name = (error.field or "").rpartition(".")
     if error.problem != NO_FIELD or here != dotted(place):
         return error
@@ -80,7 +80,7 @@ def _of_another(
 def choose_operation(
     applied: Applied, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int], files: SceneFiles
 ) -> Chosen:
-    """An operation that changes cloth, with what its files hold. Raises BadInput."""
+    """Return an operation that changes cloth, with the content of its files. Raises BadInput."""
     chosen = choose_plugin("nuno.operations", applied, place, file, lines)
     try:
         if arranges(chosen.plugin):

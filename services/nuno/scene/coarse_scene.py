@@ -1,4 +1,4 @@
-"""A scene on fewer vertices, on which it comes to rest first."""
+"""The coarse version of a scene, in which its cloth comes to rest first."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from nuno.scene.scene_file import Loaded
 from nuno_schemas.operation import arranges
 
 SPEED = 2e-3
-"""What moves slower than this [m/s] rests, where the scene does not say."""
+"""Speed below which cloth rests [m/s], unless the scene has one."""
 
 
 def coarser(loaded: Loaded) -> Loaded | None:
-    """The scene with its models on fewer vertices, until it rests; None where no model has any."""
+    """Return the scene with its models on fewer vertices, until rest; None where no model allows that."""
     models = list(loaded.models)
     for i, model in enumerate(models):
-        fewer = getattr(model.plugin, "coarser", None)
-        config = fewer(model.config) if fewer else None
+        make_coarser = getattr(model.plugin, "coarser", None)
+        config = make_coarser(model.config) if make_coarser else None
         models[i] = model if config is None else replace(model, config=config)
     if models == loaded.models:
         return None
-    kept = [i for i, one in enumerate(loaded.operations) if arranges(one.plugin)]
+    kept = [i for i, operation in enumerate(loaded.operations) if arranges(operation.plugin)]
     operations = [loaded.scene.operations[i] for i in kept]
     speed = loaded.scene.rest_speed or SPEED
     update = {"until": "rest", "rest_speed": speed, "operations": operations, "dye": None}

@@ -1,4 +1,4 @@
-"""A scene as a page to start from: what it says, each field with its description, and those that it leaves out."""
+"""A scene with comments as a template: each field with its description, and the omitted fields with their defaults."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.scene import Scene
 
 WIDTH = 110
-"""Of a line; a comment that would be longer stands above its field."""
+"""Width of a line; a longer comment is placed above its field."""
 APART = 44
-"""Comments beside fields begin at this column, where they can."""
+"""Column of comments on a field's line, where the field is shorter."""
 
 
 def comment(loaded: Loaded) -> str:
-    """YAML that says what the scene says. Fields that it leaves out stand as comments, with their defaults."""
-    plugins = {one.field: type(one.config) for one in loaded.chosen}
+    """Return the scene as YAML; omitted fields are comments with their defaults."""
+    plugins = {chosen.field: type(chosen.config) for chosen in loaded.chosen}
     return "\n".join(_mapping(loaded.data, Scene, (), plugins, "")) + "\n"
 
 
 def _mapping(
     data: Mapping[str, Any], model: type[BaseModel], path: Path, plugins: Mapping[str, type[BaseModel]], indent: str
 ) -> Iterator[str]:
-    """Lines of a mapping that a model reads, and the plugin that it names, if any."""
-    known = dict(model.model_fields)
+    """Yield the lines of a mapping of a model, and of the plugin that it names, if any."""
+    fields = dict(model.model_fields)
     if (config := plugins.get(dotted(path))) is not None:
-        known |= {name: field for name, field in config.model_fields.items() if name not in known}
+        fields |= {name: field for name, field in config.model_fields.items() if name not in fields}
     for key, value in data.items():
-        yield from _field(key, value, known.get(key), (*path, key), plugins, indent)
-    for key, field in known.items():
+        yield from _field(key, value, fields.get(key), (*path, key), plugins, indent)
+    for key, field in fields.items():
         if key not in data and not field.is_required():
-            yield from _left_out(key, field, indent)
+            yield from _omitted(key, field, indent)
 
 
 def _field(
@@ -49,23 +49,23 @@ def _field(
     text = (field.description or "") if field is not None else ""
     items = value if isinstance(value, list) else ()
     if inside is not None and isinstance(value, dict):
-        yield from _beside(f"{indent}{key}:", text)
+        yield from _with_comment(f"{indent}{key}:", text)
         yield from _mapping(value, inside, path, plugins, f"{indent}  ")
     elif inside is not None and items and all(isinstance(item, dict) for item in items):
-        yield from _beside(f"{indent}{key}:", text)
+        yield from _with_comment(f"{indent}{key}:", text)
         for i, item in enumerate(items):
             lines = list(_mapping(item, inside, (*path, i), plugins, f"{indent}    "))
             first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
             lines[first] = f"{indent}  - {lines[first].lstrip()}"
             yield from lines
     else:
-        yield from _beside(f"{indent}{key}: {_flow(value)}", text)
+        yield from _with_comment(f"{indent}{key}: {_flow(value)}", text)
 
 
-def _left_out(key: str, field: FieldInfo, indent: str) -> Iterator[str]:
+def _omitted(key: str, field: FieldInfo, indent: str) -> Iterator[str]:
     default = field.get_default(call_default_factory=True)
     value = "" if default is None else f" {_flow(_plain(default))}"
-    yield from _beside(f"{indent}# {key}:{value}", field.description or "")
+    yield from _with_comment(f"{indent}# {key}:{value}", field.description or "")
 
 
 def _plain(value: Any) -> Any:
@@ -78,8 +78,8 @@ def _flow(value: Any) -> str:
     return yaml.safe_dump([value], default_flow_style=True, sort_keys=False, width=math.inf).strip()[1:-1]
 
 
-def _beside(line: str, text: str) -> Iterator[str]:
-    """A line with a comment beside it, or above it where that is too long."""
+def _with_comment(line: str, text: str) -> Iterator[str]:
+    """Yield a line with its comment, or the comment above it if that is too long."""
     if not text:
         yield line
         return

@@ -1,8 +1,8 @@
-"""Changing one value of a scene's text, so that all else in it stays as it was written: comments, order, spacing.
+"""Change of one value in a scene's text, which keeps comments, order and spacing of the rest.
 
-The text is changed by yaml-edit, which keeps what it does not change byte for byte, and the result is read again:
-unless it gives what was there with that one change, it is refused. Weighed: ruamel.yaml, whose round trip changes 20
-of the 110 scenes and inputs here before anything is edited (folded lines, lists over several lines).
+yaml-edit changes the text, and keeps all other bytes; the result is read again, and refused unless it has exactly that
+one change. Rejected: ruamel.yaml, whose round trip changes 20 of the 110 scenes and inputs here before any edit (folded
+lines, lists over several lines).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ REMEDY = "change it in the text itself"
 
 
 def put(text: str, path: Path, value: Any, file: str, written: str | None = None) -> str:
-    """The text with a value at a path, whose last part may be new: a field, or one item more of a list.
+    """Return the text with a value at a path, whose last part may be new: a field, or one more item of a list.
 
-    `written` is how the value is to be written, where it is YAML for just that. Raises BadInput.
+    `written` is the preferred YAML of the value, used if it is equal. Raises BadInput.
     """
     before, _ = yaml_lines.parse(text, file)
-    expected = _with(before, path, value)
+    expected = _set_copy(before, path, value)
     for shown in (written, flow(value)):
         with contextlib.suppress(BadInput, YamlError):
             if shown and yaml_lines.parse(after := _put(text, path, shown), file)[0] == expected:
@@ -39,51 +39,51 @@ def put(text: str, path: Path, value: Any, file: str, written: str | None = None
 
 
 def drop(text: str, path: Path, file: str) -> str:
-    """The text without what is at a path. Raises BadInput."""
+    """Return the text without the value at a path. Raises BadInput."""
     before, _ = yaml_lines.parse(text, file)
     expected = deepcopy(before)
-    inside: Any = expected
+    container: Any = expected
     try:
         for part in path[:-1]:
-            inside = inside[part]
-        del inside[path[-1]]
+            container = container[part]
+        del container[path[-1]]
     except (KeyError, IndexError, TypeError):
         raise BadInput("this is not in the text", file, None, dotted(path), remedy="load the page again") from None
     with contextlib.suppress(BadInput, YamlError):
-        if yaml_lines.parse(after := _drop(text, path, empty="{}" if inside == {} else "[]"), file)[0] == expected:
+        if yaml_lines.parse(after := _drop(text, path, empty="{}" if container == {} else "[]"), file)[0] == expected:
             return after
     raise BadInput("this cannot be taken out of the text and all else left as it is", file, None, dotted(path),
                    remedy=REMEDY)  # fmt: skip
 
 
-def _with(data: dict[str, Any], path: Path, value: Any) -> dict[str, Any]:
-    """A copy of the data with a value at a path. Raises BadInput where that leads nowhere."""
-    found: dict[str, Any] = deepcopy(data)
-    inside: Any = found
+def _set_copy(data: dict[str, Any], path: Path, value: Any) -> dict[str, Any]:
+    """Return a copy of the data with a value at a path. Raises BadInput for a path that does not exist."""
+    result: dict[str, Any] = deepcopy(data)
+    container: Any = result
     for i, part in enumerate(path):
         last = i == len(path) - 1
-        below = value if last else [] if isinstance(path[i + 1], int) else {}
-        if isinstance(inside, dict) and isinstance(part, str):
-            inside[part] = below if last or inside.get(part) is None else inside[part]
-        elif isinstance(inside, list) and isinstance(part, int) and 0 <= part <= len(inside):
-            inside[part : part + 1] = [below if last or part == len(inside) else inside[part]]
+        inner = value if last else [] if isinstance(path[i + 1], int) else {}
+        if isinstance(container, dict) and isinstance(part, str):
+            container[part] = inner if last or container.get(part) is None else container[part]
+        elif isinstance(container, list) and isinstance(part, int) and 0 <= part <= len(container):
+            container[part : part + 1] = [inner if last or part == len(container) else container[part]]
         else:
             raise BadInput("there is no such place in the scene", field=dotted(path), remedy=REMEDY)
-        inside = inside[part]
-    return found
+        container = container[part]
+    return result
 
 
-def _holder(document: Document, path: Path) -> tuple[Any, Path]:
-    """The innermost mapping or list on the way to a path, and what is left of the path: more than one part where the
-    text has nothing there, or an alias.
+def _container(document: Document, path: Path) -> tuple[Any, Path]:
+    """Return the innermost container on a path, and the rest of the path: more than one part where the text has nothing
+    there, or an alias.
     """
-    inside: Any = document.as_mapping()
+    container: Any = document.as_mapping()
     for k, part in enumerate(path[:-1]):
-        below = _collection(inside.get(part))
-        if below is None:
-            return inside, path[k:]
-        inside = below
-    return inside, path[-1:]
+        inner = _collection(container.get(part))
+        if inner is None:
+            return container, path[k:]
+        container = inner
+    return container, path[-1:]
 
 
 def _collection(node: Node | None) -> Mapping | Sequence | None:
@@ -92,38 +92,38 @@ def _collection(node: Node | None) -> Mapping | Sequence | None:
 
 def _put(text: str, path: Path, shown: str) -> str:
     document = Document.parse(text)
-    inside, (part, *below) = _holder(document, path)
-    there = _collection(inside.get(part))
-    if there is not None and not there.is_flow_style():
-        document = Document.parse(_without_notes(text, inside, part))
-        inside = _holder(document, path)[0]
-    if below == [0] and not inside.is_flow_style():  # a list that begins, as scenes have theirs
-        below, shown = [], f"  - {shown}"
-    for name in reversed(below):
+    container, (part, *rest) = _container(document, path)
+    child = _collection(container.get(part))
+    if child is not None and not child.is_flow_style():
+        document = Document.parse(_without_notes(text, container, part))
+        container = _container(document, path)[0]
+    if rest == [0] and not container.is_flow_style():  # a new list, in the style of scenes
+        rest, shown = [], f"  - {shown}"
+    for name in reversed(rest):
         shown = f"[{shown}]" if isinstance(name, int) else f"{{{flow(name)}: {shown}}}"
     value = Document.parse(shown).root()
-    if isinstance(inside, Sequence) and part == len(inside):
-        inside.append(value)
+    if isinstance(container, Sequence) and part == len(container):
+        container.append(value)
     else:
-        inside[part] = value
+        container[part] = value
     return str(document)
 
 
 def _drop(text: str, path: Path, empty: str) -> str:
-    """empty: how the mapping or list is written that nothing is left in."""
-    inside, (part, *below) = _holder(Document.parse(text), path)
-    if below:
+    """Return the text without the value at a path; `empty` replaces a container that becomes empty."""
+    container, (part, *rest) = _container(Document.parse(text), path)
+    if rest:
         return text
-    text = _without_notes(text, inside, part)
-    if len(inside) == 1 and len(path) > 1:
+    text = _without_notes(text, container, part)
+    if len(container) == 1 and len(path) > 1:
         return _put(text, path[:-1], empty)
     document = Document.parse(text)
-    del _holder(document, path)[0][part]
+    del _container(document, path)[0][part]
     return str(document)
 
 
 def _without_notes(text: str, inside: Any, part: str | int) -> str:
-    """A text without the comments below a part of what is inside of it that stand further in: they are about that."""
+    """Return the text without the comments below a part that are indented deeper: they belong to it."""
     if inside.is_flow_style():
         return text
     raw = text.encode()
@@ -134,15 +134,15 @@ def _without_notes(text: str, inside: Any, part: str | int) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes text that needs quotes in those that scenes have."""
+    """Writes quoted text with double quotes, as scenes do."""
 
     def choose_scalar_style(self) -> str:
         return str(super().choose_scalar_style()).replace("'", '"')
 
 
 def flow(value: Any) -> str:
-    """Plain values as YAML on one line, as scenes are written: text in quotes only where it could be something else."""
+    """Return plain values as YAML on one line, in the style of scenes: text is quoted only if it is ambiguous."""
     style: dict[str, Any] = {"default_flow_style": True, "sort_keys": False, "allow_unicode": True, "width": math.inf}
-    # In a list: what stands alone ends in a mark of its own.
+    # In a list: a scalar alone ends with a document marker.
     text: str = yaml.dump([value], Dumper=_Dumper, **style)
     return text.strip()[1:-1]

@@ -1,4 +1,4 @@
-"""Files that a scene names: only inside the scene's folder or a root named by the user."""
+"""Files that a scene names, which must be inside its folder or a root of the user."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from nuno_schemas.written import Fields, Written
 class SceneFiles:
     """Resolves names against the scene's folder, then the extra roots.
 
-    `used` collects what was resolved, name -> path, so that a recording can carry it along; `stamps` what tells whether
-    it has changed since.
+    `used` collects the resolved files by name, so that a recording can include them; `stamps` detect later changes of
+    them.
     """
 
     folder: Path
@@ -30,7 +30,7 @@ class SceneFiles:
     stamps: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def resolve(self, name: str) -> Path:
-        """The existing file `name`. Raises BadInput if it is missing or outside every root."""
+        """Return the existing file `name`. Raises BadInput if it is missing or outside every root."""
         missing: list[Path] = []
         links: list[Path] = []
         allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
@@ -62,11 +62,11 @@ class SceneFiles:
         raise BadInput("the path leaves the scene's folder", value=name, limit=allowed, remedy=remedy)
 
     def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
-        """The fields of a YAML or JSON file, as a model takes them. Raises BadInput with the line of a wrong one."""
+        """Read a YAML or JSON file into a model. Raises BadInput with the line of an invalid field."""
         path = self.resolve(name)
         text = read_text(path, "the file", "save it as YAML or JSON in UTF-8")
         if path.suffix.lower() == ".json":
-            # JSON is YAML but for tabs, which stand there between values only: in texts they are written as \\t.
+            # JSON is YAML except for tabs, which it has only between values: in texts they are written as \\t.
             text = text.replace("\t", " ")
         data, lines = yaml_lines.parse(text, str(path))
         try:
@@ -76,7 +76,7 @@ class SceneFiles:
 
 
 def read_text(path: Path, what: str, remedy: str) -> str:
-    """A text in UTF-8, without a byte order mark. Raises BadInput that says of `what` why it cannot be read."""
+    """Read a text in UTF-8, without a byte order mark. Raises BadInput that names it as `what`."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -85,13 +85,13 @@ def read_text(path: Path, what: str, remedy: str) -> str:
 
 
 def stamp_of(path: Path) -> tuple[int, int]:
-    """Size [bytes] and time of change [ns] of a file. Raises OSError."""
+    """Return size [bytes] and modification time [ns] of a file. Raises OSError."""
     state = path.stat()
     return state.st_size, state.st_mtime_ns
 
 
 def near(missing: Path) -> str:
-    """The question whether another file of a missing one's folder was meant; empty where none has such a name."""
+    """Return a suggestion of a file with a similar name in the missing one's folder, "" if there is none."""
     try:
         names = [one.name for one in missing.parent.iterdir() if one.is_file()]
     except (OSError, ValueError):

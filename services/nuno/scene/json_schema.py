@@ -25,29 +25,29 @@ PLACES = {
     ("Dyestuff", "isotherm"): "nuno.isotherms",
     ("View", "yarns"): "nuno.yarn_pictures",
 }
-"""Where a scene names a plugin of which group."""
-_BESIDE = {
+"""Group of the plugin that each field of a scene names."""
+_COMMON_FIELDS = {
     "nuno.integrators": "Solver",
     "nuno.dye_solvers": "DyeSolver",
     "nuno.dye_pictures": "DyePicture",
     "nuno.operations": "Applied",
     "nuno.cloth_contacts": "ClothContact",
 }
-"""Parts of the contract whose own fields stand beside a plugin's."""
+"""Models whose fields are mixed with those of a plugin."""
 
 _DEFAULTS = {"nuno.dye_pictures": YARNS}
-"""Plugins that need not be named."""
+"""Plugin that a group takes without a name."""
 
 
 def scene_schema() -> dict[str, Any]:
-    """The whole schema; imports every installed plugin."""
+    """Return the whole schema; imports every installed plugin."""
     schema = Scene.model_json_schema()
     definitions = schema["$defs"]
     for (part, field), group in PLACES.items():
         owner = schema if part == "Scene" else definitions[part]
         place = owner["properties"][field]
-        beside = definitions[_BESIDE[group]]["properties"] if group in _BESIDE else {}
-        choices = [_choice(group, name, definitions, beside) for name in sorted(registry.installed(group))]
+        common = definitions[_COMMON_FIELDS[group]]["properties"] if group in _COMMON_FIELDS else {}
+        choices = [_choice(group, name, definitions, common) for name in sorted(registry.installed(group))]
         if place.get("type") == "array":
             place["items"] = {"oneOf": choices}
         else:
@@ -63,22 +63,22 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _short(group: str) -> list[dict[str, Any]]:
-    """A solver by its name alone, and the one that is chosen for the scene."""
+    """Return the short forms of a solver: its name, and `auto`."""
     auto = {"type": "object", "properties": {"plugin": {"const": AUTO}}, "additionalProperties": False}
     names = [AUTO, *sorted(registry.installed(group))]
     return [{"title": "by name", "type": "string", "enum": names}, {"title": AUTO, "required": ["plugin"], **auto}]
 
 
-def _choice(group: str, name: str, definitions: dict[str, Any], beside: dict[str, Any]) -> dict[str, Any]:
-    """One plugin's fields and those that stand beside them, with `plugin` fixed to its name."""
+def _choice(group: str, name: str, definitions: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of one plugin's fields and the common ones, with `plugin` fixed to its name."""
     prefix = f"{group}.{name}."  # two plugins may use one name for different parts
-    own = registry.load(group, name).Config.model_json_schema(ref_template=f"#/$defs/{prefix}{{model}}")
-    definitions |= {prefix + key: value for key, value in own.pop("$defs", {}).items()}
-    properties = beside | {"plugin": {"const": name}, **own.get("properties", {})}
+    config = registry.load(group, name).Config.model_json_schema(ref_template=f"#/$defs/{prefix}{{model}}")
+    definitions |= {prefix + key: value for key, value in config.pop("$defs", {}).items()}
+    properties = common | {"plugin": {"const": name}, **config.get("properties", {})}
     return {
         "title": name,
         "type": "object",
         "properties": properties,
-        "required": [*([] if name == _DEFAULTS.get(group) else ["plugin"]), *own.get("required", [])],
+        "required": [*([] if name == _DEFAULTS.get(group) else ["plugin"]), *config.get("required", [])],
         "additionalProperties": False,
     }

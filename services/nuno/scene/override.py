@@ -1,4 +1,4 @@
-"""Fields of a scene that the user replaces: `--set a.b.0.c=value`."""
+"""Overrides of a scene's fields: `--set a.b.0.c=value`."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene
 
 PRESETS = ("fabric", "dyes")
-"""Fields whose value may be a preset's name, which is short for {preset: NAME}."""
+"""Fields whose value may be a preset's name, short for {preset: NAME}."""
 DIGITS = 9
-"""Of a place in a list, at most."""
+"""Most digits of an index into a list."""
 
 
 def parts_of(key: str) -> list[str]:
-    """`a.b[0].c` -> a, b, 0, c."""
+    """Split `a.b[0].c` into a, b, 0, c."""
     return key.replace("[", ".").replace("]", "").split(".")
 
 
 def number_or_name(part: str) -> int | str:
-    """A part of a key: which of a list, or the name of a field. Longer numbers Python may refuse to read."""
+    """Return a part of a key as an index or a field's name. Python may refuse to read longer numbers."""
     return int(part) if part.isdecimal() and len(part) <= DIGITS else part
 
 
 def item_at(data: Any, path: yaml_lines.Path) -> Any:
-    """What stands at a path, None where nothing does; a part of a list goes by its number or its name."""
+    """Return the value at a path, None if there is none; an item of a list has its number or its name."""
     for part in path:
         try:
             data = data[_number(data, str(part)) if isinstance(data, list) else part]
@@ -41,21 +41,21 @@ def item_at(data: Any, path: yaml_lines.Path) -> Any:
 
 
 def as_override(key: str, value: object) -> str:
-    """`key=value` that is read as just that value: of numbers written otherwise, YAML takes 1e-05 for a text. Raises
-    yaml.YAMLError for what YAML cannot say.
+    """Return `key=value` that is read as exactly that value: YAML would read Python's 1e-05 as a text. Raises
+    yaml.YAMLError for a value that YAML cannot represent.
     """
-    # In a list: what stands alone ends in a mark of its own.
+    # In a list: a scalar alone ends with a document marker.
     return f"{key}={yaml.safe_dump([value], default_flow_style=True, width=math.inf).strip()[1:-1]}"
 
 
 def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:
-    """Lines of a scene, one place of which the user has replaced."""
+    """Return the lines of a scene after an override at `place`."""
     kept = {path: n for path, n in lines.items() if path[: len(place)] != place}
     return {place[:i]: OVERRIDDEN for i in range(1, len(place) + 1)} | kept
 
 
 def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
-    """Set `a.b.0.c=value` in place; where that is. Raises BadInput for a path that cannot be there."""
+    """Set `a.b.0.c=value` in place; return its path. Raises BadInput for an impossible path."""
     key, equals, text = item.partition("=")
     parts = parts_of(key)
     if not equals or not all(parts):
@@ -74,10 +74,10 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
         elif isinstance(here, dict):
             place.append(part)
         else:
-            remedy = f"{dotted(tuple(place))} holds {_kind(here)}" + ("; name what is there" if here else "")
+            remedy = f"{dotted(tuple(place))} holds {_describe(here)}" + ("; name what is there" if here else "")
             raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
         if i < len(parts) - 1:
-            inner = here.setdefault(part, {} if i else _left_out(part)) if isinstance(here, dict) else here[place[-1]]
+            inner = here.setdefault(part, {} if i else _new_part(part)) if isinstance(here, dict) else here[place[-1]]
             if isinstance(inner, str) and next(name for name in reversed(place) if isinstance(name, str)) in PRESETS:
                 inner = here[place[-1]] = {"preset": inner}
             here = inner
@@ -85,15 +85,15 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
     return tuple(place)
 
 
-def _left_out(field: str) -> list[Any] | dict[str, Any]:
-    """What part of a field is put into where the scene leaves the field out: its default, if that is a list."""
-    known = Scene.model_fields.get(field)
-    default = known.get_default(call_default_factory=True) if known is not None else None
+def _new_part(field: str) -> list[Any] | dict[str, Any]:
+    """Return the container for a part of an omitted field: its default, if that is a list."""
+    field_info = Scene.model_fields.get(field)
+    default = field_info.get_default(call_default_factory=True) if field_info is not None else None
     return list(default) if isinstance(default, (list, tuple)) else {}
 
 
 def _number(parts: list[Any], part: str) -> int | None:
-    """Which of a list's parts is meant, by its number or by a name that only one has; None for neither."""
+    """Return the index of a list's item by its number or its unique name; None for neither."""
     if part.isdecimal():
         number = number_or_name(part)
         return number if isinstance(number, int) and number < len(parts) else None
@@ -102,7 +102,7 @@ def _number(parts: list[Any], part: str) -> int | None:
 
 
 def _names(parts: list[Any]) -> list[str | None]:
-    """Of a list's parts; a part that has no name, as a force or a preset, goes by its plugin's or by the preset's."""
+    """Return the names of a list's items; a force has its plugin's name, and a preset its own."""
     return [_name(one) for one in parts]
 
 
@@ -112,7 +112,7 @@ def _name(part: Any) -> str | None:
     return part.get("name", part.get("plugin", part.get("preset")))
 
 
-def _kind(value: Any) -> str:
+def _describe(value: Any) -> str:
     if isinstance(value, list):
         names = "".join(f", {name}" for name in _names(value) if name is not None)
         return f"a list of {len(value)}, counted from 0{names}" if value else "an empty list; give all of it"

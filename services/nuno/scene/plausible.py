@@ -1,4 +1,4 @@
-"""Bare numbers that are hardly meant in SI units: what a unit was forgotten of."""
+"""Warnings of bare numbers that are implausible in SI units: their unit was probably forgotten."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.units import Plausible, to_si
 
 MOST = 10
-"""Warnings of a scene; how many more there are is said."""
+"""Most warnings of a scene; the last one counts the others."""
 
 Found = tuple[Path, float, Plausible]
 
 
 def implausible_numbers(loaded: Loaded) -> list[str]:
-    """Warnings of the scene's bare numbers beyond what its types of quantities declare (`nuno_schemas.units`)."""
-    told = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
+    """Return warnings of bare numbers out of the ranges that their quantities declare (`nuno_schemas.units`)."""
+    out = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
     for chosen in loaded.chosen:
-        told += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
-    return told if len(told) <= MOST else [*told[:MOST], f"and {len(told) - MOST:,} more bare numbers are implausible"]
+        out += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
+    return out if len(out) <= MOST else [*out[:MOST], f"and {len(out) - MOST:,} more bare numbers are implausible"]
 
 
 def with_doubts(loaded: Loaded, place: str, error: BadInput) -> BadInput:
-    """An error about the part of a scene at a place, its remedy after what a number there may have been meant as."""
+    """Locate an error at a part of a scene, and add the doubt about a number there to its remedy."""
     error = loaded.at(place, error)
     doubt = next((text for text in implausible_numbers(loaded) if text.startswith(f"{place}.")), None)
     if doubt is None:
@@ -52,7 +52,7 @@ def _is_plausible(number: float, usual: Plausible) -> bool:
 
 
 def _in_model(given: Mapping[str, Any], model: BaseModel, place: Path = ()) -> Iterator[Found]:
-    """Implausible numbers in what was given for a model, by their places."""
+    """Yield implausible numbers in the given fields of a model, with their paths."""
     for name, field in type(model).model_fields.items():
         if name in given:
             usual = _declared((field.annotation, *field.metadata))
@@ -60,7 +60,7 @@ def _in_model(given: Mapping[str, Any], model: BaseModel, place: Path = ()) -> I
 
 
 def _in_value(given: Any, value: Any, usual: Plausible | None, place: Path) -> Iterator[Found]:
-    """`value` is what the field of a model holds: it tells which of several models was chosen."""
+    """Yield implausible numbers in a given value; the model's `value` selects one of several models."""
     if isinstance(given, Mapping):
         if isinstance(value, BaseModel):
             yield from _in_model(given, value, place)
@@ -83,9 +83,9 @@ def _bare(given: Any) -> float | None:
 
 
 def _declared(kinds: tuple[Any, ...]) -> Plausible | None:
-    """What the first quantity among types and their metadata declares."""
+    """Return the range of the first quantity among types and their metadata."""
     for kind in kinds:
-        found = kind if isinstance(kind, Plausible) else _declared(typing.get_args(kind))
-        if found is not None:
-            return found
+        plausible = kind if isinstance(kind, Plausible) else _declared(typing.get_args(kind))
+        if plausible is not None:
+            return plausible
     return None

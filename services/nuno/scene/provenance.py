@@ -1,4 +1,4 @@
-"""What a recording says about where it comes from, so that it can be run again from itself."""
+"""Provenance of a recording, from which its run can be repeated."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PACKAGES = ("nuno", "numpy", "numba", "llvmlite", "pydantic", "eclipse-zenoh", "
 
 
 def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
-    """The opening metadata: run, scene, versions, plugins."""
+    """Return the opening metadata: run, scene, versions, plugins."""
     scene = loaded.scene
     return {
         "run": {"id": run, "scene": scene.name, "seed": str(scene.seed), "schema_version": str(SCHEMA_VERSION)},
@@ -29,19 +29,19 @@ def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what can change a result, and the processor that kernels are compiled for."""
-    found = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
-    found["processor"] = processor()
+    """Return the versions of packages that can change a result, and the processor that kernels are compiled for."""
+    names = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
+    names["processor"] = processor()
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            names[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            names[package] = "not installed"
+    return names
 
 
 def processor() -> str:
-    """The processor's name, as far as the system tells."""
+    """Return the processor's name, as far as the system has one."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text().splitlines():
@@ -51,16 +51,16 @@ def processor() -> str:
 
 
 def plugins(loaded: Loaded) -> dict[str, str]:
-    """`group/name` of every plugin in the scene -> package and version that provides it."""
+    """Return package and version of every plugin in the scene, by `group/name`."""
     return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in loaded.chosen}
 
 
 def assets(loaded: Loaded) -> dict[str, Path]:
-    """The files that the scene uses, by the names it gives them.
+    """Return the files that the scene uses, by their names in it.
 
     These are the existing files among the strings of all plugin configurations. Building the
-    models would tell exactly, but costs their memory a second time; a string that happens to
-    name a file beside the scene only adds that file.
+    models would be exact, but takes their memory a second time; a string that happens to be
+    a file's name only adds that file.
     """
     for chosen in loaded.chosen:
         for _, text in texts_in(chosen.config.model_dump()):
@@ -70,7 +70,7 @@ def assets(loaded: Loaded) -> dict[str, Path]:
 
 
 def texts_in(value: object, field: str = "") -> Iterator[tuple[str, str]]:
-    """Texts in a configuration, each with the innermost field that it stands in."""
+    """Yield the texts in a configuration, each with its innermost field."""
     if isinstance(value, str):
         yield field, value
     elif isinstance(value, Mapping):

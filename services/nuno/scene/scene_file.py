@@ -1,4 +1,4 @@
-"""From a scene file to validated plugins: every error names file, line, field and remedy."""
+"""Loading of a scene file with validated plugins; every error names file, line, field and remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from nuno.process import check_compiler
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
-from nuno.scene.elsewhere import told_where
+from nuno.scene.elsewhere import name_right_place
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
 from nuno.scene.validation_errors import UNNUMBERED, explain, located
@@ -26,12 +26,12 @@ from nuno_schemas.scene import ClothContact, Scene
 from nuno_schemas.solver import AUTO, Solver
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
-"""The solvers that a choice starts from: the cheapest step."""
+"""Solvers with the cheapest step, from which `auto` starts."""
 
 
 @dataclass
 class ChosenDye:
-    """What a scene says of its dye, and its plugins; isotherms by dye, None where fibre fixes nothing."""
+    """A scene's dyeing and its plugins; isotherms by dye, None where fibre fixes nothing."""
 
     said: Dyeing
     cloth: Chosen
@@ -46,9 +46,9 @@ class Loaded:
 
     scene: Scene
     data: dict[str, Any]
-    """The scene as read, with overrides applied: what a recording keeps."""
+    """The scene as read, with overrides applied, for recordings."""
     file: str
-    """What errors call it."""
+    """Name of the scene in errors."""
     lines: dict[yaml_lines.Path, int]
     files: SceneFiles
     models: list[Chosen]
@@ -58,77 +58,77 @@ class Loaded:
     motions: list[Chosen | None]
     forces: list[Chosen]
     contacts: list[Chosen]
-    """Of each body: its own, or the scene's."""
+    """Contact of each body: its own, or the scene's."""
     chosen: list[Chosen]
     """All plugins of the scene, each once."""
     operations: list[Chosen] = field(default_factory=list)
     cloth_contact: Chosen | None = None
-    """None where cloth passes through cloth."""
+    """Contact of cloth with cloth, None for none."""
     dye: ChosenDye | None = None
     yarn_picture: Chosen | None = None
-    """How pictures of yarns are drawn, where the scene says."""
+    """Drawing of pictures of yarns, if the scene chooses one."""
     overrides: tuple[str, ...] = ()
     path: Path = Path()
-    """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
+    """File of the scene; that of a mapping is in a temporary folder."""
     settled: tuple[Float, Float] | None = None
-    """Of a recording: where cloth on fewer vertices (n, 3) began, and where it came to rest [m], before its start."""
+    """Start and rest of the coarse cloth (n, 3) [m], from a recording."""
     recorded_poses: Mapping[int, bytes] = field(default_factory=dict)
-    """Of a recording whose bodies were told where to be: the messages that say where they were, by frame."""
+    """Messages with the poses of live bodies by frame, from a recording."""
     recorded_sizes: Mapping[str, int] = field(default_factory=dict)
-    """Of a recording: how many "vertices" or "cells" it has."""
+    """Numbers of "vertices" or "cells", from a recording."""
     why: str = ""
-    """Where the solver and its step were chosen: for what reason."""
+    """Reason of the choice of solver and step, if `auto` chose them."""
     empty: tuple[str, ...] = ()
     """Fields that are written without a value."""
 
     @property
     def live(self) -> tuple[str, ...]:
-        """Names of the bodies that are told where to be while it runs."""
-        both = zip(self.scene.bodies, self.motions, strict=True)
-        return tuple(body.name for body, one in both if one is not None and hasattr(one.plugin, "paced"))
+        """Names of the live bodies, whose poses come from outside during the run."""
+        pairs = zip(self.scene.bodies, self.motions, strict=True)
+        return tuple(body.name for body, motion in pairs if motion is not None and hasattr(motion.plugin, "paced"))
 
     @property
     def paced(self) -> bool:
-        """Whether its frames wait for the clock by themselves, since bodies are told where to be by it."""
-        live = (one for one in self.motions if one is not None and hasattr(one.plugin, "paced"))
-        return any(one.plugin.paced(one.config) for one in live)
+        """Whether frames wait for the clock without an option, since a live body follows it."""
+        live_motions = (motion for motion in self.motions if motion is not None and hasattr(motion.plugin, "paced"))
+        return any(motion.plugin.paced(motion.config) for motion in live_motions)
 
     @property
     def integrator(self) -> Chosen:
-        """What steps the cloth of a scene in which it moves."""
+        """The integrator of a scene with moving cloth."""
         if self.solver is None:
             raise ValueError("a scene of dye alone has no integrator")
         return self.solver
 
     @property
     def dyed(self) -> ChosenDye:
-        """What is dyed, and how. Raises BadInput for a scene without dye."""
+        """The scene's dye. Raises BadInput for a scene without dye."""
         if self.dye is None:
             raise BadInput("the scene has no dye", self.file, remedy="add dye: {cloth: ..., dyes: [...]}")
         return self.dye
 
     @property
     def own_path(self) -> Path | None:
-        """The user's file; None for a scene that was given as a mapping, or lies in a recording."""
+        """The user's file; None for a scene from a mapping or a recording."""
         return self.path if self.file == str(self.path) else None
 
     def value(self, field: str) -> Any:
-        """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
+        """Return the value of a field such as `forces.0.velocity`, or its default, in SI units; None without one."""
         data = self.scene.model_dump(mode="json")
         data["forces"] = [{"plugin": force.name, **force.config.model_dump(mode="json")} for force in self.forces]
         return item_at(data, tuple(map(number_or_name, parts_of(field))))
 
     def at(self, field: str, error: BadInput) -> BadInput:
-        """The same error with this scene's file, line and the field's full path."""
+        """Add this scene's file, line and the field's full path to an error."""
         names: set[object] = set()
-        # Whoever resolves a file's name, or reads the file, does not know which field it came from.
+        # Code that resolves a file's name, or reads the file, does not know the field.
         if error.file is not None:
             names = {error.file, *(name for name, path in self.files.used.items() if str(path) == error.file)}
         elif error.field is None and isinstance(error.value, str):
             names = {error.value}
         if names:
-            inside = (path for path in yaml_lines.places(self.data) if dotted(path).startswith(f"{field}."))
-            texts = ((path, item_at(self.data, path)) for path in inside)
+            paths = (path for path in yaml_lines.places(self.data) if dotted(path).startswith(f"{field}."))
+            texts = ((path, item_at(self.data, path)) for path in paths)
             field = next((dotted(path) for path, text in texts if isinstance(text, str) and text in names), field)
         return located(error, self.file, self.lines, field)
 
@@ -136,7 +136,7 @@ class Loaded:
 def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), named: str | None = None) -> Loaded:
     """Read, override and validate a scene file. Raises BadInput.
 
-    `named` is what errors call a scene that is no file of the user's; they then name no line.
+    `named` is the name in errors of a scene that is not a file of the user; they then name no line.
     """
     roots = tuple(roots)
     for root in roots:
@@ -157,18 +157,18 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
     loaded = load(data, lines, named or str(path), files_of(path, roots))
-    unsaid = tuple(dotted(place) for place in empty if item_at(data, place) is None)
-    return replace(loaded, overrides=tuple(overrides), path=path, empty=unsaid)
+    without_value = tuple(dotted(place) for place in empty if item_at(data, place) is None)
+    return replace(loaded, overrides=tuple(overrides), path=path, empty=without_value)
 
 
 def files_of(path: Path, roots: tuple[Path, ...] = ()) -> SceneFiles:
-    """The files that a scene at a path may name: beside it, in roots, and of a shipped one in a folder those above."""
+    """Return the files that a scene may name: in its folder, in roots, and for a shipped scene in the shared folder."""
     folder, shared = path.resolve().parent, shipped.folder().resolve()
     return SceneFiles(folder, (*roots, shared) if shared in folder.parents else roots)
 
 
 def _or_first(solver: Solver, first: str) -> Solver:
-    """The solver; until `auto` is decided, the one that it is decided from."""
+    """Return the solver, or `first` in place of `auto`."""
     return solver if solver.plugin != AUTO else Solver(plugin=first)
 
 
@@ -186,7 +186,7 @@ def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Ch
 
 
 def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> list[Chosen]:
-    """Of each body; the scene's is checked even where no body takes it."""
+    """Return the contact of each body; the scene's is checked even where no body uses it."""
     if not scene.bodies:
         return []
     shared = chosen("nuno.contacts", scene.contact, ("contact",))
@@ -205,7 +205,7 @@ def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path]
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
     check_compiler()
-    with told_where(data):
+    with name_right_place(data):
         return _load(data, lines, file, files)
 
 
@@ -227,13 +227,13 @@ def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fi
     for i, (applied, operation) in enumerate(zip(scene.operations, operations, strict=True)):
         if applied.object is None and len(scene.objects) != 1 and not arranges(operation.plugin):
             remedy = nearest("", [part.name for part in scene.objects])
-            unsaid = BadInput("say which object it changes", remedy=remedy)
-            raise located(unsaid, file, lines, dotted(("operations", i, "object")))
-        body, known = getattr(operation.config, "body", None), [body.name for body in scene.bodies]
-        if body is not None and body not in known:
-            remedy = nearest(body, known) if known else "give the scene the body"
-            unknown = BadInput("there is no such body", value=body, remedy=remedy)
-            raise located(unknown, file, lines, dotted(("operations", i, "body")))
+            error_of_object = BadInput("say which object it changes", remedy=remedy)
+            raise located(error_of_object, file, lines, dotted(("operations", i, "object")))
+        body, bodies = getattr(operation.config, "body", None), [body.name for body in scene.bodies]
+        if body is not None and body not in bodies:
+            remedy = nearest(body, bodies) if bodies else "give the scene the body"
+            error_of_body = BadInput("there is no such body", value=body, remedy=remedy)
+            raise located(error_of_body, file, lines, dotted(("operations", i, "body")))
     all_chosen += operations
     return Loaded(
         scene,

@@ -1,4 +1,4 @@
-"""A scene's steps, of its cloth and of its dye: whole steps make a frame, and none is longer than what is stable."""
+"""Choice of the step of a scene's cloth and dye: a frame is a whole number of stable steps."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from nuno_schemas.fabric import State
 from nuno_schemas.system import StepLimit, System
 
 ROUNDING = 1e-6
-"""Relative: a step that is a limit, or a part of a frame, and written in seven digits may differ from it by this."""
+"""Relative tolerance of a step written in seven digits, against the limit or a part of a frame."""
 MOST_STEPS = 10_000_000
-"""Steps a frame: more would keep the simulation from answering for minutes."""
+"""Most steps a frame: with more, the simulation would not answer for minutes."""
 SAFE, SAFE_DYE = 0.7, 0.9
 """Share of the limit that `dt: auto` takes. Cloth that stretches or folds is somewhat stiffer than at its start, where
-the limit is measured. Of dye it is exact, but at it the finest checkerboard of amounts swaps for ever and does not
-fade."""
+the limit is measured. The limit of dye is exact, but at it the finest checkerboard of amounts alternates forever and
+does not fade."""
 
 
 def find_limit(loaded: Loaded, solver: Any, system: System, start: State) -> StepLimit:
-    """How long a step of the cloth can be, by its solver. Raises BadInput where that is not to be found."""
+    """Return the longest step of the cloth, by its solver. Raises BadInput where there is none."""
     try:
         with np.errstate(all="ignore"):
-            found: StepLimit = solver.limit(loaded.integrator.config, system, start)
+            limit: StepLimit = solver.limit(loaded.integrator.config, system, start)
     except (np.linalg.LinAlgError, ArithmeticError):
-        found = StepLimit(np.nan, np.nan, np.nan)
-    if np.isnan(found.dt):
+        limit = StepLimit(np.nan, np.nan, np.nan)
+    if np.isnan(limit.dt):
         error = BadInput(
             "no stable step can be found: numbers of the scene are too large or too small for float64",
             remedy="look for a stiffness, mass or length that is off by many orders of magnitude",
         )
         raise loaded.at("objects", error)
-    return found
+    return limit
 
 
 def nearest_steps(dt: float, frame: float) -> int:
-    """Whole steps that make a frame [s], each as near as can be to dt [s]."""
+    """Return the whole number of steps in a frame [s] whose length is nearest to dt [s]."""
     return max(1, round(frame / dt))
 
 
 def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: bool = False) -> tuple[int, float]:
-    """Steps a frame and the step [s], of the cloth or of dyeing: the scene's, or the largest safe one for `dt: auto`.
+    """Return the steps a frame and the step [s] of cloth or dye: the scene's, or the largest safe one for `dt: auto`.
 
-    Of a step that does not divide a frame the nearest is taken that does. `limit` [s] is the longest stable step; auto
-    does not exceed `resolved` [s] either (StepLimit). Raises BadInput for a step that is longer than a frame, for one
-    that does not divide it where the solver is strict, and for one above the limit unless the scene allows it: of its
-    cloth it is then taken as it is, of dye in several shorter ones.
+    A step that does not divide a frame is replaced by the nearest that does. `limit` [s] is the longest stable step;
+    auto does not exceed `resolved` [s] either (StepLimit). Raises BadInput for a step that is longer than a frame, for
+    one that does not divide it where the solver is strict, and for one above the limit unless the scene allows it:
+    cloth then keeps it, and dye divides it.
     """
     scene, dye = loaded.scene, loaded.scene.dye if dyed else None
     solver, field = (scene.solver, "solver") if dye is None else (dye.solver, "dye.solver")
@@ -65,47 +65,47 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: 
         steps = max(1, math.ceil(frame / longest))
         return steps, frame / steps
     _require_few(loaded, f"{field}.dt", frame, dt, "a larger dt, or a higher frame_rate")
-    whole = dt <= frame * (1.0 + ROUNDING)
+    fits = dt <= frame * (1.0 + ROUNDING)
     steps = nearest_steps(dt, frame)
-    taken = frame / steps if whole else dt
-    above = taken > limit * (1.0 + ROUNDING)
+    step = frame / steps if fits else dt
+    above = step > limit * (1.0 + ROUNDING)
     allowed = "allow_unstable: true" if dye is None else "substeps: allowed"
     accepted = scene.allow_unstable if dye is None else dye.solver.substeps == "allowed"
-    if above and not accepted and (whole or not dyed):
-        nearest = "" if abs(taken - dt) <= ROUNDING * dt else f", the nearest to {dt:g} s that divides a frame"
+    if above and not accepted and (fits or not dyed):
+        nearest = "" if abs(step - dt) <= ROUNDING * dt else f", the nearest to {dt:g} s that divides a frame"
         shorter = f"dt: {frame / (steps + 1):.7g} s" if nearest and dt <= limit else "a smaller dt"
         error = BadInput(
             "the step is above the stability limit",
-            value=f"{taken:g} s{nearest}",
+            value=f"{step:g} s{nearest}",
             limit=f"{limit:.4g} s for {solver.plugin}",
             remedy=f"use dt: auto, {shorter}, {softer}, or {allowed}",
         )
         raise loaded.at(f"{field}.dt", error)
-    if not whole:
+    if not fits:
         faster = f", a dye.speed of at least {dt * scene.frame_rate:.9g}" if dyed else ""
         remedy = f"a frame_rate of at most {speed / dt:.9g} Hz{faster}, or a smaller dt"
-        error = BadInput("a frame is shorter than a step", value=_said(dt, frame), remedy=remedy)
+        error = BadInput("a frame is shorter than a step", value=_step_text(dt, frame), remedy=remedy)
         raise loaded.at(f"{field}.dt", error)
-    if solver.strict and abs(taken - dt) > ROUNDING * dt:
-        near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
-        choices = " or ".join(f"{frame / n:.7g} s ({n} steps)" for n in near)
+    if solver.strict and abs(step - dt) > ROUNDING * dt:
+        candidates = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
+        choices = " or ".join(f"{frame / n:.7g} s ({n} steps)" for n in candidates)
         remedy = f"nearest that divide it: {choices}; or dt: auto, or strict: false"
-        error = BadInput("a frame is not a whole number of steps", value=_said(dt, frame), remedy=remedy)
+        error = BadInput("a frame is not a whole number of steps", value=_step_text(dt, frame), remedy=remedy)
         raise loaded.at(f"{field}.dt", error)
     if not (dyed and above):
         return steps, frame / steps
     _require_few(loaded, f"{field}.dt", frame, limit, f"{softer}, or a higher frame_rate")
-    parts = math.ceil(taken / limit * (1.0 - ROUNDING))
+    parts = math.ceil(step / limit * (1.0 - ROUNDING))
     return steps * parts, frame / steps / parts
 
 
-def _said(dt: float, frame: float) -> str:
+def _step_text(dt: float, frame: float) -> str:
     return f"steps of {dt:.3g} s in frames of {frame:.3g} s"
 
 
 def _require_few(loaded: Loaded, field: str, frame: float, dt: float, remedy: str) -> None:
-    """Raises BadInput, at the scene's `field`, for more steps of dt [s] in a frame [s] than MOST_STEPS."""
+    """Raise BadInput, at the scene's `field`, for more steps of dt [s] in a frame [s] than MOST_STEPS."""
     if frame > MOST_STEPS * dt:
         limit = f"{MOST_STEPS:,} steps a frame"
-        error = BadInput("too many steps in a frame", value=_said(dt, frame), limit=limit, remedy=remedy)
+        error = BadInput("too many steps in a frame", value=_step_text(dt, frame), limit=limit, remedy=remedy)
         raise loaded.at(field, error)

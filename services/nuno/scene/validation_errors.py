@@ -1,4 +1,4 @@
-"""Errors of validation in the words of a scene's author: where, what is wrong, what to write."""
+"""Validation errors in the terms of a scene's author: place, problem, remedy."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.units import decimal_point
 
 OVERRIDDEN = 0
-"""Line of a field that was given on the command line."""
+"""Line of a field that was set on the command line."""
 
 GIVEN = "--set"
-"""What errors call the command line."""
+"""Name of the command line in errors."""
 
 UNNUMBERED = -1
-"""Line of a field whose scene was never a file of the user's."""
+"""Line of a field whose scene is not a file of the user."""
 
 NO_FIELD = "no such field"
 
 ADD = "add it"
-"""Remedy of what is missing."""
+"""Remedy for a missing field."""
 
 EMPTY = "in YAML # begins a comment, and quotes keep it: '#8c2f39'"
-"""What is said where a field has no value."""
+"""Hint for a field without a value."""
 
 Words = tuple[str, object, str | None, str | None]
 """Problem, value, limit and remedy."""
@@ -54,7 +54,7 @@ _BOUNDS |= {"greater_than_equal": "at least", "less_than_equal": "at most"}
 
 
 def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -> BadInput:
-    """Fill in where an error stands, keeping what it already says."""
+    """Add file, line and field to an error that lacks them."""
     if error.file in (file, GIVEN) and error.field is not None:
         return error
     full = f"{field}.{error.field}" if error.field and error.file is None else field
@@ -64,7 +64,7 @@ def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -
     line = None if line == UNNUMBERED else line
     if error.file is None:
         return replace(error, file=file, line=line, field=full)
-    # It stands in another file: say also who names that file.
+    # The error is in another file: add the place that names that file.
     place = file if line is None else f"{file}:{line}"
     return replace(error, problem=f"{error.problem} (the file is named in {place}: {full})")
 
@@ -74,23 +74,23 @@ def _under(field: str, path: str) -> bool:
 
 
 def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: Mapping[Path, int],
-            model: type[BaseModel], beside: Sequence[str] = ()) -> BadInput:  # fmt: skip
-    """The first of pydantic's errors about `data`, which a scene has at `prefix`.
+            model: type[BaseModel], others: Sequence[str] = ()) -> BadInput:  # fmt: skip
+    """Return the first of pydantic's errors about `data`, which a scene has at `prefix`, as BadInput.
 
-    `beside` names fields that may stand beside the model's own. Where a value may be one of
-    several kinds, pydantic has an error for each; they are told as one.
+    `others` names allowed fields that are not the model's. Where a value may be one of several
+    kinds, pydantic has an error for each; they are merged into one.
     """
-    found = [(_place(e["loc"], data, e["type"]), e) for e in error.errors(include_url=False)]
-    found = [item for item in found if not _beside_the_point(*item, found)]
-    place, first = min(found, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
+    errors = [(_place(e["loc"], data, e["type"]), e) for e in error.errors(include_url=False)]
+    errors = [item for item in errors if not _is_consequence(*item, errors)]
+    place, first = min(errors, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
     if first["type"] == "extra_forbidden":
-        known = [*_fields_at(model, first["loc"][:-1]), *(beside if len(place) == 1 else ())]
-        words: Words = NO_FIELD, None, None, nearest(str(place[-1]), known)
+        fields = [*_fields_at(model, first["loc"][:-1]), *(others if len(place) == 1 else ())]
+        words: Words = NO_FIELD, None, None, nearest(str(place[-1]), fields)
     else:
-        words = _merged([e for where, e in found if where == place])
+        words = _merged([e for where, e in errors if where == place])
     context = first.get("ctx") or {}
-    inside = (str(context["discriminator"]).strip("'"),) if first["type"] == "union_tag_invalid" else ()
-    full = (*prefix, *place, *context.get("inside", inside))
+    discriminator = (str(context["discriminator"]).strip("'"),) if first["type"] == "union_tag_invalid" else ()
+    path = (*prefix, *place, *context.get("inside", discriminator))
     problem, value, limit, remedy = words
     if first["type"] != "missing" and first.get("input", "") is None:
         problem, remedy = f"the field is empty, and {problem}", f"write its value; {EMPTY}"
@@ -98,24 +98,24 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
         remedy = decimal_point(value) or remedy
     if remedy in (None, ADD):
         remedy = _example(model, first["loc"]) or remedy
-    return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
+    return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(path))
 
 
-def _beside_the_point(place: Path, error: Any, found: Sequence[tuple[Path, Any]]) -> bool:
-    """Whether an error follows from another inside of the same value, which its author wants to know.
+def _is_consequence(place: Path, error: Any, errors: Sequence[tuple[Path, Any]]) -> bool:
+    """Return whether an error only follows from another one inside the same value.
 
-    It says that a list or mapping is no name or number, as another kind of value would be; or that a list is too
-    short, of which wrong items are not counted.
+    Such an error is that a list or mapping is no name or number, as another kind of the value would be; or that a list
+    is too short, which does not count its invalid items.
     """
     kind = str(error["type"])
     plain = kind in ("literal_error", "too_short") or kind.removesuffix("_type") in ("int", "float", "bool", "string")
     plain = plain or "must be a quantity" in str(error["msg"])
-    inside = any(len(other) > len(place) and other[: len(place)] == place for other, _ in found)
+    inside = any(len(other) > len(place) and other[: len(place)] == place for other, _ in errors)
     return plain and inside and isinstance(error.get("input"), (dict, list))
 
 
 def _place(loc: Path, data: Any, kind: str) -> Path:
-    """The part of a location that is in the data: pydantic also names the branches of unions."""
+    """Return the part of a location that is in the data: pydantic also names the branches of unions."""
     place: list[str | int] = []
     for i, part in enumerate(loc):
         inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
@@ -127,7 +127,7 @@ def _place(loc: Path, data: Any, kind: str) -> Path:
 
 
 def _merged(errors: Sequence[Any]) -> Words:
-    """One explanation of all errors about one value."""
+    """Merge all errors about one value into one explanation."""
     names = [name for e in errors if e["type"] == "literal_error" for name in _expected(e)]
     others = [e for e in errors if e["type"] != "literal_error"]
     value = errors[0].get("input")
@@ -171,13 +171,13 @@ def _words(error: Any) -> Words:
         if kind.startswith(name + "_"):
             return problem, value, None, None
     if "inside" in context or isinstance(value, dict):
-        value = None  # a part is wrong as a whole: the problem says what of it
+        value = None  # the problem names the invalid part
     problem, _, remedy = str(error["msg"]).removeprefix("Value error, ").partition("; ")
     return problem, value, None, remedy or None
 
 
 def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, Any]]:
-    """Each part of a location in `model`, the field that it names, if any, and what it points at."""
+    """Yield each part of a location in `model`, its field, if any, and its annotation."""
     here: Any = model
     for part in loc:
         field = None
@@ -188,22 +188,22 @@ def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, 
 
 
 def _fields_at(model: Any, loc: Path) -> list[str]:
-    """Field names of the model that a location in `model` points at."""
-    *_, here = model, *(there for _, _, there in _walk(model, loc))
+    """Return the field names of the model at a location in `model`."""
+    *_, here = model, *(annotation for _, _, annotation in _walk(model, loc))
     return [name for m in models_in(here)[:1] for name in m.model_fields]
 
 
 def _example(model: Any, loc: Path) -> str | None:
-    """What may be written in the innermost field of a location that has an example."""
-    found = [(part, field.examples[0]) for part, field, _ in _walk(model, loc) if field and field.examples]
-    if not found:
+    """Return the example of the innermost field of a location that has one."""
+    examples = [(part, field.examples[0]) for part, field, _ in _walk(model, loc) if field and field.examples]
+    if not examples:
         return None
-    written = yaml.safe_dump(dict(found[-1:]), default_flow_style=True, sort_keys=False, width=1000)
+    written = yaml.safe_dump(dict(examples[-1:]), default_flow_style=True, sort_keys=False, width=1000)
     return f"for example {written.strip()[1:-1]}"
 
 
 def _tagged(annotation: Any, label: str) -> Any:
-    """The branch of a union that pydantic calls `label`, by its tag or by a field that may say nothing else."""
+    """Return the branch of a union that pydantic calls `label`, by its tag or by a field with only that value."""
     arguments = typing.get_args(annotation)
     if any(isinstance(argument, Tag) and argument.tag == label for argument in arguments):
         return annotation
@@ -214,7 +214,7 @@ def _tagged(annotation: Any, label: str) -> Any:
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Those that a field of this annotation may hold, in its order."""
+    """Return the models in an annotation, in its order."""
     if inspect.isclass(annotation) and typing.get_origin(annotation) is None and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for argument in typing.get_args(annotation) for m in models_in(argument)]

@@ -1,4 +1,4 @@
-"""YAML read safely: no tags that change a value, bounded size, depth and aliases; and the line of every field."""
+"""Safe reading of YAML: no tags that change a value, bounded size, depth and aliases; and the line of every field."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MAX_BYTES = 4_000_000
 MAX_NODES = 200_000
 MAX_DEPTH = 40
 LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
-"""What a libyaml that counts brackets itself says before any event comes: it looks far ahead of the first one."""
+"""Error of a libyaml that counts brackets itself, raised before any event, since it reads far ahead."""
 START = "write `name: value` lines; for a scene, start from a shipped one: nuno scenes --paths"
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
+"""libyaml's loader, 20 times faster and in linear time, where PyYAML was built with it."""
 _TRAP = re.compile(r"[-+]?(?:0[0-7_]*[1-7][0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
-"""Numbers that are not what they look like: of base 8 and base 60, in YAML 1.1."""
+"""Numbers that YAML 1.1 reads in base 8 or 60."""
 _CUT = re.compile(r"[-+]?\d+,\d+(?![\d.]).*")
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 
@@ -63,7 +63,7 @@ class _Reader:
         return BadInput(problem, self.file, node.start_mark.line + 1, dotted(path), value, remedy=remedy)
 
     def _own_tag(self, node: yaml.Node) -> str:
-        """The tag that a node has when none is written before it."""
+        """Return the tag of a node without an explicit one."""
         plain = not getattr(node, "style", None)
         tag: str = self.tags.resolve(type(node), node.value, (plain, True))  # type: ignore[no-untyped-call]
         return tag
@@ -76,7 +76,7 @@ class _Reader:
             if not node.style and isinstance(value, int | float) and _TRAP.fullmatch(node.value):
                 raise self._other_base(node, path, value)
             return value
-        except ValueError:  # an integer of more digits than Python converts, for one
+        except ValueError:  # for example an integer of more digits than Python converts
             raise self._at(node, path, "not a number that can be read", node.value, "write fewer digits") from None
 
     def _other_base(self, node: yaml.ScalarNode, path: Path, value: float) -> BadInput:
@@ -85,14 +85,14 @@ class _Reader:
         return self._at(node, path, f"YAML reads this as a number of base {base}: {value}", node.value, remedy)
 
     def _check_commas(self, items: list[yaml.Node], path: Path) -> None:
-        """Raises BadInput for a list such as [0,3, 1]: blanks behind some of its commas make others decimal ones."""
+        """Raise BadInput for a list such as [0,3, 1]: blanks after some of its commas make others decimal ones."""
         numbers = all(isinstance(item, yaml.ScalarNode) and "." not in item.value for item in items)
         if numbers and any(_gap(*pair) > 1 for pair in itertools.pairwise(items)):
             for one, other in itertools.pairwise(items):
                 self._check_comma(one, other, path, f", or {one.value}, {other.value} for two numbers")
 
     def _check_comma(self, one: yaml.Node, other: yaml.Node, path: Path, more: str = "") -> None:
-        """Raises BadInput where two neighbours may be one number: plain digits on both sides of a comma, no blank."""
+        """Raise BadInput where two neighbours may be one number: plain digits on both sides of a comma, no blank."""
         plain = all(isinstance(node, yaml.ScalarNode) and not node.style for node in (one, other))
         if plain and _gap(one, other) == 1 and _CUT.fullmatch(value := f"{one.value},{other.value}"):
             raise self._at(one, path, "a decimal comma", value, f"{decimal_point(value)}{more}")
@@ -100,7 +100,7 @@ class _Reader:
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for (name, one), (other, child) in itertools.pairwise(node.value):
-            # In braces 0,3 is a 0, and a field of the name 3 that is empty.
+            # In braces, 0,3 is a 0, and an empty field with the name 3.
             if child.value == "" and not child.style:
                 self._check_comma(one, other, (*path, str(name.value)))
         for key_node, child in node.value:
@@ -117,25 +117,25 @@ class _Reader:
 
 
 def _gap(one: yaml.Node, other: yaml.Node) -> int:
-    """Characters between two neighbours on a line; 0 where a new line begins."""
+    """Return the number of characters between two neighbours on a line; 0 where a new line begins."""
     return other.start_mark.column - one.end_mark.column if one.end_mark.line == other.start_mark.line else 0
 
 
 def places(value: Any, path: Path = ()) -> Iterator[Path]:
-    """All paths in a value that stands at a path, its own first."""
+    """Yield the path of a value, and the paths of all values in it."""
     yield path
-    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, one in inside:
-        yield from places(one, (*path, key))
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from places(item, (*path, key))
 
 
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
-    """YAML text -> the mapping and the line of every path in it. Raises BadInput."""
+    """Parse a YAML text; return its mapping, and the line of every path. Raises BadInput."""
     return parse_all(text, file)[:2]
 
 
 def parse_all(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int], tuple[Path, ...]]:
-    """The same, and the paths after whose names nothing is written, not even `null`. Raises BadInput."""
+    """Parse as `parse`, and return also the paths without a written value, not even `null`. Raises BadInput."""
     if len(text) > MAX_BYTES:
         raise too_large(file, len(text))
     node = _compose(text, file)
@@ -153,7 +153,7 @@ def too_large(file: str, size: int) -> BadInput:
 
 
 def _compose(text: str, file: str) -> yaml.Node | None:
-    """The text's tree of nodes, None for an empty text. Raises BadInput."""
+    """Return the text's tree of nodes, None for an empty text. Raises BadInput."""
     strange = yaml.reader.Reader.NON_PRINTABLE.search(text)
     if strange is not None:
         line = text.count("\n", 0, strange.start()) + 1
@@ -177,7 +177,7 @@ def _too_deep(file: str, line: int | None) -> BadInput:
 
 
 def _require_shallow(text: str, file: str) -> None:
-    """Raises BadInput where the text nests too deep: libyaml makes nodes by calling itself, until there is no stack."""
+    """Raise BadInput where the text nests too deep: libyaml makes nodes by recursion, until the stack overflows."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -186,7 +186,7 @@ def _require_shallow(text: str, file: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """The value that a YAML text stands for. Raises BadInput."""
+    """Parse the value of a YAML text. Raises BadInput."""
     try:
         node = _compose(text, "")
     except BadInput:

@@ -1,1 +1,1 @@
-"""Who may do what on a bus that several hosts share: certificates, and the rights that go with them."""
+"""Security of a bus across hosts: certificates of roles, and their rights."""

@@ -1,6 +1,6 @@
 """A certificate authority of one deployment, and certificates that it signs (X.509 v3, RFC 5280).
 
-Keys are on the curve P-256, which TLS 1.3 peers know everywhere. Only the router's certificate is for servers: with
+Keys are on the curve P-256, which all TLS 1.3 peers support. Only the router's certificate is for servers: with
 that of a role nobody can pose as the router, though the same authority signed it. A role is the common name.
 """
 
@@ -26,7 +26,7 @@ from nuno_schemas.errors import BadInput
 ROUTER, AUTHORITY = "router", "authority"
 AUTHORITY_DAYS = 3650
 SKEW = datetime.timedelta(hours=1)
-"""By how much the clocks of hosts may differ: a certificate holds from this long before it was made."""
+"""Tolerance for the clocks of hosts: a certificate is valid from this time before its creation."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Pair:
 
     @property
     def key_pem(self) -> bytes:
-        """PKCS 8, not encrypted: the file's mode is what keeps it."""
+        """The key in PKCS 8, not encrypted: the file's mode protects it."""
         return self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
@@ -51,12 +51,12 @@ def now() -> datetime.datetime:
 
 
 def make_authority(name: str = "nuno") -> Pair:
-    """An authority that may sign certificates, and nothing else."""
+    """Make an authority that may only sign certificates."""
     return _make(f"{name} {AUTHORITY}", None, AUTHORITY_DAYS, ())
 
 
 def sign(authority: Pair, role: str, days: float, hosts: tuple[str, ...] = ()) -> Pair:
-    """A certificate of one role. `hosts` are the names and addresses by which the router is reached.
+    """Make a certificate of one role. `hosts` are the names and addresses of the router.
 
     Raises BadInput for a host that is neither.
     """
@@ -98,7 +98,7 @@ def _usage(signs: bool) -> x509.KeyUsage:
 
 
 def host_name(host: str) -> x509.GeneralName:
-    """A name or an address, as a certificate holds it. Raises BadInput for what is neither."""
+    """Return a name or an address for a certificate. Raises BadInput for neither."""
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
@@ -113,7 +113,7 @@ def host_name(host: str) -> x509.GeneralName:
 
 
 def load(certificate: bytes, key: bytes) -> Pair:
-    """A pair from PEM. Raises ValueError for what is none, or does not belong together."""
+    """Load a pair from PEM. Raises ValueError for invalid PEM, or a key of another certificate."""
     loaded, private = x509.load_pem_x509_certificate(certificate), load_pem_private_key(key, None)
     if not isinstance(private, ec.EllipticCurvePrivateKey) or private.public_key() != loaded.public_key():
         raise ValueError("the key does not belong to the certificate")
@@ -121,12 +121,12 @@ def load(certificate: bytes, key: bytes) -> Pair:
 
 
 def name_of(certificate: x509.Certificate) -> str:
-    """Its common name: the role."""
-    found = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
+    """Return the common name, which is the role."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
-    """Names and addresses that it is for."""
+    """Return the names and addresses of a certificate."""
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     return [str(name.value) for name in names]

@@ -1,6 +1,6 @@
 """A folder of certificates: one zenoh configuration per role, complete in itself, and the authority that signed them.
 
-A role's file holds its certificate, its key, and the authority's certificate: it is all that a host needs of this
+A role's file has its certificate, its key, and the authority's certificate: it is all that a host needs of this
 folder, and nothing that another role could use. The authority's key never leaves the machine where it was made.
 """
 
@@ -28,11 +28,11 @@ from nuno_schemas.errors import BadInput, nearest
 # The rights of roles, from deploy/access.yaml to zenoh's access control, which a router enforces.
 #
 # zenoh names nine kinds of messages and two directions, seen from the router: what comes in from a client (ingress) and
-# what goes out to it (egress). Each right needs several of them: who reads a topic declares a subscriber and is sent
-# what is put; who asks sends a query and is sent the reply; who answers declares a queryable, is sent the query and
-# replies. A role is the common name of a client's certificate, so nobody takes another one's.
+# what goes out to it (egress). Each right needs several of them: a reader of a topic declares a subscriber and receives
+# puts; a client sends a query and receives the reply; a queryable is declared, receives the query and replies. A role
+# is the common name of a client's certificate, so nobody can take another's.
 #
-# A wildcard is matched by inclusion: who may publish `sim/state` of every run cannot publish `**`, nor subscribe to it.
+# A wildcard is matched by inclusion: the right to publish `sim/state` of every run does not include `**`.
 
 IN, OUT = "ingress", "egress"
 RIGHTS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -43,13 +43,13 @@ RIGHTS: dict[str, tuple[tuple[str, str], ...]] = {
 }
 """Messages and directions of each right."""
 ALIVE = (("declare_liveliness_subscriber", IN), ("liveliness_query", IN), ("liveliness_token", OUT))
-"""The same of seeing who is alive, from now on and now."""
+"""Messages and directions of liveliness, for later and present tokens."""
 PEOPLE = ("operator", "observer")
-"""Roles that are no part of a run."""
+"""Roles that are not services of a run."""
 
 
 class Rights(BaseModel):
-    """What one role may do: topics below `nuno/RUN/`, as key expressions."""
+    """Rights of one role: topics below `nuno/RUN/`, as key expressions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     publishes: tuple[str, ...] = ()
@@ -59,21 +59,21 @@ class Rights(BaseModel):
 
 
 def deploy_folder() -> Path:
-    """Where the files of a deployment lie: beside the sources, or in the package that was installed."""
+    """Return the folder of the deployment files, in the source tree or in the installed package."""
     beside = Path(__file__).resolve().parents[3] / "deploy"
     return beside if beside.is_dir() else Path(str(files("nuno"))) / "deploy"
 
 
 def read_rights() -> dict[str, Rights]:
-    """The rights of each role, from the file that comes with nuno."""
+    """Read the rights of each role, from the file that comes with nuno."""
     table = yaml.safe_load((deploy_folder() / "access.yaml").read_text(encoding="utf-8"))
     return {role: Rights.model_validate(rights) for role, rights in table.items()}
 
 
 def access_control(roles: dict[str, Rights]) -> dict[str, Any]:
-    """The `access_control` section of a router's zenoh configuration; what is not allowed is denied.
+    """Return the `access_control` section of a router's zenoh configuration, which denies by default.
 
-    Everybody is told which subscribers and queryables there are, without which a publisher would send nothing.
+    All roles receive the declarations of subscribers and queryables, without which a publisher would send nothing.
     """
     shared = [
         *_rules("who listens", [("declare_subscriber", OUT), ("declare_queryable", OUT)], ["**"]),
@@ -81,23 +81,23 @@ def access_control(roles: dict[str, Rights]) -> dict[str, Any]:
     ]
     rules, policies = list(shared), []
     for role, rights in roles.items():
-        own = [
+        role_rules = [
             rule
             for right, kinds in RIGHTS.items()
             if (topics := getattr(rights, right))
             for rule in _rules(f"{role} {right}", kinds, topics)
         ]
         if role not in PEOPLE:
-            own += _rules(f"{role} is alive", [("liveliness_token", IN)], [f"alive/{role}"])
-        rules += own
-        policies.append({"id": role, "rules": [rule["id"] for rule in (*shared, *own)], "subjects": [role]})
+            role_rules += _rules(f"{role} is alive", [("liveliness_token", IN)], [f"alive/{role}"])
+        rules += role_rules
+        policies.append({"id": role, "rules": [rule["id"] for rule in (*shared, *role_rules)], "subjects": [role]})
     subjects = [{"id": role, "cert_common_names": [role]} for role in roles]
     tables = {"rules": rules, "subjects": subjects, "policies": policies}
     return {"enabled": True, "default_permission": "deny"} | tables
 
 
 def _rules(name: str, kinds: Sequence[tuple[str, str]], topics: Sequence[str]) -> list[dict[str, Any]]:
-    """One rule for each direction in which there is something to allow."""
+    """Return one rule for each direction with allowed messages."""
     keys = [f"nuno/*/{topic}" for topic in topics]
     return [
         {"id": f"{name}: {flow}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
@@ -112,9 +112,9 @@ PURPOSES = {
     "operator": "nuno control and nuno draw: reads, and may change a run",
     "observer": "reads, and changes nothing",
 }
-"""What each file is for, where that is not the service of its name."""
+"""Purpose of each file that is not for the service of its name."""
 MOST_DAYS = 825
-"""What platforms commonly accept of a certificate that is not an authority's."""
+"""Longest validity that platforms commonly accept, except for authorities [days]."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Kept:
     ends: datetime
     hosts: tuple[str, ...]
     wrong: str = ""
-    """What is amiss, empty where nothing is."""
+    """The problem of the certificate, empty without one."""
 
     @property
     def purpose(self) -> str:
@@ -134,20 +134,20 @@ class Kept:
 
 
 def roles() -> list[str]:
-    """Every role there is, the router first."""
+    """Return all roles, the router first."""
     return [ROUTER, *read_rights()]
 
 
 def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> list[Kept]:
-    """Make certificates, with the authority that lies in the folder or a new one.
+    """Make certificates, with the authority in the folder or a new one.
 
     Raises BadInput for an unknown role, before anything is written for a file that exists, and for a folder that
     cannot be written.
     """
-    known = roles()
+    known_roles = roles()
     for role in wanted:
-        if role not in known:
-            raise BadInput("no such role", field="--roles", value=role, remedy=nearest(role, known))
+        if role not in known_roles:
+            raise BadInput("no such role", field="--roles", value=role, remedy=nearest(role, known_roles))
     for host in hosts:
         certificates.host_name(host)
     if not 1 <= days <= MOST_DAYS:
@@ -156,17 +156,17 @@ def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> 
         if _path(folder, role).exists():
             remedy = "move it away first, or name other roles: --roles"
             raise BadInput("this would be overwritten", value=str(_path(folder, role)), remedy=remedy)
-    before = set[Path]()
+    existing = set[Path]()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
-        before = set(folder.iterdir())
+        existing = set(folder.iterdir())
         authority = _authority(folder)
         pairs = {role: certificates.sign(authority, role, days, hosts) for role in wanted}
         for role, pair in pairs.items():
             _write(_path(folder, role), configuration(role, pair, authority))
     except OSError as error:
-        for path in set(folder.glob("*")) - before:  # a part of a file, or an authority without its key
+        for path in set(folder.glob("*")) - existing:  # incomplete files, or an authority without its key
             path.unlink()
         remedy = "name a folder of your own"
         raise BadInput(f"cannot be written: {error.strerror}", value=str(folder), remedy=remedy) from None
@@ -174,7 +174,7 @@ def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> 
 
 
 def check(folder: Path) -> list[Kept]:
-    """What the folder holds, and what is wrong with it. Raises BadInput where there is no authority."""
+    """Return the certificates of a folder, with their problems. Raises BadInput where there is no authority."""
     authority = _authority_paths(folder)[0]
     if not authority.is_file():
         remedy = f"make certificates: nuno certs {folder}"
@@ -186,8 +186,8 @@ def check(folder: Path) -> list[Kept]:
 def _check(folder: Path, role: str, trusted: bytes) -> Kept:
     path, wrong = _path(folder, role), ""
     try:
-        own, signer, key = _read(path, role)
-        pair = certificates.load(own, key)
+        certificate, signer, key = _read(path, role)
+        pair = certificates.load(certificate, key)
         authority = load_pem_x509_certificate(trusted)
         pair.certificate.verify_directly_issued_by(authority)
         if signer != trusted or certificates.name_of(pair.certificate) != role:
@@ -208,7 +208,7 @@ def _authority_paths(folder: Path) -> tuple[Path, Path]:
 
 
 def _authority(folder: Path) -> Pair:
-    """The folder's, made if there is none. Raises BadInput where it is damaged."""
+    """Return the folder's authority, a new one if there is none. Raises BadInput where it is damaged."""
     certificate, key = _authority_paths(folder)
     if not certificate.exists() and not key.exists():
         pair = certificates.make_authority()
@@ -227,13 +227,13 @@ def _path(folder: Path, role: str) -> Path:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Create a file that only its owner can read, from its first byte on."""
+    """Create a file that only its owner can ever read."""
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
         file.write(content)
 
 
 def configuration(role: str, pair: Pair, authority: Pair) -> bytes:
-    """The zenoh configuration of a role, with everything in it: paths would have to hold on every host."""
+    """Return the zenoh configuration of a role, with the certificates in it: paths would differ between hosts."""
     side = _side(role)
     tls = {
         "root_ca_certificate_base64": _text(authority.certificate_pem),
@@ -243,7 +243,7 @@ def configuration(role: str, pair: Pair, authority: Pair) -> bytes:
     }
     if role != ROUTER:
         tls["verify_name_on_connect"] = True
-    # Between hosts nothing is shared; and on one host, nothing should be read past the access control.
+    # Hosts share no memory; and on one host, shared memory would bypass the access control.
     transport = {"link": {"protocols": ["tls"], "tls": tls}, "shared_memory": {"enabled": False}}
     config: dict[str, Any] = {"transport": transport}
     if role == ROUTER:
@@ -252,11 +252,11 @@ def configuration(role: str, pair: Pair, authority: Pair) -> bytes:
 
 
 def _read(path: Path, role: str) -> tuple[bytes, bytes, bytes]:
-    """A file's certificate, its authority's, and its key, as PEM."""
+    """Read a file's certificate, its authority's, and its key, as PEM."""
     tls, side = json.loads(path.read_bytes())["transport"]["link"]["tls"], _side(role)
     names = (f"{side}_certificate_base64", "root_ca_certificate_base64", f"{side}_private_key_base64")
-    own, authority, key = (base64.b64decode(tls[name], validate=True) for name in names)
-    return own, authority, key
+    certificate, authority, key = (base64.b64decode(tls[name], validate=True) for name in names)
+    return certificate, authority, key
 
 
 def _side(role: str) -> str:

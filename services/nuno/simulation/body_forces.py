@@ -1,4 +1,4 @@
-"""What bodies feel of cloth: force, torque and pressure, of what touches them and of what is attached to them."""
+"""Forces, torques and pressures of cloth on bodies: by contact and by attached vertices."""
 
 from __future__ import annotations
 
@@ -15,48 +15,49 @@ from nuno_schemas.messages import BodyContact, Contact
 
 
 def feel(simulation: Simulation) -> tuple[Contact, dict[str, NDArray[Any]]]:
-    """What all bodies feel in the present state, and each touch: `vertex` and `body` (k,), `force` (k, 3) on the body
-    [N] and `pressure` (k,) [Pa].
+    """Return the loads on all bodies in the present state, and the contacts: `vertex` and `body` (k,), `force` (k, 3)
+    on the body [N] and `pressure` (k,) [Pa].
     """
     geometry, poses, x = simulation.geometry, simulation.poses, simulation.state.x
-    found = simulation.present_touched()
-    assert geometry is not None and poses is not None and found is not None
-    around = surface_of(simulation.fabric)
-    areas, normals = areas_of(x, around), vertex_normals(x, around)
+    contact_forces = simulation.present_touched()
+    assert geometry is not None and poses is not None and contact_forces is not None
+    triangles = surface_of(simulation.fabric)
+    areas, normals = areas_of(x, triangles), vertex_normals(x, triangles)
     owners = np.array([geometry.bodies.index(name.split("/", 1)[0]) for name in geometry.frames], np.int32)
-    attached_to = _attached(simulation, owners)
-    felt, touches = [], []
+    attached_vertices = _attached_vertices(simulation, owners)
+    contacts, columns = [], []
     for number, name in enumerate(geometry.bodies):
-        force = -found.by.get(name, np.zeros_like(x))
+        force = -contact_forces.by.get(name, np.zeros_like(x))
         vertices = np.flatnonzero(force.any(axis=1)).astype(np.int32)
         normal = np.abs(np.einsum("ni,ni->n", force[vertices], normals[vertices]))
         area = areas[vertices]
         pressure = np.divide(normal, area, out=np.zeros(len(area)), where=area > 0.0)
-        attached = attached_to[number]
-        pull = found.total[attached]
+        attached = attached_vertices[number]
+        pull = contact_forces.total[attached]
         places, forces = np.concatenate([x[vertices], x[attached]]), np.concatenate([force[vertices], pull])
         origin = poses.translation[int(np.argmax(owners == number))]
-        felt.append(
+        contacts.append(
             BodyContact(
                 body=name, force=_sum(forces), torque=_sum(np.cross(places - origin, forces)), attached=_sum(pull),
-                vertices=len(vertices), **_pressed(area, normal, pressure, len(around) > 0),
+                vertices=len(vertices), **_pressure_facts(area, normal, pressure, len(triangles) > 0),
             )
         )  # fmt: skip
-        touches.append((vertices, np.full(len(vertices), number, np.int32), force[vertices], pressure))
-    vertex, of, force, pressure = (np.concatenate(parts) for parts in zip(*touches, strict=True))
-    arrays = {"vertex": vertex, "body": of, "force": force.astype(np.float32), "pressure": pressure.astype(np.float32)}
-    return Contact(frame=simulation.frame, t=simulation.t, bodies=felt), arrays
+        columns.append((vertices, np.full(len(vertices), number, np.int32), force[vertices], pressure))
+    vertex, body, force, pressure = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    force, pressure = force.astype(np.float32), pressure.astype(np.float32)
+    arrays = {"vertex": vertex, "body": body, "force": force, "pressure": pressure}
+    return Contact(frame=simulation.frame, t=simulation.t, bodies=contacts), arrays
 
 
 def surface_of(fabric: Fabric) -> Int:
-    """(f, 3) its triangles, or of a knit the halves of its cells; none of a net that has neither."""
+    """Return the triangles of a fabric (f, 3), the halves of the cells of a knit; a net has no rows."""
     if len(fabric.faces) or fabric.cells is None:
         return fabric.faces
     return np.concatenate([fabric.cells[:, [0, 1, 2]], fabric.cells[:, [0, 2, 3]]])
 
 
 def require_touched(simulation: Simulation) -> None:
-    """Raises BadInput for a solver, and for contact, that does not tell what each body feels."""
+    """Raise BadInput for a solver or a contact plugin that cannot attribute contact forces to bodies."""
     loaded, problem = simulation.loaded, "contact forces are asked for, and this does not tell those of each body"
     field, remedy = "record.contact_forces", "leave them out, or take a solver and contact of nuno"
     if not hasattr(simulation.solver.plugin, "touched"):
@@ -68,25 +69,25 @@ def require_touched(simulation: Simulation) -> None:
 
 
 def areas_of(x: Float, faces: Int) -> Float:
-    """(n,) a third of the triangles around each vertex [m^2]."""
+    """Return the area of each vertex, a third of its triangles' area, shape (n,) [m^2]."""
     a, b, c = (x[faces[:, i]] for i in range(3))
     each = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     return np.asarray(np.bincount(faces.ravel(), np.repeat(each, 3), len(x)), np.float64)
 
 
-def _attached(simulation: Simulation, owners: Int) -> list[Int]:
-    """Of each body the vertices that its frames carry, which are of the bodies `owners` (f,)."""
+def _attached_vertices(simulation: Simulation, owners: Int) -> list[Int]:
+    """Return the vertices attached to each body; `owners` (f,) is the body of each frame."""
     carried, numbers = simulation.system.carried, simulation.numbers
-    none = np.zeros(0, np.int32)
-    vertices = np.concatenate([none, *(np.asarray(one.vertices) for one in carried)])
-    body = owners[np.concatenate([none, *(np.asarray(one.frame) for one in carried)])]
-    given = vertices if numbers is None else numbers[vertices]
-    return [given[body == number] for number in range(int(owners.max()) + 1)]
+    empty = np.zeros(0, np.int32)
+    vertices = np.concatenate([empty, *(np.asarray(attachment.vertices) for attachment in carried)])
+    bodies = owners[np.concatenate([empty, *(np.asarray(attachment.frame) for attachment in carried)])]
+    user_vertices = vertices if numbers is None else numbers[vertices]
+    return [user_vertices[bodies == number] for number in range(int(owners.max()) + 1)]
 
 
-def _pressed(area: Float, normal: Float, pressure: Float, known: bool) -> dict[str, float | None]:
-    """Of the vertices that touch a body: their area, and the largest and the mean pressure."""
-    if not known:
+def _pressure_facts(area: Float, normal: Float, pressure: Float, has_surface: bool) -> dict[str, float | None]:
+    """Return the contact area of a body, and the largest and the mean pressure on it."""
+    if not has_surface:
         return {"area": None, "pressure": None, "mean_pressure": None}
     whole = float(area.sum())
     mean = float(normal.sum()) / whole if whole > 0.0 else 0.0

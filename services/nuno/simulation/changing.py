@@ -1,4 +1,4 @@
-"""A simulation whose cloth operations change while it goes on."""
+"""A simulation whose cloth is changed by operations while it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
-from nuno.collision.distance import beside
+from nuno.collision.distance import body_distances
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Checkpoint
 from nuno.scene.chosen_plugins import Chosen
@@ -33,11 +33,11 @@ from nuno_schemas.plugin import Rested
 from nuno_schemas.system import StepReport
 
 NUMBERS = "numbers"
-"""What `Changing.numbers` is called in a checkpoint."""
+"""Name of the array `Changing.numbers` in a checkpoint."""
 
 
 class Changing(Stepper):
-    """Cloth, its state and its solver, and what operations have made of them."""
+    """Cloth with its state and its solver, which operations may change."""
 
     geometry: Geometry | None
     start_poses: Poses | None
@@ -46,37 +46,37 @@ class Changing(Stepper):
     pieces: list[build.Piece]
     state: State
     numbers: Int | None
-    """(n,) the vertex in each place of what is stepped, None where that is the fabric as it is."""
+    """(n,) the vertex at each position of the stepped fabric, None where that keeps the user's order."""
     rested: Sequence[Rested]
-    """What each object has come to rest as on fewer vertices before, if anything has."""
+    """Coarse state at rest of each object, empty where the scene has none."""
     stillness: Stillness
     balanced: bool
 
     @abstractmethod
     def measure(self, poses: Poses | None) -> StepReport:
-        """The present state's energy and stretch, without a step; compiles what steps need."""
+        """Return energy and stretch of the present state, without a step; compiles the kernels of a step."""
 
     @abstractmethod
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
-        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before: by
-        the places in which they are stepped.
+        """Build system, step and memory from the scene; `arrays` is solver memory to keep, and `source` (n,) the former
+        position of each vertex, in the order of the steps.
         """
 
     @property
     def solver(self) -> Chosen:
-        """The scene's integrator, for states in the user's order."""
+        """The scene's integrator; it takes states in the user's order."""
         chosen, numbers = self.loaded.integrator, self.numbers
         return chosen if numbers is None else replace(chosen, plugin=RenumberedSolver(chosen.plugin, numbers))
 
     def begin_unchanged(self) -> None:
-        """Have the cloth of the scene."""
+        """Start with the cloth of the scene, before any operation."""
         self.numbers = find_numbers(self.fabric, self.pieces) if takes_any_numbering(self.loaded) else None
         self.changes: list[dict[str, Any]] = []
-        """What operations did to the cloth, in their order: frame, t [s], operation, object and its facts."""
+        """Changes by operations, in order: frame, t [s], operation, object and its facts."""
         self.applied = 0
-        """Of the scene's operations."""
+        """Number of the scene's operations that have been applied."""
         self.crests: list[Int] = []
-        """Of each change (5, c) vertices of its object by which its height is measured: on the line, to the left and to
+        """(5, c) for each change, the vertices of its object that measure its height: on the line, to the left and to
         the right of it, and before and after on it; c may be 0."""
         self._fabrics: list[Fabric] | None = None
         scene = self.loaded.scene
@@ -89,25 +89,25 @@ class Changing(Stepper):
                 raise self.loaded.at(f"operations[{i}]", error) from None
 
     def add(self, item: str) -> str:
-        """Apply an operation, `wrinkle: {...}`, at once; the text that does so again. Raises BadInput."""
+        """Apply an operation, `wrinkle: {...}`, at once; return the text that repeats it. Raises BadInput."""
         index, chosen, item = parse(item, self.loaded)
         self._alter(index, chosen)
         return item
 
     def due(self, frame: int) -> int:
-        """How many of the scene's operations have come by `frame`."""
+        """Return the number of the scene's operations whose time is at most that of `frame`."""
         rate = self.loaded.scene.frame_rate
         return sum(round(float(applied.at) * rate) <= frame for applied in self.loaded.scene.operations)
 
     def alter_due(self) -> bool:
-        """Apply the scene's operations whose time has come; whether there were any. Raises BadInput."""
+        """Apply the scene's operations that are due; return whether there were any. Raises BadInput."""
         scene, before = self.loaded.scene, self.applied
         order = sorted(range(len(scene.operations)), key=lambda i: float(scene.operations[i].at))
         names = [spec.name for spec in scene.objects]
         for i in order[before : self.due(self.frame)]:
             name = scene.operations[i].object or names[0]
             try:
-                if not arranges(self.loaded.operations[i].plugin):  # otherwise the cloth was built so
+                if not arranges(self.loaded.operations[i].plugin):  # an arrangement is built into the cloth
                     self._alter(names.index(name), self.loaded.operations[i])
             except BadInput as error:
                 raise self.loaded.at(f"operations[{i}]", error) from None
@@ -115,11 +115,10 @@ class Changing(Stepper):
         return self.applied > before
 
     def rehearse(self) -> None:
-        """Let the scene's later operations change the cloth as it is now, compile what its steps then need, and have
-        everything as it was: the run does not wait for the compiler where their time comes. So may a body that another
-        program moves take hold of it, with whichever vertex.
+        """Compile the kernels that later operations need, by applying each to a copy of the present cloth: the run does
+        not wait for the compiler then. The same holds for an attachment to a body that another program moves.
 
-        An operation that would be refused now is left for its time.
+        An operation that would be refused now is skipped.
         """
         scene = self.loaded.scene
         names = [spec.name for spec in scene.objects]
@@ -137,7 +136,7 @@ class Changing(Stepper):
                 trial.measure(self.poses)
 
     def parts(self) -> list[Fabric]:
-        """The fabric of each object as it is now."""
+        """Return the present fabric of each object."""
         if len(self.pieces) == 1:
             return [self.fabric]
         if self._fabrics is None:  # joined fabrics are copies: parts are kept only where one changes
@@ -145,24 +144,24 @@ class Changing(Stepper):
         return self._fabrics
 
     def _alter(self, index: int, chosen: Chosen) -> None:
-        """Let an operation change one object; all is as it was where it is refused. Raises BadInput."""
+        """Apply an operation to one object; a refused one changes nothing. Raises BadInput."""
         piece, fabrics = self.pieces[index], list(self.parts())
-        own = slice(piece.start, piece.stop)
-        state = State(self.state.x[own].copy(), self.state.v[own].copy(), self.state.t)
+        vertices = slice(piece.start, piece.stop)
+        state = State(self.state.x[vertices].copy(), self.state.v[vertices].copy(), self.state.t)
         outcome = self._apply(chosen, fabrics[index], state)
-        made = outcome.changed
-        if made is None:
+        changed_cloth = outcome.changed
+        if changed_cloth is None:
             raise BadInput("the operation changed nothing", value=chosen.name)
-        fabrics[index] = made.fabric
-        moved = np.where(made.source >= 0, made.source + piece.start, -1)
+        fabrics[index] = changed_cloth.fabric
+        moved = np.where(changed_cloth.source >= 0, changed_cloth.source + piece.start, -1)
         source = np.concatenate([np.arange(piece.start), moved, np.arange(piece.stop, self.fabric.number)])
         x, v = (
             np.concatenate([old[: piece.start], new, old[piece.stop :]])
-            for old, new in ((self.state.x, made.state.x), (self.state.v, made.state.v))
+            for old, new in ((self.state.x, changed_cloth.state.x), (self.state.v, changed_cloth.state.v))
         )
-        told = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
+        change = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
         changed = copy(self)
-        changed.changes = [*self.changes, told | {"facts": dict(outcome.facts)}]
+        changed.changes = [*self.changes, change | {"facts": dict(outcome.facts)}]
         changed.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
         try:
             changed._take(fabrics, State(x, v, self.state.t))
@@ -177,7 +176,7 @@ class Changing(Stepper):
             problem = "the changed cloth would make the present step unstable"
             remedy = "solver: {dt: auto}, a smaller dt, a line of fewer small triangles, or springs: paper"
             raise BadInput(problem, value=f"{self.dt:g} s", limit=error.limit, remedy=remedy) from None
-        # A step never grows while a run goes on, and what was at rest is so no more.
+        # A step never grows during a run, and changed cloth is no longer at rest.
         if self.steps > changed.steps:
             changed.steps, changed.dt = self.steps, self.dt
         changed.stillness.begin(changed.state.x)
@@ -186,26 +185,26 @@ class Changing(Stepper):
         self.become(changed)
 
     def _apply(self, chosen: Chosen, fabric: Fabric, state: State) -> Outcome:
-        """What an operation makes of one object, beside the body that it is made with. Raises BadInput."""
+        """Return the outcome of an operation on one object, and on the body that it names. Raises BadInput."""
         if not hasattr(chosen.plugin, "apply_beside"):
-            made: Outcome = chosen.plugin.apply(chosen.config, fabric, state, None)
-            return made
-        name, known = chosen.plugin.body(chosen.config), [body.name for body in self.loaded.scene.bodies]
-        if name not in known or self.geometry is None or self.poses is None:
-            remedy = nearest(name, known) if known else "give the scene the body"
+            outcome: Outcome = chosen.plugin.apply(chosen.config, fabric, state, None)
+            return outcome
+        name, bodies = chosen.plugin.body(chosen.config), [body.name for body in self.loaded.scene.bodies]
+        if name not in bodies or self.geometry is None or self.poses is None:
+            remedy = nearest(name, bodies) if bodies else "give the scene the body"
             raise BadInput("there is no such body", field="body", value=name, remedy=remedy)
-        held: Outcome = chosen.plugin.apply_beside(
-            chosen.config, fabric, state, beside(state.x, self.geometry, self.poses, name)
+        outcome_on_body: Outcome = chosen.plugin.apply_beside(
+            chosen.config, fabric, state, body_distances(state.x, self.geometry, self.poses, name)
         )
-        return held
+        return outcome_on_body
 
     def become(self, changed: Self) -> None:
-        """Go on as a copy of this that something has been changed in: what is refused has then changed nothing here."""
+        """Take all attributes of a changed copy: a change that is refused has altered only the copy."""
         vars(self).update(vars(changed))
 
     def heights(self, number: int) -> dict[str, float]:
-        """Mean height of what a change raised over the chord across it, along the normal to chord and line, and length
-        of that chord [m]; empty for none. Both follow the cloth wherever it goes.
+        """Return the mean height of a raised line over the chord across it, along the normal to chord and line, and the
+        length of that chord [m]; empty for a change without crests. Both follow the moving cloth.
         """
         crest = self.crests[number]
         if not crest.size:
@@ -217,19 +216,19 @@ class Changing(Stepper):
         return {"height": float(height.mean()), "width": float(np.linalg.norm(other - one, axis=1).mean())}
 
     def wrinkles(self) -> dict[str, float]:
-        """`heights` of all changes, as 0_height, 0_width and so on."""
-        each = ((i, self.heights(i)) for i in range(len(self.changes)))
-        return {f"{i}_{name}": value for i, found in each for name, value in found.items()}
+        """Return `heights` of all changes, as 0_height, 0_width and so on."""
+        heights = ((i, self.heights(i)) for i in range(len(self.changes)))
+        return {f"{i}_{name}": value for i, values in heights for name, value in values.items()}
 
     def _take(self, fabrics: list[Fabric], state: State) -> None:
-        """Have these objects, where `state` says."""
+        """Replace the objects by these fabrics, in `state`."""
         self._fabrics = fabrics if len(fabrics) > 1 else None
         self.fabric = join_fabrics(fabrics, self.loaded.scene.name)
         self.pieces = build.place_pieces(self.loaded, fabrics)
         self.state = state
 
     def altered(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Arrays and text for a checkpoint: the objects that operations have changed, and the order of the steps."""
+        """Return arrays and text for a checkpoint: the changed objects, and the order of vertices in the steps."""
         names = [piece.name for piece in self.pieces]
         changed = sorted({names.index(change["object"]) for change in self.changes})
         fabrics = self.parts() if changed else []
@@ -242,18 +241,18 @@ class Changing(Stepper):
         return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins, "bound": bound}
 
     def adopt(self, point: Checkpoint) -> None:
-        """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
+        """Take objects and step from a checkpoint that `altered` was written to. Raises BadInput."""
         with fitting(self.loaded):
-            own = (name for name in point.arrays if name == NUMBERS or name.startswith("fabric/"))
-            another = self._adopt({name: point.arrays[name].copy() for name in own}, deepcopy(point.text))
-        if another:
+            names = (name for name in point.arrays if name == NUMBERS or name.startswith("fabric/"))
+            rebuilt = self._adopt({name: point.arrays[name].copy() for name in names}, deepcopy(point.text))
+        if rebuilt:
             self._prepare({})
             self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
 
     def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
-        """Whether another fabric is stepped now. Raises ContractError or whatever else a broken checkpoint leads to."""
+        """Return whether the stepped fabric is another now. Any error may show a broken checkpoint."""
         origins: dict[str, dict[str, float]] = text.get("origins", {})
-        # The solver's memory is in the order that the recording was stepped in, none where that had no other.
+        # The solver's memory is in the order of the recording's steps, the user's where that has no numbers.
         before, self.numbers = self.numbers, arrays.get(NUMBERS)
         if origins:
             self._adopt_fabrics(arrays, text, origins)
@@ -271,10 +270,10 @@ class Changing(Stepper):
         self.applied = int(text["applied"])
         fabrics = list(self.parts())
         for number, origin in origins.items():
-            own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
+            fabric_values = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
-            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin, bound)
-            from nuno.plugin_contract.results import check_fabric  # it knows all that plugins give, dye too
+            fabrics[int(number)] = fabric_from(fabric_values, fabrics[int(number)], origin, bound)
+            from nuno.plugin_contract.results import check_fabric  # it imports the types of all plugins, dye's too
 
             check_fabric(fabrics[int(number)])
         sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}

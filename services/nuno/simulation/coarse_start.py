@@ -1,8 +1,8 @@
-"""Cloth comes to rest on fewer vertices first, where its model can: a frame of a garment at half the length of edges
-takes five to ten times as long, and what is left to do from the coarser rest is small.
+"""A coarse start: cloth comes to rest on fewer vertices first, where its model allows that. A frame of a garment at
+half the length of edges takes five to ten times as long, and the motion that is left from the coarse rest is small.
 
-It also makes sizes of triangles agree: friction holds cloth where it came to lie, so that meshes that are put on by
-themselves hang differently by as much as friction bears.
+Meshes of several sizes also agree better so: friction holds cloth where it came to lie, and meshes that start apart
+hang differently by as much as friction bears.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Rested
 
 LONGEST = 6.0
-"""What does not rest within this time [s] goes on as it is then: whatever the scene's duration is, so that a run that
-is resumed for longer has begun in the same place."""
+"""Longest time of the coarse start [s], after which its state is taken even in motion. It does not depend on the
+scene's duration, so that a run that is resumed for longer has the same start."""
 
 
 class Settling(Protocol):
-    """What is used of a simulation."""
+    """The part of a simulation that the coarse start uses."""
 
     fabric: Fabric
     state: State
@@ -42,10 +42,10 @@ class Settling(Protocol):
 
 @dataclass(frozen=True)
 class Settled:
-    """Each object as it has come to rest; none where no model wants that. And what is to be said of it."""
+    """Coarse state at rest of each object, and the facts for the report; both are empty where no model asks for it."""
 
     objects: tuple[Rested, ...] = ()
-    told: tuple[dict[str, Any], ...] = ()
+    facts: tuple[dict[str, Any], ...] = ()
 
 
 def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
@@ -60,21 +60,21 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
     stops = np.cumsum([model.plugin.count(model.config, coarse.files) for model in coarse.models]).tolist()
     if loaded.settled is not None and len(loaded.settled[0]) == stops[-1]:
         return Settled(_split(coarse, stops, *loaded.settled))
-    first = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
+    coarsened = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
     if not takes_any_numbering(loaded):
-        numbered = BadInput("a force knows vertices by number: on coarser triangles they are others",
+        error_of_force = BadInput("a force knows vertices by number: on coarser triangles they are others",
                             remedy="leave it out")  # fmt: skip
-        raise loaded.at(f"objects[{first}].model.coarse", numbered)
+        raise loaded.at(f"objects[{coarsened}].model.coarse", error_of_force)
     begin = time.perf_counter()
     try:
         simulation = simulate(coarse)
     except BadInput as error:
         if not (error.field or "").startswith(("objects", "cloth_contact")):
             raise
-        build_fabric(loaded)  # which also refuses what is wrong at any size of triangles
-        remedy, value = "make their sides shorter, or leave it out", loaded.models[first].given.get("coarse")
+        build_fabric(loaded)  # raises for faults at any size of triangles
+        remedy, value = "make their sides shorter, or leave it out", loaded.models[coarsened].given.get("coarse")
         problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
-        raise loaded.at(f"objects[{first}].model.coarse", problem) from error
+        raise loaded.at(f"objects[{coarsened}].model.coarse", problem) from error
     while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
         report = simulation.step().report
         if report.status != "ok":
@@ -88,6 +88,6 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Settling]) -> Settled:
 
 
 def _split(coarse: Loaded, stops: list[int], start: Float, x: Float) -> tuple[Rested, ...]:
-    """Each object's part of where vertices (n, 3) of them all began and came to lie."""
+    """Split the start and the rest of all vertices (n, 3) [m] by object."""
     bounds = zip(coarse.models, [0, *stops[:-1]], stops, strict=True)
     return tuple(Rested(model.config, start[a:b].copy(), x[a:b].copy()) for model, a, b in bounds)

@@ -1,4 +1,4 @@
-"""Operations on cloth while its simulation goes on: how they are named, and what is carried over."""
+"""Operations on cloth during its simulation: their text, and the transfer of solver memory and checkpoints."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 
 NAME = "add"
-"""What errors call the text of an added operation."""
+"""Name of an added operation's text in errors."""
 ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
 PARTS = ("springs", "hinges", "membrane", "bending", "friction", "corners")
-"""Of a fabric, beside arrays, those among them that it may lack."""
+"""Parts of a fabric that hold arrays; any may be None."""
 
 
 def name_of(item: str) -> str:
-    """`wrinkle` of `wrinkle: {lines: [...]}`; "" for a text that is no mapping of one name."""
+    """Return `wrinkle` for `wrinkle: {lines: [...]}`; "" for a text that is no mapping of one name."""
     value = yaml_lines.parse_value(item)
     return str(next(iter(value))) if isinstance(value, dict) and len(value) == 1 else ""
 
 
 def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
-    """The object's number, the operation, and the text with what its files hold in the place of their names.
+    """Return the object's number, the operation, and the text with the content of its files in place of their names.
 
     Raises BadInput.
     """
-    name, known = name_of(item), sorted(registry.installed("nuno.operations"))
-    if name not in known:
+    name, installed_names = name_of(item), sorted(registry.installed("nuno.operations"))
+    if name not in installed_names:
         remedy = "for example wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}"
-        problem, limit = "cloth that moves is changed by an operation", nearest(name, known)
+        problem, limit = "cloth that moves is changed by an operation", nearest(name, installed_names)
         raise BadInput(problem, NAME, value=item, limit=limit, remedy=remedy)
     fields = yaml_lines.parse_value(item)[name]
     if not isinstance(fields, dict):
@@ -58,9 +58,9 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
     except ValidationError as error:
         raise explain(error, data, (), NAME, lines, Applied) from None
     names = [spec.name for spec in loaded.scene.objects]
-    of = applied.object or (names[0] if len(names) == 1 else "")
-    if of not in names:
-        remedy = nearest(of, names)
+    object_name = applied.object or (names[0] if len(names) == 1 else "")
+    if object_name not in names:
+        remedy = nearest(object_name, names)
         raise BadInput("say which object it changes", NAME, field="object", value=applied.object, remedy=remedy)
     files = SceneFiles(loaded.files.folder, loaded.files.roots)
     chosen = choose_operation(applied, (), NAME, lines, files)
@@ -68,17 +68,17 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
         raise BadInput("this operation is for the start, before the first frame", NAME, value=name,
                        remedy=f"run the scene again with operations: [{{plugin: {name}}}]")  # fmt: skip
     if files.used:
-        own = {} if applied.object is None else {"object": applied.object}
-        said = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-        item = json.dumps({chosen.name: own | said})
-    return names.index(of), chosen, item
+        target = {} if applied.object is None else {"object": applied.object}
+        fields_given = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        item = json.dumps({chosen.name: target | fields_given})
+    return names.index(object_name), chosen, item
 
 
 def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[Any]:
-    """A solver's array for a changed fabric: of old vertices what `values` has, of new ones what `target` begins with.
+    """Return a solver's array for a changed fabric: old vertices keep `values`, new ones have those of `target`.
 
-    source (n,) the vertex that each was, -1 for a new one. An array of the same shape stays as it is; one that grows by
-    something else than vertices, such as the pairs that may come near, begins anew.
+    source (n,) is the former number of each vertex, -1 for a new one. An array of the same shape is returned unchanged;
+    one whose size is not that of the vertices, such as a list of near pairs, is `target`.
     """
     axes = [i for i, (old, new) in enumerate(zip(values.shape, target.shape, strict=True)) if old != new]
     if not axes:
@@ -92,11 +92,11 @@ def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[An
 
 
 def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
-    """All arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the way back."""
+    """Return all arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the inverse."""
     arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
     for part in PARTS:
-        if (held := getattr(fabric, part)) is not None:
-            arrays |= arrays_of(held, f"{part}.")
+        if (values := getattr(fabric, part)) is not None:
+            arrays |= arrays_of(values, f"{part}.")
     for i, binding in enumerate(fabric.bindings):
         arrays[f"bindings.{i}"] = binding.vertices
         arrays |= {} if binding.local is None else {f"bindings.{i}.local": binding.local}
@@ -104,21 +104,21 @@ def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
 
 
 def frames_bound(fabric: Fabric) -> list[tuple[str, str | None]]:
-    """Body and frame of each binding of a fabric, for a checkpoint."""
+    """Return body and frame of each binding of a fabric, for a checkpoint."""
     return [(binding.body, binding.frame) for binding in fabric.bindings]
 
 
 def fabric_from(
     arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float], bound: Sequence[tuple[str, str | None]]
 ) -> Fabric:
-    """The fabric that a checkpoint holds, `built` being that of the scene and `bound` what its `frames_bound` were.
+    """Return the fabric of a checkpoint; `built` is that of the scene, and `bound` is its former `frames_bound`.
     Raises BadInput where it is damaged.
     """
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
         for part in PARTS:  # panels stay as they are cut: no operation changes triangles of corners
-            if (own := getattr(built, part)) is not None:
-                parts[part] = replace(own, **{name: arrays[f"{part}.{name}"] for name in arrays_of(own)})
+            if (built_part := getattr(built, part)) is not None:
+                parts[part] = replace(built_part, **{name: arrays[f"{part}.{name}"] for name in arrays_of(built_part)})
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
             for i, (body, frame) in enumerate(bound)

@@ -1,10 +1,10 @@
-"""Coming to rest: when cloth does, damping that finds its own strength, and what is said of cloth that does not.
+"""Coming to rest: detection of rest, adaptive damping, and the message for cloth that does not settle.
 
 `damping: auto` is 3 / t with t the time since the last start, the damping under which x'' + (3 / t) x' + grad E = 0
 goes down in energy as Nesterov's method does (W. Su, S. Boyd, E. Candes, A differential equation for modeling
 Nesterov's accelerated gradient method, JMLR 17(153), 2016): strong at first, then ever weaker, so that no frequency of
-the cloth has to be known. Where the speed falls the cloth has gone past the bottom: it stops and starts again, their
-"speed restarting", which converges linearly. Not chosen: a constant damping, which
+the cloth has to be known. Where the speed falls the cloth has passed the minimum: it stops and starts again, their
+"speed restarting", which converges linearly. Rejected: a constant damping, which
 is right for one frequency; 10 /s took twice the steps on a stocking of 150 x 150 points without friction.
 """
 
@@ -23,24 +23,24 @@ from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import System
 
 REST_SPEED, REST_TIME, TREMBLES = 2e-4, 0.3, 0.125
-"""Cloth rests when no vertex has strayed farther than it goes at this share of the cloth's size a second, unless the
-scene gives a speed, for this long [s]: of a pendulum of 1 m swings of less than 1 mm are left. What trembles faster
-than in the last time [s] is averaged over: contact of what is held taut goes to and fro by a tenth of a millimetre
+"""Cloth rests when no vertex drifts faster than this share of the cloth's size a second, unless the
+scene gives a speed, for this time [s]: a pendulum of 1 m keeps swings of less than 1 mm. Vibration with a period below
+the last time [s] is averaged out: contact of taut cloth oscillates by a tenth of a millimetre
 between two of its forces, and moves nothing."""
 BALANCED = 1e-3
-"""Cloth is in balance where no vertex is farther from rest than this share of the springs' mean tension."""
+"""Cloth is balanced where no vertex has a larger unbalanced force than this share of the springs' mean tension."""
 
 
 class Stillness:
-    """Whether cloth rests, by where vertices are.
+    """Detects rest by the positions of vertices.
 
-    Not by how fast they are said to be: of what is held taut between forces that act in turns, the velocity is that in
-    the middle of a step, half a step of force (leapfrog, respa), while it stays where it is. `memory` goes into
-    checkpoints: where vertices are on average (n, 3) [m], and the frames (1,) since they were at place (n, 3) [m].
+    Rejected: velocities. Between forces that alternate, taut cloth stays in place while its velocity is that in the
+    middle of a step, half a step of force (leapfrog, respa). `memory` is stored in checkpoints: the mean positions
+    (n, 3) [m], and the frames (1,) since they were at place (n, 3) [m].
     """
 
     def __init__(self, frame_rate: float, vertices: int, speed: float) -> None:
-        """`speed` [m/s] is the least that is a motion."""
+        """`speed` [m/s] is the least that counts as motion."""
         self.needed, self.room = REST_TIME * frame_rate, speed * REST_TIME
         self.share = min(1.0, 1.0 / TREMBLES / frame_rate)
         self.frames, self.mean, self.place = np.zeros(1, np.int64), *np.full((2, vertices, 3), np.nan)
@@ -49,7 +49,7 @@ class Stillness:
         }  # fmt: skip
 
     def after(self, x: Float) -> None:
-        """Note a finished frame, of vertices x (n, 3)."""
+        """Record a finished frame with positions x (n, 3) [m]."""
         if self.room > 0.0 and not np.isnan(self.mean).any():
             self.mean += self.share * (x - self.mean)
             self.frames[0] += 1
@@ -59,36 +59,36 @@ class Stillness:
             self.begin(x)
 
     def begin(self, x: Float) -> None:
-        """Nothing has rested so far."""
+        """Restart the count of frames at rest, at positions x (n, 3) [m]."""
         self.frames[0], self.mean[...], self.place[...] = 0, x, x
 
     @property
     def rests(self) -> bool:
-        """Whether it does."""
+        """Whether the cloth rests."""
         return bool(self.frames[0] >= self.needed)
 
 
 class Relaxation:
-    """Damping over the frames of one run; `memory` (2,) goes into checkpoints: frames since the last start, and the
-    kinetic energy after the last one [J].
+    """Adaptive damping over the frames of one run; `memory` (2,) is stored in checkpoints: frames since the last
+    restart, and the kinetic energy after the last frame [J].
     """
 
     def __init__(self, frame_rate: float, inertia: Float) -> None:
-        """`inertia` (n,) masses of the vertices, 0 for those that are held [kg]."""
+        """`inertia` (n,) is the mass of each vertex, 0 for a pinned one [kg]."""
         self.frame_rate, self.inertia = frame_rate, inertia[:, None]
         self.memory = np.zeros(2)
 
     @property
     def damping(self) -> float:
-        """Of the next frame [1/s]."""
+        """Damping of the next frame [1/s]."""
         return 3.0 * self.frame_rate / (1.0 + float(self.memory[0]))
 
     def after(self, state: State) -> None:
-        """Note a finished frame; cloth that has become slower stops."""
-        # Exactly: in NumPy's order, which differs between machines, the last bits would decide when to start again.
+        """Record a finished frame; stop cloth that has become slower."""
+        # The sum is exact: NumPy's order differs between machines, and the last bits would decide the restart.
         try:
             energy = math.fsum((self.inertia * state.v * state.v).ravel().tolist())
-        except OverflowError:  # of cloth that flies apart
+        except OverflowError:  # diverging cloth
             energy = math.inf
         self.memory[0] += 1.0
         if energy < self.memory[1]:
@@ -98,7 +98,7 @@ class Relaxation:
 
 
 def damped(system: System, scene: Scene, frame: int, relaxation: Relaxation | None) -> System:
-    """With the damping that a scene has from number `frame` to the next, where it changes."""
+    """Return the system with the scene's damping from `frame` to the next."""
     if relaxation is not None:
         return replace(system, damping=relaxation.damping)
     if isinstance(scene.damping, Fading):
@@ -107,7 +107,7 @@ def damped(system: System, scene: Scene, frame: int, relaxation: Relaxation | No
 
 
 def unsettled(share: Float, state: State, pieces: list[Piece], free: int) -> str:
-    """What is said of cloth that its duration was too short for; share (n,) is how far each vertex is from rest."""
+    """Return the message for cloth that did not settle in its duration; share (n,) is each vertex's unbalance."""
     vertex, beyond = int(np.argmax(share)), int((share > BALANCED).sum())
     piece = next(piece.name for piece in pieces if vertex < piece.stop)
     place = ", ".join(f"{value:.4g}" for value in state.x[vertex])

@@ -1,4 +1,4 @@
-"""A solver of renumbered cloth, which is given and gives what it has of vertices in the user's order."""
+"""A solver of renumbered cloth, which takes and returns vertex arrays in the user's order."""
 
 from __future__ import annotations
 
@@ -11,41 +11,40 @@ from nuno_schemas.system import Forces, Touched
 
 
 class RenumberedSolver:
-    """Stands for an integrator (nuno_schemas.plugin.Integrator) wherever that is given a state: of systems whose fabric
-    is renumbered, by `numbers` (n,), for states that are not.
+    """Wraps an integrator (nuno_schemas.plugin.Integrator): it takes systems whose fabric is renumbered by `numbers`
+    (n,), and states that are not.
 
-    Memory is the integrator's own, with its vertices as they are stepped. Springs, and so their tensions, have kept
-    their order.
+    Memory is the integrator's own, in the renumbered order. Springs, and so their tensions, keep their order.
     """
 
     def __init__(self, plugin: Any, numbers: Int) -> None:
         self._plugin, self._numbers = plugin, numbers
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # asked of a copy before it has a plugin
+        if name.startswith("__"):  # a copy is asked for these before it has a plugin
             raise AttributeError(name)
         method = getattr(self._plugin, name)
 
         def call(*args: Any) -> Any:
             numbers = self._numbers
-            own = [State(a.x[numbers], a.v[numbers], a.t) if isinstance(a, State) else a for a in args]
-            found = method(*own)
-            for state, stepped in zip(args, own, strict=True):
+            renumbered_args = [State(a.x[numbers], a.v[numbers], a.t) if isinstance(a, State) else a for a in args]
+            result = method(*renumbered_args)
+            for state, stepped in zip(args, renumbered_args, strict=True):
                 if isinstance(state, State):
                     state.x[numbers], state.v[numbers], state.t = stepped.x, stepped.v, stepped.t
-            return self._given(found)
+            return self._restore(result)
 
         return call if callable(method) else method
 
-    def _given(self, found: Any) -> Any:
-        """What the integrator has found, with values (n, ...) of vertices in the user's order."""
-        if isinstance(found, Forces):
-            parts = {name: self._given(part) for name, part in found.parts.items()}
-            return Forces(parts, self._given(found.acceleration), found.tension)
-        if isinstance(found, Touched):
-            return Touched({name: self._given(part) for name, part in found.by.items()}, self._given(found.total))
-        if isinstance(found, np.ndarray):
-            out = np.empty_like(found)
-            out[self._numbers] = found
+    def _restore(self, result: Any) -> Any:
+        """Return the integrator's result with arrays (n, ...) of vertices in the user's order."""
+        if isinstance(result, Forces):
+            parts = {name: self._restore(part) for name, part in result.parts.items()}
+            return Forces(parts, self._restore(result.acceleration), result.tension)
+        if isinstance(result, Touched):
+            return Touched({name: self._restore(part) for name, part in result.by.items()}, self._restore(result.total))
+        if isinstance(result, np.ndarray):
+            out = np.empty_like(result)
+            out[self._numbers] = result
             return out
-        return found
+        return result

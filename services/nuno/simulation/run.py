@@ -1,4 +1,4 @@
-"""The simulation's work: from a scene to frames, independent of how they are sent."""
+"""Simulation of a scene's cloth, frame by frame, independent of the bus."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.changing import Changing
 from nuno.simulation.coarse_start import settle
-from nuno.simulation.costs import Costs, Moment, Stage
+from nuno.simulation.costs import Costs, FrameStart, Stage
 from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
 from nuno.simulation.operations import carry
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
@@ -42,16 +42,16 @@ from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
 RELAXATION = "relaxation"
-"""Array of the memory that damping which finds its own strength goes on from."""
+"""Name of the array `Relaxation.memory` in the solver's memory."""
 ENERGY = "energy"
-"""What `EnergyGrowth.account` is called in a checkpoint."""
+"""Name of the array `EnergyGrowth.account` in a checkpoint."""
 
 
 class Simulation(Changing):
     """A scene's cloth, its solver and its state.
 
-    poses says where the bodies are now, and find_poses where at the end of a frame, by its number: as long as nothing
-    else is said, where they are at the start.
+    `poses` are those of the bodies now, and `find_poses` returns those at the end of a frame, by its number; by default
+    the bodies stay at their start.
     """
 
     part, service = "cloth", "simulation"
@@ -65,11 +65,11 @@ class Simulation(Changing):
         """`leave` as in System."""
         self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        again = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
-        settled = settle(self.loaded, again)
+        simulate = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
+        settled = settle(self.loaded, simulate)
         self.rested = settled.objects
-        self.fabric, self.pieces, arranged = build.build_told(self.loaded, geometry, poses, self.rested)
-        self.arranged = [*settled.told, *arranged]
+        self.fabric, self.pieces, arranged = build.build_with_facts(self.loaded, geometry, poses, self.rested)
+        self.arranged = [*settled.facts, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
@@ -78,17 +78,17 @@ class Simulation(Changing):
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
         self.frame, self.balanced = 0, False
-        """Whether a scene until balance has come to it."""
+        """Whether the cloth of a scene until balance is balanced."""
         self.costs = Costs()
         self.idle = 0
-        """Frames that were not stepped, since nothing would have changed."""
+        """Frames without steps, since nothing would have changed."""
         self._still = False
         self._report = StepReport("ok", 0)
         self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
         self.limit: StepLimit
         self.growth: EnergyGrowth | None
-        """None before the first frame, and after what changes the cloth or what acts on it."""
+        """None before the first frame, and after a change of the cloth or of its forces."""
         self._prepare({})
         for operation in (one.plugin for one in self.loaded.operations if not arranges(one.plugin)):
             operation.compile()
@@ -96,7 +96,7 @@ class Simulation(Changing):
 
     @classmethod
     def with_bodies(cls, loaded: Loaded, threads: int = 0) -> Simulation:
-        """One that knows by itself where the scene's bodies are, without a service that it would ask."""
+        """Return a simulation that moves the scene's bodies itself, without a collision service."""
         if not loaded.scene.bodies:
             return cls(loaded, None, None, threads)
         bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
@@ -112,7 +112,7 @@ class Simulation(Changing):
         return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
-        """See `Changing`."""
+        """Build system, step and memory from the scene, as in `Changing`."""
         fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
         self._still, self.growth = False, None
         system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
@@ -130,51 +130,51 @@ class Simulation(Changing):
             self.memory.arrays.update(self.stillness.memory)
             self.memory.bounds["rest_frames"] = Bounds(0)
         self.relaxation = None
-        if _finds_damping(self.loaded):
+        if _has_adaptive_damping(self.loaded):
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
             self.memory.arrays[RELAXATION] = self.relaxation.memory
             self.memory.bounds[RELAXATION] = Bounds(0.0)
         if source is not None:
-            known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
-            arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
+            kept = {name: values for name, values in arrays.items() if name in self.memory.arrays}
+            arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in kept.items()}
         copy_into(self.memory.arrays, arrays, some=True)
 
     def arrays(self) -> Arrays:
-        """See `Stepper`: x (n, 3) [m] and v (n, 3) [m/s]."""
+        """Return the state itself: x (n, 3) [m] and v (n, 3) [m/s]."""
         return {"x": self.state.x, "v": self.state.v}
 
     def encode(self) -> bytes:
-        """See `Stepper`."""
+        """Return the positions as they are published, float32."""
         return encode_points(self.state.x, self.t)
 
     @staticmethod
     def decode(payload: bytes) -> Arrays:
-        """See `Stepper`: x (n, 3) [m]."""
+        """Return published positions, x (n, 3) [m]. Raises BadMessage."""
         return {"x": decode_points(payload)}
 
     def place(self, index: Sequence[int]) -> str:
-        """See `Stepper`."""
+        """Return an index of x or v in words."""
         return f"vertex {index[0]}, axis {'xyz'[index[1]]}"
 
     def step(self) -> Stepped:
-        """See `Stepper`: with the bodies where `find_poses` has them."""
+        """Step one frame, with the bodies at the poses of `find_poses`."""
         end = self.find_poses(self.frame + 1)
         frame = self.advance(self.poses, end)
         self.before, self.poses = self.poses, end
         return frame
 
     def present(self) -> Stepped:
-        """See `Stepper`."""
+        """Return the present frame, without a step; compiles the kernels of a step."""
         return Stepped(self.frame, self.measure(self.poses), 0.0, self.digest())
 
     def present_forces(self) -> Forces:
-        """What acts in the present state, at the start of the next frame."""
+        """Return the forces in the present state, at the start of the next frame."""
         after = self.find_poses(self.frame + 1)
         return self.forces(None if after is None or self.poses is None else (self.poses, after))
 
     def present_touched(self) -> Touched | None:
-        """What each body does to the cloth in the present state; None without bodies."""
+        """Return the contact forces of each body on the cloth in the present state; None without bodies."""
         if self.before is None or self.poses is None:
             return None
         interval = self.before, self.poses
@@ -191,7 +191,7 @@ class Simulation(Changing):
             report = replace(self._report, steps=0, totals={}, seconds={})
             self.idle += 1
         else:
-            # What has any velocity moves: only standing cloth is worth a hash.
+            # Cloth with any velocity moves: only standing cloth is hashed.
             before = self._content() if unmoved and not self.state.v.any() else ""
             self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
             self.costs.before(self.state, self.memory, poses)
@@ -201,7 +201,7 @@ class Simulation(Changing):
                 return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             self.costs.after(report)
             report = self._judge(report, begun)
-            # A frame that changes nothing is followed by frames that change nothing.
+            # Frames after one that changes nothing change nothing either.
             timeless = not any(term.in_python for term in self.system.terms)
             self._still = bool(before) and timeless and report.status == "ok" and before == self._content()
             self._report = report
@@ -217,42 +217,42 @@ class Simulation(Changing):
         return Stepped(self.frame, report, self.taken, self.digest())
 
     def _begin_growth(self) -> None:
-        """Watch the energy from here on, of an explicit solver whose step is to be stable."""
+        """Start to check the energy, for an explicit solver whose step has to be stable."""
         scene = self.loaded.scene
         if self.loaded.integrator.plugin.explicit and not scene.allow_unstable:
             slow = REST_SPEED * self._size + float(np.linalg.norm(scene.gravity)) / scene.frame_rate
             least = 0.5 * float(self.fabric.mass[~self.fabric.pinned].sum()) * slow * slow
             self.growth = EnergyGrowth(self.measure(self.poses).energy, self.dt / self.limit.dt, least)
 
-    def _watch(self, poses: tuple[Poses, Poses] | None, unmoved: bool) -> Moment | None:
-        """What a frame begins with in which more than gravity may do work, where the energy is watched."""
+    def _watch(self, poses: tuple[Poses, Poses] | None, unmoved: bool) -> FrameStart | None:
+        """Return the start state of a frame in which more than gravity may do work; None if no check needs it."""
         if self.growth is None:
             self._begin_growth()
         if self.growth is None or (unmoved and not self.system.terms and self.fabric.yarns is None):
             return None
-        return Moment(self.state.copy(), {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
+        return FrameStart(self.state.copy(), {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
 
-    def _judge(self, report: StepReport, begun: Moment | None) -> StepReport:
-        """The report of a frame, diverged where its step has brought in energy; `begun` as `_watch` gave it."""
+    def _judge(self, report: StepReport, begun: FrameStart | None) -> StepReport:
+        """Return the report of a frame, diverged where its step has added energy; `begun` is from `_watch`."""
         if self.growth is None or (report.status == "ok" and not self.growth.exceeds(report.energy)):
             return report
-        said = f"{report.message}; " if report.message else ""
+        message = f"{report.message}; " if report.message else ""
         if report.status == "ok":
             if begun is not None:
                 finer = Stage(self.solver, self.system, FINER * self.steps, self.dt / FINER).replay(begun)[1]
-                if finer.status == "left":  # the run is to stop: the frame is whole, and nothing shows that it is wrong
+                if finer.status == "left":  # the run is to stop: the frame is complete, and nothing shows an error
                     return report
                 if finer.status == "ok" and not self.growth.is_more(report.energy, internal(finer.energy)):
                     self.growth.allow(report.energy)
                     return report
-            grown, had = internal(report.energy), self.growth.account[1]
-            said = f"the energy has grown to {grown:.3g} J where {had:.3g} J is all that there was; "
+            grown, bound = internal(report.energy), self.growth.account[1]
+            message = f"the energy has grown to {grown:.3g} J where {bound:.3g} J is all that there was; "
         elif report.status != "diverged":
             return report
-        return replace(report, status="diverged", message=said + self._too_long())
+        return replace(report, status="diverged", message=message + self._too_long())
 
     def _too_long(self) -> str:
-        """Why an explicit step may be too long, and what helps."""
+        """Return why an explicit step may be too long, and the remedy."""
         if self.loaded.integrator.plugin.adaptive:
             return "cloth that is crushed may be stiffer than any step allows: give it a damping_ratio"
         return (
@@ -262,7 +262,7 @@ class Simulation(Changing):
         )
 
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
-        """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
+        """Return the report of a frame with the unbalance; unconverged if the last frame is not balanced."""
         share = self.solver.plugin.unbalance(self.system, self.state, self.memory, poses)
         most, beyond = float(share.max()), int((share > BALANCED).sum())
         self.balanced = most <= BALANCED
@@ -274,61 +274,61 @@ class Simulation(Changing):
 
     @property
     def finished(self) -> bool:
-        """See `Stepper`; or the scene's cloth rests and that is its end."""
+        """Whether the last frame is done, or the cloth rests in a scene until that."""
         scene = self.loaded.scene
         rests = (scene.until == "rest" and self.stillness.rests) or self.balanced
         rests = rests and self.applied == len(scene.operations)
         return rests or super().finished
 
     def _content(self) -> str:
-        """Hash of all that the next frame follows from."""
+        """Return a hash of all inputs of the next frame."""
         kept = [array for name, array in self.memory.arrays.items() if name not in self.stillness.memory]
         return hash_of([self.state.x, self.state.v, *kept])
 
     def about(self) -> str:
-        """See `Stepper`."""
+        """Return how the solver's kernels run, in words."""
         return str(self.loaded.integrator.plugin.about(self.system))
 
     def divide(self, seconds: float) -> dict[str, float]:
-        """What each part of the steps has cost, of all `seconds` of them."""
+        """Return the time of each part of the steps [s], of all their `seconds`."""
         chosen, pair = self.solver, (self.poses, self.poses) if self.poses else None
         each = chosen.plugin.profile(self.system, self.state, self.memory, pair)
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
 
     def holds(self) -> str:
-        """See `Stepper`: what is pinched, and where."""
+        """Return which objects are pinched, and where, in words."""
         find = getattr(self.loaded.integrator.plugin, "pinched", None)
-        scene, found = self.loaded.scene, list[str]()
+        scene, texts = self.loaded.scene, list[str]()
         names = [*(piece.name for piece in self.pieces), *(scene.bodies[i].name for i in scene.met_bodies)]
         for piece, place in () if find is None else find(self.memory):
-            each = np.bincount(piece, minlength=len(names))
-            of = " and ".join(
-                f"{number} vertices of {name}" for name, number in zip(names, each, strict=True) if number
+            counts = np.bincount(piece, minlength=len(names))
+            objects = " and ".join(
+                f"{number} vertices of {name}" for name, number in zip(names, counts, strict=True) if number
             )
-            middle = ", ".join(f"{value:.3g}" for value in (np.median(place, axis=0) if of else ()))
-            found += [f"{of} pinched near ({middle}) m: neither cloth nor body gives way there"] if of else []
-        return "; ".join(found)
+            middle = ", ".join(f"{value:.3g}" for value in (np.median(place, axis=0) if objects else ()))
+            texts += [f"{objects} pinched near ({middle}) m: neither cloth nor body gives way there"] if objects else []
+        return "; ".join(texts)
 
     def measure(self, poses: Poses | None) -> StepReport:
-        """The present state's energy and stretch, without a step."""
+        """Return energy and stretch of the present state, without a step."""
         report: StepReport = self.solver.plugin.advance(
             self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt
         )
         return report
 
     def forces(self, poses: tuple[Poses, Poses] | None) -> Forces:
-        """What acts in the present state, with bodies as at the start of the frame of these poses."""
+        """Return the forces in the present state, with bodies as at the start of the frame of these poses."""
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
     def whole(self) -> tuple[Arrays, dict[str, Any]]:
-        """See `Stepper`: with the objects that operations have changed, and what the energy may come to."""
+        """Return arrays and text of a checkpoint, with the changed objects and the bound on the energy."""
         (arrays, text), (fabrics, changes) = super().whole(), self.altered()
         energy = {} if self.growth is None else {ENERGY: self.growth.account}
         return arrays | fabrics | energy, changes | text
 
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
-        """See `Stepper`; what operations made is in the checkpoint."""
+        """Continue from a checkpoint, which contains the changes by operations. Raises BadInput."""
         self.check_time(point)
         for event in changes:
             if event.text == "set":
@@ -356,28 +356,28 @@ class Simulation(Changing):
                 limit=", ".join(SETTABLE),
                 remedy=f"stop, and run again with --set{dyed}",
             )
-        before, kept, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
-        # With defaults: what the scene leaves out can be changed in part as well.
-        data = deepcopy(before.data) | {field: before.value(field)}
-        lines = overridden(before.lines, apply_override(data, item))
+        loaded, memory, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
+        # With defaults: parts of a field that the scene leaves out can be changed too.
+        data = deepcopy(loaded.data) | {field: loaded.value(field)}
+        lines = overridden(loaded.lines, apply_override(data, item))
         changed = copy(self)
-        changed.loaded = load(data, lines, before.file, before.files)
+        changed.loaded = load(data, lines, loaded.file, loaded.files)
         require_any_numbering(self.numbers, changed.loaded, item)
-        finds = _finds_damping(changed.loaded)
+        adaptive = _has_adaptive_damping(changed.loaded)
         try:
-            changed._prepare({name: kept[name] for name in kept if name != RELAXATION or finds})
-            if step[1] > changed.limit.dt and not before.scene.allow_unstable:
+            changed._prepare({name: memory[name] for name in memory if name != RELAXATION or adaptive})
+            if step[1] > changed.limit.dt and not loaded.scene.allow_unstable:
                 raise BadInput("unstable", field="solver.dt", limit=f"{changed.limit.dt:.4g} s")
         except BadInput as error:
             if error.field not in ("solver.dt", "solver.plugin"):
                 raise
             problem, remedy = "that would make the present step unstable", "choose a smaller change"
             raise BadInput(problem, field=key, value=f"{step[1]:g} s", limit=error.limit, remedy=remedy) from None
-        # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
+        # The step is kept: `dt: auto` might choose another one for the changed scene.
         changed.steps, changed.dt = step
         self.become(changed)
 
 
-def _finds_damping(loaded: Loaded) -> bool:
-    """Whether damping finds its own strength."""
+def _has_adaptive_damping(loaded: Loaded) -> bool:
+    """Return whether damping is adaptive."""
     return loaded.scene.damping == "auto"

@@ -1,3 +1,3 @@
-"""`solver: auto` and `accuracy`: which solver and which step, of cloth and of dye, tried before a run. What a
-scene says itself is read in `nuno.scene`, which knows neither.
+"""`solver: auto` and `accuracy`: choice of solver and step, for cloth and for dye, by trials before a run. The scene
+itself is read in `nuno.scene`, which uses neither.
 """

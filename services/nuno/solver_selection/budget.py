@@ -1,4 +1,4 @@
-"""How long it may take to choose a solver by trying some, and what is said meanwhile."""
+"""Time budget of the trials for a solver, and their progress messages."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from nuno.formatting import roughly
 
 BUDGET = 60.0
-"""Wall time that trials may take unless another is given [s]."""
+"""Default wall time of the trials [s]."""
 SILENT = 2.0
-"""Trials that take so long altogether [s] are told of."""
+"""Total time of trials from which messages are shown [s]."""
 
 
 class Spent(Exception):
@@ -25,31 +25,31 @@ class Spent(Exception):
 
 @dataclass
 class Budget:
-    """Wall time for the trials of one scene [s]. A choice does not depend on it unless it is used up.
+    """Wall time for the trials of one scene [s]. The choice depends on it only if it is used up.
 
-    leave  (1,) not 0 once it is, or nobody waits for the choice any more: what steps then returns, and gives nothing
-    tell   is called with what is tried
+    leave  (1,) nonzero once it is used up, or the choice is no longer needed: solvers then abandon their frame
+    tell   is called with messages about the trials
     """
 
     seconds: float = BUDGET
     tell: Callable[[str], None] = lambda text: None
     leave: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
     used: float = 0.0
-    """Wall time of trials so far [s], without what was compiled for them."""
+    """Wall time of trials so far [s], without compilation."""
 
     @property
     def over(self) -> str:
-        """What is said where it is used up."""
+        """Message for a budget that is used up."""
         return f"trials were ended after {self.seconds:g} s: --budget gives them longer"
 
     def stop(self) -> None:
-        """Have what is being tried return at once."""
+        """Abandon the present trial."""
         self.leave[0] = 1
 
     @contextmanager
     def trial(self, what: str, expected: float = 0.0) -> Iterator[None]:
-        """While something is tried that is expected to take so long [s]. Raises Spent where there is no time for it, or
-        it is over before that has ended.
+        """Time one trial, which is expected to take `expected` [s]. Raises Spent without the time for it, or if the
+        budget is used up before its end.
         """
         left, began = self.seconds - self.used, time.monotonic()
         if self.leave[0] or expected > left:

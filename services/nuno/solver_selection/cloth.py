@@ -1,6 +1,6 @@
-"""`solver: auto` and `accuracy`: which solver and which step, found by trying them on the scene's beginning.
+"""`solver: auto` and `accuracy` for cloth: choice of solver and step, by trials of the scene's first frames.
 
-Rejected: an estimate by formulas (it would need to know which modes move, and contact has no order), and timing
+Rejected: an estimate by formulas (it would need the moving modes, and contact has no order), and timing
 the candidates (the choice would differ from run to run; evaluations of the forces are counted instead).
 """
 
@@ -27,24 +27,24 @@ from nuno_schemas.solver import AUTO, Accuracy
 from nuno_schemas.system import System
 
 SAFE: dict[Accuracy, float] = {"preview": 0.9, "normal": 0.7, "reference": 0.7}
-"""Most of the stable step: cloth that stretches or folds is stiffer than at its start, where that is measured."""
+"""Share of the stable step: cloth that stretches or folds is stiffer than at its start, where that is measured."""
 PILOT_WORK, FEWEST_FRAMES = 5e6, 12
-"""Vertices times steps that a trial may take (0.1 s of a core), but for so many frames at least."""
+"""Most vertices times steps of a trial (0.1 s of a core), and its fewest frames."""
 HIGHER, IMPLICIT, KICKED = ("leapfrog", "rk4"), "tr_bdf2", "respa"
 EVALUATIONS = {FIRST: 1.0, "rk4": 4.0}
-"""A step's cost in evaluations of the forces."""
+"""Cost of a step in evaluations of the forces."""
 TENSION = 0.25
-"""What tension costs of an evaluation with bending, wind and contact: a sixth to a quarter in the shipped scenes."""
+"""Cost of tension in an evaluation with bending, wind and contact: a sixth to a quarter in the shipped scenes."""
 STALLED = 0.8
-"""Errors that do not even fall by this much with a shorter step are not those of the step."""
+"""Errors that a shorter step does not reduce to this factor are not errors of the step."""
 
 
 def decide(loaded: Loaded, budget: Budget | None = None) -> Loaded:
-    """The scene with its solver and step as if written by hand; itself where nothing is left to choose. A signal ends
-    the trials at once.
+    """Return the scene with solver and step as if they were written in it; unchanged if there is nothing to choose. A
+    signal ends the trials at once.
 
-    Raises BadInput for an accuracy that the named solver cannot be given, and where the budget is used up before
-    anything is known.
+    Raises BadInput for an accuracy that the named solver cannot have, and where the budget is used up without a
+    result.
     """
     if not loaded.scene.undecided:
         return loaded
@@ -54,7 +54,7 @@ def decide(loaded: Loaded, budget: Budget | None = None) -> Loaded:
 
 def _decide(loaded: Loaded, budget: Budget) -> Loaded:
     if loaded.scene.dye is not None:
-        from nuno.solver_selection.dye import decide_dye  # only a scene of dye loads it
+        from nuno.solver_selection.dye import decide_dye  # only scenes with dye import this
 
         loaded = decide_dye(loaded, budget)
     scene = loaded.scene
@@ -67,32 +67,32 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
         raise loaded.at("accuracy", BadInput(f"{first} chooses its own steps", value=accuracy, remedy=remedy))
     system, bodies = _build(loaded)
     if system.fabric.number == 0 or bool(system.fabric.pinned.all()):
-        return written(loaded, _given(loaded, first), "nothing can move, so any will do")
+        return written(loaded, _solver_fields(loaded, first), "nothing can move, so any will do")
     start = _method(loaded, system, first, SAFE[accuracy])
     if start is None and scene.solver.plugin != AUTO:
         remedy = "give a dt and allow_unstable: true, or use another solver"
         raise loaded.at("solver.plugin", BadInput("no step is stable for this solver on this scene", remedy=remedy))
-    trials, found, over = _trials(loaded, system, bodies, start, budget), list[Selection](), ""
+    trials, selections, over = _trials(loaded, system, bodies, start, budget), list[Selection](), ""
     try:
-        _try_all(loaded, trials, start, accuracy, found)
+        _try_all(loaded, trials, start, accuracy, selections)
     except Spent:
         over = budget.over
-    if found:
-        best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
-        why = "; ".join(filter(None, (_reason(trials, best, found, accuracy), over)))
+    if selections:
+        best = min(selections, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
+        reason = "; ".join(filter(None, (_reason(trials, best, selections, accuracy), over)))
     elif start is not None:
         best = Selection(start.name, start.fewest, math.inf, start.fewest)
-        why = f"{accuracy}: {best.said[0]}, which are stable; how far they are off is not known, {over}"
+        reason = f"{accuracy}: {best.said[0]}, which are stable; how far they are off is not known, {over}"
     else:
         remedy = "--budget 10min, or name one: solver: {plugin: tr_bdf2, dt: auto}"
         problem, value = "no solver could be tried in the time that is given", f"{budget.seconds:g} s"
         raise loaded.at("solver.plugin", BadInput(problem, value=value, remedy=remedy))
     dt = 1.0 / float(scene.frame_rate) / best.steps
-    return written(loaded, _given(loaded, best.name) | {"dt": dt}, why)
+    return written(loaded, _solver_fields(loaded, best.name) | {"dt": dt}, reason)
 
 
-def _given(loaded: Loaded, name: str) -> dict[str, Any]:
-    """A solver with the scene's own fields."""
+def _solver_fields(loaded: Loaded, name: str) -> dict[str, Any]:
+    """Return a solver with the scene's own fields."""
     return {**loaded.scene.solver.config, "plugin": name}
 
 
@@ -113,13 +113,13 @@ def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method
 
 
 def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | None:
-    """The solver with the scene's own fields for it; None where no step of it is stable."""
+    """Return the solver with the scene's fields for it; None where no step of it is stable."""
     plugin, solver = registry.load("nuno.integrators", name), loaded.scene.solver
     config = loaded.integrator.config if solver.plugin == name else plugin.Config()
     frame = 1.0 / float(loaded.scene.frame_rate)
     with np.errstate(all="ignore"):
         limit = float(plugin.limit(config, system, build.start_state(system.fabric)).dt)
-    # A run would refuse so many steps.
+    # A run would refuse more steps.
     if not limit > 0.0 or (solver.plugin == AUTO and frame > MOST_STEPS * safe * limit):
         return None
     evaluations = EVALUATIONS.get(name, 2 if _reads_velocity(system) else 1)
@@ -132,37 +132,37 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
 
 
 def _reads_velocity(system: System) -> bool:
-    """Whether forces may depend on velocities: leapfrog then takes two evaluations a step."""
+    """Return whether forces may depend on velocities: leapfrog then takes two evaluations a step."""
     springs, membrane = system.fabric.springs, system.fabric.membrane
     damped = springs is not None and bool((springs.c != 0.0).any())
     damped |= membrane is not None and bool(membrane.damping.any())
     return damped or system.damping != 0.0 or bool(system.terms)
 
 
-def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, found: list[Selection]) -> None:
-    """Into `found` methods from the cheapest step on, until one has nothing to gain. Raises Spent."""
+def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy, out: list[Selection]) -> None:
+    """Append selections to `out`, from the cheapest step on, until none can be cheaper. Raises Spent."""
     promise = PROMISE[accuracy]
     if start is not None:
-        found.append(_settle(trials, start, promise, math.inf))
+        out.append(_settle(trials, start, promise, math.inf))
         if loaded.scene.solver.plugin != AUTO:
             return
     for name in _others(trials.system, start):
-        cheapest = min((one.cost for one in found if one.error <= promise), default=math.inf)
+        cheapest = min((selection.cost for selection in out if selection.error <= promise), default=math.inf)
         method = _method(loaded, trials.system, name, SAFE[accuracy])
         if method is not None and method.fewest * method.evaluations < cheapest:
-            found.append(_settle(trials, method, promise, cheapest))
+            out.append(_settle(trials, method, promise, cheapest))
 
 
 def implicit_evaluations(vertices: int) -> int:
-    """Evaluations that an implicit step takes the time of: of the stiff sheet at 1e7 N/m, a frame as the step,
+    """Return the cost of an implicit step in evaluations: for the stiff sheet at 1e7 N/m and one step a frame, it was
     730 for 8 x 8 vertices, 1,400 for 16 x 16, 4,900 for 32 x 32 and 13,600 for 64 x 64.
     """
     return math.ceil(50.0 * math.cbrt(vertices) ** 2)
 
 
 def _others(system: System, start: Method | None) -> list[str]:
-    """What may be cheaper than the first method. Tension alone leaves nothing to kick; forces jump where cloth lands or
-    slips: no order helps there.
+    """Return the methods that may be cheaper than the first. Respa gains nothing with tension alone; forces jump where
+    cloth lands or slips, and a higher order does not help there.
     """
     contact = any(term.name == "contact" for term in system.terms)
     stiff = start is None or start.fewest > implicit_evaluations(system.fabric.number)
@@ -172,9 +172,9 @@ def _others(system: System, start: Method | None) -> list[str]:
 
 
 def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> Selection:
-    """The fewest steps a frame that keep the promise, or how far the method gets for less than `cheapest`."""
+    """Return the fewest steps a frame that keep the promise, or the error of the method at a cost below `cheapest`."""
 
-    def found(steps: int, error: float, tried: bool = True) -> Selection:
+    def select(steps: int, error: float, tried: bool = True) -> Selection:
         return Selection(method.name, steps, error, math.ceil(steps * method.evaluations), tried)
 
     steps, order = method.fewest, method.plugin.order
@@ -183,15 +183,15 @@ def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> 
         ratio = (error / promise) ** (1.0 / order) if math.isfinite(error) else 2.0
         wanted = math.ceil(steps * max(1.2, 1.05 * ratio))
         if wanted * method.evaluations >= cheapest or not trials.affords(method, wanted):
-            return found(wanted, promise if math.isfinite(error) else error, tried=False)
+            return select(wanted, promise if math.isfinite(error) else error, tried=False)
         shorter = trials.error(method, wanted)
         if shorter > STALLED * error and math.isfinite(error):
-            return found(steps, error)
+            return select(steps, error)
         steps, error = wanted, shorter
-    return found(steps, error)
+    return select(steps, error)
 
 
-def _reason(trials: Trials, best: Selection, found: list[Selection], accuracy: Accuracy) -> str:
+def _reason(trials: Trials, best: Selection, selections: list[Selection], accuracy: Accuracy) -> str:
     promise, (steps, error) = PROMISE[accuracy], best.said
     text = f"{accuracy}: with {steps} positions are off by {error} of the cloth's size, {promise:g} was asked for"
     text += ", and no method keeps that" if best.error > promise else ""
@@ -199,6 +199,6 @@ def _reason(trials: Trials, best: Selection, found: list[Selection], accuracy: A
         text += f" (tried on {trials.predictable} of {trials.total} frames: by then a disturbance grows a thousandfold)"
     elif trials.frames < trials.total:
         text += f" (tried on {trials.frames} of {trials.total} frames)"
-    others = [f"{one.name} {one.cost}" for one in found if one is not best]
+    others = [f"{selection.name} {selection.cost}" for selection in selections if selection is not best]
     cost = f"; {best.cost} evaluations of the forces a frame, against " + ", ".join(others)
     return text + (cost if others else "")

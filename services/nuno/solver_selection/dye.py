@@ -1,9 +1,9 @@
-"""`dye.solver: auto`: which solver and which step, found by spreading the scene's dye over its first frames.
+"""`dye.solver: auto`: choice of solver and step, by trials of the first frames of the scene's dye.
 
-The error is measured as cloth's is, against runs of shorter steps. A run at some steps a frame and one at m times as
-many differ by at least (m - 1) / m of the error of the first, since every solver is of first order or better: `rkl2`
+The error is measured like that of cloth, against runs of shorter steps. A run at some steps a frame and one at m times
+as many differ by at least (m - 1) / m of the error of the first, since every solver is of first order or better: `rkl2`
 is of second where amounts are smooth, and of first where a limit begins to bind, a finite bath exchanges, or fibre
-keeps what it fixes while dye spreads from a jump. For the last, the shorter steps also begin more finely. Costs are
+fixes dye that spreads from a jump. For the last, the shorter steps also start more finely. Costs are
 counted in explicit steps, never timed, so that the choice is the same every time.
 """
 
@@ -31,32 +31,32 @@ from nuno_schemas.solver import AUTO
 
 LONG = "rkl2"
 FINER = {FIRST_DYE: (2, 4), LONG: (2,)}
-"""Steps for one of a run whose error is measured. Two cells by themselves spread by (1 - z)^n in n explicit steps,
+"""Factors on the steps of a run to measure its error. Two cells alone spread by (1 - z)^n in n explicit steps,
 and by (1 - z / 2)^2n in twice as many: for z = 1.17 and an even n they are equal by chance, and both far off. So
 explicit steps are compared with four times as many, too, and those with each other."""
 ORDER = {FIRST_DYE: 1, LONG: 2}
 START, MOST_START = 4, 512
-"""Steps in each doubling of the time since amounts jumped, at first and at most; those that tell its error have twice
-as many."""
+"""First and largest number of steps in each doubling of the time since amounts jumped; runs for the error have twice as
+many."""
 STAGE = 3.0
-"""Explicit steps that a stage takes the time of: 2 by Freundlich or where limits may bind, 4 by the other isotherms."""
+"""Cost of a stage in explicit steps: 2 with Freundlich or where limits may bind, 4 with the other isotherms."""
 FEWEST_FRAMES, SPREADING, MOST_WORK = 4, 8.0, 5e8
-"""Frames of a trial, and longest explicit steps, after the last supply has begun or ended; cells times stages of all
-trials of a scene: some seconds of one core."""
+"""Fewest frames of a trial, and longest explicit steps, after the last supply has begun or ended; most cells times
+stages of all trials of a scene: some seconds of one core."""
 EXPLICIT_TRIAL = 1 + sum(FINER[FIRST_DYE])
-"""Explicit steps that tell the error of one."""
+"""Explicit steps that measure the error of one."""
 FEW_CELLS = 30_000
-"""Cells of which a stage takes as long as what is done around it: fewer count as so many."""
+"""Number of cells whose stage takes as long as its overhead: fewer cells count as this many."""
 FEW_STEPS = 64
-"""Steps a frame that are taken for a supply to be on time, even if fewer explicit ones do."""
+"""Steps a frame that are allowed for a supply to be on time, even if fewer explicit ones suffice."""
 
 
 @dataclass
 class DyeTrials:
-    """Runs of a scene's first frames, each made once.
+    """Cached runs of a scene's first frames.
 
-    frame [s] of dyeing; how many of them are tried; the fewest steps a frame that are; `work` done so far, in cells
-    times stages.
+    `frame` is the time of dyeing in a frame [s]; `frames` and `first` are the frames of a trial, and its fewest steps a
+    frame; `work` is the work so far, in cells times stages.
     """
 
     loaded: Loaded
@@ -65,17 +65,17 @@ class DyeTrials:
     first: int
     budget: Budget = field(default_factory=Budget)
     work: float = 0.0
-    kept: dict[tuple[str, int, int], tuple[Float, float]] = field(default_factory=dict)
+    runs_by_key: dict[tuple[str, int, int], tuple[Float, float]] = field(default_factory=dict)
 
     def run(self, name: str, steps: int, finer: int = 1) -> tuple[Float, float]:
-        """With `finer` times so many steps a frame, and as much finer a beginning: amounts at the end of every frame
-        (frames, 2, dyes, 2, ny, nx), nan where it fails; explicit steps a frame that it costs.
+        """Run `finer` times `steps` a frame, with a start that is as much finer; return the amounts at the end of every
+        frame (frames, 2, dyes, 2, ny, nx), nan where it fails, and the cost in explicit steps a frame.
 
-        Raises BadInput where the solver refuses the scene, and Spent where the budget is.
+        Raises BadInput where the solver refuses the scene, and Spent where the budget is used up.
         """
         key = name, finer * steps, finer * self.start(name, steps)
-        if key not in self.kept:
-            begun, out, costs = _written(self.loaded, name, start=key[2]), [], []
+        if key not in self.runs_by_key:
+            begun, out, costs = _with_solver(self.loaded, name, start=key[2]), [], []
             dyeing = DyeRun(begun, os.cpu_count() or 1, key[1], self.budget.leave)
             with self.budget.trial(f"{name} with {many(key[1], 'step')} a frame on {self.frames} frames of dye"):
                 for _ in range(self.frames):
@@ -87,21 +87,21 @@ class DyeTrials:
                     failed = math.nan if report.status != "ok" else 0.0
                     out.append(np.stack([dyeing.state.phi, dyeing.state.fixed]) + failed)
             self.work += _stages(dyeing, sum(costs))
-            # The first frames take more than those to come, which are as the last of them.
+            # The first frames cost more than later ones, which cost as much as the last of them.
             frames = self.loaded.scene.frames
             whole = sum(costs) + (frames - self.frames) * costs[-1]
-            self.kept[key] = np.stack(out), whole / frames
-        return self.kept[key]
+            self.runs_by_key[key] = np.stack(out), whole / frames
+        return self.runs_by_key[key]
 
     def start(self, name: str, steps: int) -> int:
-        """How finely a run at so many steps a frame begins; 0 for a solver that is not asked."""
+        """Return the field `start` of a run at this number of steps a frame; 0 for a solver without it."""
         return 0 if name == FIRST_DYE else min(START * -(-steps // self.first), MOST_START)
 
     def error(self, name: str, steps: int) -> float:
-        """Largest error at so many steps a frame, as a share of the largest amount; inf where it fails.
+        """Return the largest error at this number of steps a frame, as a share of the largest amount; inf on failure.
 
-        Errors of what has jumped fall with time, and fall on. One that is largest at the end of the trial is taken to
-        grow in proportion to time.
+        Errors after a jump keep falling with time. An error that is largest at the end of the trial is assumed to grow
+        in proportion to time.
         """
         runs = [self.run(name, steps, finer)[0] for finer in (1, *FINER[name])]
         largest, apart = float(np.abs(runs[-1]).max()) or 1.0, np.zeros(self.frames)
@@ -115,12 +115,12 @@ class DyeTrials:
 
 
 def decide_dye(loaded: Loaded, budget: Budget) -> Loaded:
-    """The scene with the solver of its dye and its step as if written by hand; itself where they are named."""
+    """Return the scene with solver and step of its dye as if written in it; unchanged where they are named."""
     scene, dye = loaded.scene, loaded.scene.dye
     if dye is None or dye.solver.plugin != AUTO:
         return loaded
     accuracy = scene.accuracy or "normal"
-    explicit = DyeRun(_written(loaded, FIRST_DYE), 1)
+    explicit = DyeRun(_with_solver(loaded, FIRST_DYE), 1)
     first = _first_on_time(explicit)
     stable = first * -(-explicit.steps // first)
     long: Selection | str = budget.over
@@ -131,37 +131,37 @@ def decide_dye(loaded: Loaded, budget: Budget) -> Loaded:
         plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
     best, other = (plain, long) if isinstance(plain, Selection) else (long, plain)
     if isinstance(best, str):
-        why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
-        return _written(loaded, FIRST_DYE, trials.frame / stable, why)
+        reason = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
+        return _with_solver(loaded, FIRST_DYE, trials.frame / stable, reason)
     tried = f" (tried on {trials.frames} of {scene.frames} frames)" if trials.frames < scene.frames else ""
     if isinstance(other, Selection):
         other = f"{other.name} would take {other.cost:.3g}"
     steps, error = best.said
-    why = (
+    reason = (
         f"{accuracy}: with {steps} amounts are off by {error} of the largest, {PROMISE[accuracy]:g} was asked for"
         f"{tried}; {best.cost:.3g} explicit steps' work; {other}"
     )
-    return _written(loaded, best.name, trials.frame / best.steps, why, trials.start(best.name, best.steps))
+    return _with_solver(loaded, best.name, trials.frame / best.steps, reason, trials.start(best.name, best.steps))
 
 
 def _stages(dyeing: DyeRun, costs: float) -> float:
-    """Cells times stages of so many explicit steps of each dye."""
+    """Return cells times stages of a cost in explicit steps of each dye."""
     return costs / STAGE * len(dyeing.names) * max(dyeing.cells.fibre.size, FEW_CELLS)
 
 
 def _times(explicit: DyeRun) -> list[float]:
-    """When supplies begin and end [s], before the scene does."""
+    """Return the times when supplies begin and end before the scene's end [s]."""
     end = explicit.loaded.scene.frames * explicit.steps * explicit.dt
-    given = [entry.supply for entry in explicit.supplies.entries]
-    return [time for one in given for time in (one.start, one.stop) if time is not None and time < end]
+    supplies = [entry.supply for entry in explicit.supplies.entries]
+    return [time for supply in supplies for time in (supply.start, supply.stop) if time is not None and time < end]
 
 
 def _first_on_time(explicit: DyeRun) -> int:
-    """Steps a frame with which supplies begin and end at their times, as they do with any multiple of them.
+    """Return the steps a frame with which supplies begin and end at their times, as with any multiple of them.
 
-    Supplies wait for the next step: one that came in the middle of a long step would be late by half of it, in a frame
-    that no trial may have seen, or by as much at twice the steps, which no trial would tell. Where no number of steps
-    that is at most the explicit ones' meets all times, it is a power of two, late by no more than an explicit step.
+    Supplies wait for the next step: one in the middle of a long step would be late by half of it, in a frame that no
+    trial may include, or equally late at twice the steps, which no trial would show. Where no number of steps up to
+    that of the explicit ones meets all times, it is a power of two, late by at most an explicit step.
     """
     frame, times = explicit.steps * explicit.dt, _times(explicit)
 
@@ -179,24 +179,24 @@ def _first_on_time(explicit: DyeRun) -> int:
 
 
 def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int, budget: Budget) -> DyeTrials:
-    """Trials of the frames in which supplies begin and end and some more, or of as many as are affordable."""
+    """Return trials of the frames in which supplies begin and end and some more, or of as many as are affordable."""
     frame = explicit.steps * explicit.dt
     spread = max(_times(explicit), default=0.0) + SPREADING * explicit.limit
     wanted = min(float(loaded.scene.frames), FEWEST_FRAMES + spread / frame)
     pilot = DyeTrials(loaded, frame, 1, first, budget)
     try:
         pilot.run(LONG, first)
-    except BadInput:  # as _settle will say
+    except BadInput:  # _settle reports it
         pilot.work = _stages(explicit, EXPLICIT_TRIAL * stable)
     frames = max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work)))
     return pilot if frames == 1 else DyeTrials(loaded, frame, frames, first, budget)
 
 
 def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Selection | str:
-    """The fewest steps a frame, doubled from `first` on, that keep the promise; or why none do for less than
-    `cheapest` explicit steps a frame.
+    """Return the fewest steps a frame, doubled from `first` on, that keep the promise; or the reason why none do at a
+    cost below `cheapest` explicit steps a frame.
     """
-    steps, before = first, math.inf
+    steps, previous = first, math.inf
     try:
         while True:
             error, cost = trials.error(name, steps), trials.run(name, steps)[1]
@@ -206,13 +206,13 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
                 return Selection(name, steps, error, cost)
             if trials.work > MOST_WORK:
                 break
-            steps, before = 2 * steps, error
+            steps, previous = 2 * steps, error
     except BadInput as refused:
         return str(refused.problem)
     if not math.isfinite(error):
         return f"{name} fails with {steps} steps a frame"
-    # The order that was seen: 1 where none was, which is the least that there is.
-    order = min(max(math.log2(before / error), 1.0), ORDER[name]) if math.isfinite(before) else 1
+    # The observed order, at least 1, which is the default.
+    order = min(max(math.log2(previous / error), 1.0), ORDER[name]) if math.isfinite(previous) else 1
     times = math.ceil((error / promise) ** (1.0 / order))
     # Stages of a step fall with the root of its length: those of a frame grow with the root of their number.
     cost *= times ** (1.0 / ORDER[name])
@@ -224,7 +224,7 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
 def _settle_explicit(
     trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: Selection | str
 ) -> Selection | str:
-    """The same of explicit steps, where they may cost less than what else there is, and can be tried."""
+    """Return the result of explicit steps, or why they cost more than `long`, or are not tried."""
     cheapest = long.cost if isinstance(long, Selection) else math.inf
     if stable >= cheapest:
         return f"{FIRST_DYE} would take {stable} or more"
@@ -234,7 +234,7 @@ def _settle_explicit(
     return _settle(trials, FIRST_DYE, stable, promise, cheapest)
 
 
-def _written(loaded: Loaded, name: str, dt: float | None = None, why: str = "", start: int = 0) -> Loaded:
-    """The scene as if its author had named the dye's solver, its step and how finely it begins."""
+def _with_solver(loaded: Loaded, name: str, dt: float | None = None, reason: str = "", start: int = 0) -> Loaded:
+    """Return the scene with the dye's solver, step and start as if they were written in it."""
     chosen: dict[str, Any] = {"plugin": name} | ({} if dt is None else {"dt": dt})
-    return written(loaded, chosen | ({"start": start} if start not in (0, START) else {}), why, dyed=True)
+    return written(loaded, chosen | ({"start": start} if start not in (0, START) else {}), reason, dyed=True)

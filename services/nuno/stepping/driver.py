@@ -1,7 +1,7 @@
-"""Frames in lockstep with the services that must see them, under control, for cloth and for dye.
+"""The driver of a stepping service, cloth or dye: frames in lockstep with their subscribers, under control.
 
-Where two step, one leads: it is controlled, and sets the pace. The other follows: it takes each frame that the
-leader has finished, and acknowledges it as whatever must see every frame does, so that both stand still together.
+Where two services step, one leads: it takes control requests, and sets the pace. The other follows: it steps each frame
+that the leader has finished, and acknowledges it like any lockstep subscriber, so that both pause together.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 # Frames paced to the clock: a simulated second a second of wall time.
 
 LISTEN_EVERY = 0.5
-"""Longest that control is not looked at while a frame waits [s]."""
+"""Longest time between two checks of control requests while a frame waits [s]."""
 
 
 class Clock:
-    """Waits after each frame until it is due, counted from the first, without what the run was paused for.
+    """Waits after each frame until it is due, counted from the first frame, without pauses.
 
-    A frame is late that is done after the next one would be due. Those after it do not wait until they have caught up.
+    A frame is late if it ends after the next one is due. The frames after it do not wait until they have caught up.
     """
 
     def __init__(self, driver: Driver) -> None:
@@ -43,7 +43,7 @@ class Clock:
         self.late, self.frames, self.most = 0, 0, 0.0
 
     def hold(self, began: float) -> None:
-        """Wait until the frame that was begun at a wall time [s] is due; say it where the run falls behind."""
+        """Wait until the frame that began at a wall time [s] is due; log a warning if the run falls behind."""
         driver, interval = self._driver, 1.0 / self._driver.scene.frame_rate
         if self._origin is None:  # the first is due an interval after it was begun
             self._origin = began - (driver.stepper.t - interval)
@@ -59,39 +59,39 @@ class Clock:
             driver.listen(min(left, LISTEN_EVERY))
 
     def _left(self) -> float:
-        """Until the present frame is due [s]."""
+        """Return the time until the present frame is due [s]."""
         assert self._origin is not None
         return self._origin + self._driver.stepper.t + self._driver.paused_seconds - time.perf_counter()
 
-    def told(self) -> dict[str, Any]:
-        """For the report: frames in all and those that were late, and by how much the latest [s]."""
+    def facts(self) -> dict[str, Any]:
+        """Return the number of frames, the number of late ones, and the longest delay [s], for the report."""
         return {"frames": self.frames, "late": self.late, "most": max(0.0, self.most)}
 
 
-# What frames tell on the bus: their status, their arrays, and checkpoints.
+# Messages of frames on the bus: their status, their arrays, and checkpoints.
 
 
 class FramePublisher(ABC):
-    """Publishes what is stepped."""
+    """Publishes the frames of a stepper."""
 
     def __init__(self, context: Context, stepper: Stepper) -> None:
         self.context, self.stepper = context, stepper
         self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.digest = stepper.digest()
-        """Of the last frame that was told."""
+        """Digest of the last published frame."""
         self.shown = self.kept = -1
-        """Frames of the last arrays that were published, and of the last checkpoint."""
+        """Numbers of the last frame with published arrays, and of that of the last checkpoint."""
 
     @abstractmethod
     def publish_constant(self) -> None:
-        """Tell what does not change from frame to frame."""
+        """Publish the data that does not change from frame to frame."""
 
     @abstractmethod
     def status_of(self, frame: Stepped) -> dict[str, Any]:
-        """What the status says of a frame beside what every one says."""
+        """Return the fields of a frame's status that only this service has."""
 
     def publish(self, frame: Stepped, show: bool) -> None:
-        """A frame's status, and before it, where it is to be shown, its arrays."""
+        """Publish a frame's status, and before it its arrays if `show`."""
         if show:
             self.publish_arrays(frame.digest)
         self.digest = frame.digest
@@ -105,7 +105,7 @@ class FramePublisher(ABC):
         self._put(topic, status.model_dump_json().encode(), frame.digest)
 
     def publish_arrays(self, digest: str) -> None:
-        """The present state as float32."""
+        """Publish the present state as float32."""
         start, payload = time.perf_counter(), self.stepper.encode()
         self.shown = self.stepper.frame
         self.seconds["encoding"] += time.perf_counter() - start
@@ -115,10 +115,10 @@ class FramePublisher(ABC):
         self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
 
     def keep(self, point: Checkpoint | None = None) -> None:
-        """Publish a checkpoint, that of the present frame unless it is given: the whole float64 state, enough to go on
-        from in the same bits.
+        """Publish a checkpoint, by default of the present frame: the whole float64 state, which continues to the same
+        bits.
 
-        The arrays of this frame are shown, too: a resumed run then shows what an unbroken one does.
+        The arrays of its frame are published, too: a resumed run then shows the same as an unbroken one.
         """
         arrays, text = (point.arrays, point.text) if point else self.stepper.whole()
         if self.shown != text["frame"]:
@@ -128,68 +128,68 @@ class FramePublisher(ABC):
 
 
 WINDOW = 4
-"""Frames that the steps may run ahead of a service that must see every one."""
+"""Frames that the steps may run ahead of a service that must see every frame."""
 SAID_AGAIN_AFTER = 60.0
-"""A run that waits again and again, as for a slow disk, says so this often [s]."""
+"""Shortest interval between two warnings of a run that waits repeatedly, as for a slow disk [s]."""
 CONTROL = "control"
 OF_FOLLOWERS = ("status", "add")
 STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
-"""In which an action leaves a run."""
+"""State of a run after an action."""
 LEFT = "left"
-"""Status of a frame that was not stepped to its end, since the run is to end."""
+"""Status of a frame that was abandoned, since the run is to end."""
 OVER = ("stopped", "failed")
 """States that end a run between two frames."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
 class Driver(FramePublisher):
-    """Steps cloth or dye frame by frame, publishes it and answers control."""
+    """Steps cloth or dye frame by frame, publishes it and replies to control requests."""
 
     every = 1
-    """Frames from one whose arrays are published to the next."""
+    """Interval of frames whose arrays are published."""
 
     def __init__(
-        self, context: Context, stepper: Stepper, attendant: FrameWatchdog, follows: Topic | None = None
+        self, context: Context, stepper: Stepper, watchdog: FrameWatchdog, follows: Topic | None = None
     ) -> None:
-        """`follows` is the topic of the leader's statuses, None for the leader; `attendant` has looked after the
+        """`follows` is the topic of the leader's statuses, None for the leader; `watchdog` has run since the
         preparation.
         """
         super().__init__(context, stepper)
-        self.attendant = attendant
-        self.attendant.holds = stepper.holds
-        self.attendant.prepared()
+        self.watchdog = watchdog
+        self.watchdog.holds = stepper.holds
+        self.watchdog.prepared()
         self.before: Checkpoint | None = None
-        """The state before a frame that was left, where it was kept."""
+        """State before an abandoned frame, if it was kept."""
         self.abandoned = False
-        """Whether a frame was left: the state is no longer one to go on from."""
+        """Whether a frame was abandoned: the run cannot continue from the present state."""
         self.scene, self.follows = context.loaded.scene, follows
         self.due: list[int] = []
-        """Frames that the leader has finished, which are still to be followed."""
+        """Frames that the leader has finished and this service has not."""
         self.state = "paused"
         self.until: int | None = None
-        """Frame at which a run that was told to step pauses again."""
+        """Frame at which a run pauses again after the action `step`."""
         self.finish: Query | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
         self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
         self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
-        self.inbox = Inbox(context.bus, [follows or ack_topic("*")], heard=self.attendant.hear)
+        self.inbox = Inbox(context.bus, [follows or ack_topic("*")], on_query=self.watchdog.note_query)
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
         self.silent_until = 0.0
-        """When it may be said again that the run waits."""
+        """Time of the next allowed warning that the run waits."""
         self.answers: dict[str, Callable[[], bytes]] = {}
-        """What else it can be asked, between frames."""
+        """Further queries that are answered between frames, by name."""
 
     @abstractmethod
     def facts(self, ended: str) -> dict[str, Any]:
-        """What the report says of this service, beside `summary`."""
+        """Return the service's own part of `summary`, for the report."""
 
     def step_frame(self) -> Stepped:
         """Step one frame and publish it."""
         begin, stepper = time.perf_counter(), self.stepper
         before = stepper.copied()
-        with self.attendant.frame(stepper.frame, stepper.t):
+        with self.watchdog.frame(stepper.frame, stepper.t):
             frame = stepper.step()
         if frame.report.status == LEFT:
             self.abandoned, self.before = True, before
@@ -201,7 +201,7 @@ class Driver(FramePublisher):
         return frame
 
     def listen(self, timeout: float) -> None:
-        """Handle one thing, if one comes in time: acknowledgements, control and the end come by one queue, in order."""
+        """Handle one item, if one arrives in time: acknowledgements, control and the end share one ordered queue."""
         item = self.inbox.get(timeout)
         if isinstance(item, Message):
             try:
@@ -227,7 +227,7 @@ class Driver(FramePublisher):
             self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one control request; the answer says what happened, and how many frames are `left`."""
+        """Carry out one control request; return the result, and the number of frames `left`."""
         action, stepper = str(request.get("action")), self.stepper
         before, change = self.state, {}
         if self.follows and action not in OF_FOLLOWERS:
@@ -256,23 +256,23 @@ class Driver(FramePublisher):
 
     @property
     def left(self) -> int:
-        """Frames after which a run that was told to step pauses again, 0 for none."""
+        """Frames until a run pauses again after the action `step`, 0 otherwise."""
         return self.until - self.stepper.frame if self.until is not None else 0
 
     def change(self, item: str) -> dict[str, Any]:
-        """Set a field of the running scene; its name, and what it held before and holds now."""
+        """Set a field of the running scene; return its name, and its old and new value."""
         field = item.partition("=")[0]
-        before = self.stepper.loaded.value(field)
+        old = self.stepper.loaded.value(field)
         self.stepper.set(item)
-        return {"field": field, "old": before, "new": self.stepper.loaded.value(field)}
+        return {"field": field, "old": old, "new": self.stepper.loaded.value(field)}
 
     def add(self, item: str) -> dict[str, Any]:
-        """Add to the running scene; the field, and what it holds."""
+        """Add an item to the running scene; return the field, and its new value."""
         field = self.stepper.add(item)
         return {"field": field, "old": None, "new": self.stepper.loaded.value(field)}
 
     def serve(self) -> None:
-        """Be alive, wait for the start, step through the frames, answer the end."""
+        """Declare the service alive, wait for the start, step all frames, reply to the query for the end."""
         with self.context.bus.alive():
             while self.state == "paused" and self.finish is None and not self.due:
                 self.listen(0.5)
@@ -284,16 +284,16 @@ class Driver(FramePublisher):
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
                 self.context.event("end", ended, self.stepper.frame, self.stepper.t, summary=summary)
-            self.attendant.close()
+            self.watchdog.close()
             while self.finish is None:
                 self.listen(0.5)
             self.finish.answer_json(self.context.counts(self.inbox) | {"summary": summary})
 
     def run(self) -> str:
-        """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
+        """Step all frames; return the end: done, stopped, diverged, unconverged or (asked to finish early) failed."""
         while not self.stepper.finished:
             self.listen(0)
-            self.context.require_supervisor()  # nobody else would end what goes on, or hear how it ended
+            self.context.require_supervisor()  # nobody else would end the run, or receive its result
             start = time.perf_counter()
             while self.state == "paused" and self.finish is None:
                 self.listen(0.5)
@@ -306,7 +306,7 @@ class Driver(FramePublisher):
             if status == LEFT:
                 self._await_end()
                 break
-            if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer one can go on
+            if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer run can resume
                 self.keep()
                 self.wait_for(self.stepper.frame)
             if status != "ok":
@@ -314,23 +314,23 @@ class Driver(FramePublisher):
             if self.until is not None and self.stepper.frame >= self.until:
                 self.state, self.until = "paused", None
         if self.before is not None or not self.abandoned:
-            self.keep(self.before)  # also of a run that was interrupted: it can be gone on from there
+            self.keep(self.before)  # also of an interrupted run, which can be resumed from there
         if self.finish is not None:
             return "failed"
         self.wait_for(self.stepper.frame)
         return self.state if self.state in OVER else "done"
 
     def _await_end(self) -> None:
-        """Wait for what a frame was left for."""
+        """Wait for the end that a frame was abandoned for."""
         while self.finish is None and self.state not in OVER:
             self.listen(LOOK_SECONDS)
 
     def ready(self) -> bool:
-        """Wait for what the next frame needs, under control; False where the run does not go on now."""
+        """Wait for the inputs of the next frame, under control; return False if the run does not go on now."""
         return True
 
     def follow(self) -> str:
-        """Every frame of the leader's until the end; how it ended. Raises RunFailed where a frame is amiss."""
+        """Step each frame of the leader until the end; return how it ended. Raises RunFailed for a missing frame."""
         self.state = "running"
         while self.finish is None:
             while self.due and self.finish is None:
@@ -354,7 +354,7 @@ class Driver(FramePublisher):
         return "done"
 
     def one_frame(self) -> str:
-        """Step, publish, and let nobody who must see it fall far behind; the frame's status."""
+        """Step and publish one frame, wait for lockstep subscribers that are behind; return its status."""
         report = self.step_frame().report
         if report.status == LEFT:
             return LEFT
@@ -364,12 +364,12 @@ class Driver(FramePublisher):
         frame = self.stepper.frame
         if frame % self.scene.checkpoint_frames == 0 and report.status == "ok" and frame < self.scene.frames:
             self.keep()
-        self.wait_for((frame - WINDOW) // self.every * self.every)  # those between are not all acknowledged
+        self.wait_for((frame - WINDOW) // self.every * self.every)  # frames between are not all acknowledged
         return str(report.status)
 
     def wait_for(self, frame: int) -> None:
-        """Wait until every service that must see `frame` has, and say for whom. Raises RunFailed for a hung one."""
-        start, waited, told = time.perf_counter(), 0.0, ""
+        """Wait until every lockstep service has acknowledged `frame`. Raises RunFailed for one that hangs."""
+        start, waited, reported = time.perf_counter(), 0.0, ""
         while self.finish is None and (late := [name for name, seen in self.acked.items() if seen < frame]):
             self.listen(0.5)
             if "viewer" in late and "viewer" not in self.context.watch.alive():
@@ -379,22 +379,22 @@ class Driver(FramePublisher):
             if waited > PATIENCE:
                 text = f"the {names} service has not acknowledged frame {frame} within {PATIENCE:g} s"
                 raise RunFailed(text, peer=late[0])
-            if waited > WAITING_AFTER and not told and start > self.silent_until:
-                told, text = names, f"frame {frame} is not acknowledged yet (given up after {PATIENCE:g} s)"
+            if waited > WAITING_AFTER and not reported and start > self.silent_until:
+                reported, text = names, f"frame {frame} is not acknowledged yet (given up after {PATIENCE:g} s)"
                 text = f"waiting for the {names} service: {text}"
                 self.context.event("warning", text, self.stepper.frame, self.stepper.t)
-        if told and self.finish is None:
-            self.context.event("warning", f"the {told} service goes on after {waited:.3g} s")
+        if reported and self.finish is None:
+            self.context.event("warning", f"the {reported} service goes on after {waited:.3g} s")
             self.silent_until = time.perf_counter() + SAID_AGAIN_AFTER
         self.seconds["waiting"] += time.perf_counter() - start
 
     def summary(self, ended: str, wall: float) -> dict[str, Any]:
-        """What the report says of this service."""
+        """Return the service's part of the report."""
         stepper, paused = self.stepper, self.paused_seconds
-        end = {"state": ended, "message": self.message, "frame": stepper.frame, "t": stepper.t}
+        result = {"state": ended, "message": self.message, "frame": stepper.frame, "t": stepper.t}
         times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
         steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
-        clock = None if self.clock is None else self.clock.told()
+        clock = None if self.clock is None else self.clock.facts()
         digest = self.digest if self.abandoned else stepper.digest()
-        both = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
-        return end | times | steps | both | self.facts(ended)
+        rest = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
+        return result | times | steps | rest | self.facts(ended)

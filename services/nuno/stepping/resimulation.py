@@ -1,4 +1,4 @@
-"""What a recording holds, taken up from a checkpoint and stepped again with what was changed while it went on."""
+"""Resimulation of a recording from a checkpoint, with the changes that were made during its run."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
 
 CHANGES = ("set", "add")
-"""Control events that change what is stepped."""
+"""Control events that change the scene."""
 
 
 def changes_of(recording: Recording, service: str) -> list[Event]:
-    """What was changed of a service's cloth or dye while the run went on, in order. Raises BadInput."""
+    """Return the control events that changed a service's cloth or dye during the run, in order. Raises BadInput."""
     return [event for event in control_events(recording) if event.service == service and event.text in CHANGES]
 
 
 def take_up(stepper: Stepper, recording: Recording, point: Checkpoint) -> None:
-    """Bring what has not begun to a checkpoint of a recording of its scene. Raises BadInput where it does not fit."""
+    """Bring a new stepper to a checkpoint of its scene's recording. Raises BadInput where it does not fit."""
     changes = changes_of(recording, stepper.service)
     stepper.resume(point, [event for event in changes if event.frame <= point.frame])
 
 
 def resume(stepper: Stepper, path: Path) -> None:
-    """Go on from a recording's last checkpoint. Raises BadInput."""
+    """Bring a new stepper to the last checkpoint of a recording. Raises BadInput."""
     with open_recording(path) as recording:
         point = recording.last_checkpoint(recording.common_checkpoint().t, stepper.kept.name)
         if point.frame > (frames := stepper.loaded.scene.frames):
@@ -43,13 +43,13 @@ def resume(stepper: Stepper, path: Path) -> None:
 
 
 class Resimulation:
-    """Cloth or dye of a recording, at whichever frame it is stepped to."""
+    """Cloth or dye of a recording, which can be stepped to any frame."""
 
     def __init__(self, recording: Recording, stepper: Stepper, start: Recorded | None = None) -> None:
-        """From a checkpoint's message on, or else from the start. Raises BadInput."""
+        """Begin at a checkpoint's message, by default at the scene's start. Raises BadInput."""
         self.stepper = stepper
         self.changes = changes_of(recording, stepper.service)
-        """Still to be made."""
+        """Changes that are not applied yet."""
         if start is not None:
             point = recording.checkpoint(start)
             take_up(stepper, recording, point)
@@ -58,26 +58,26 @@ class Resimulation:
 
     @property
     def changing(self) -> bool:
-        """Whether changes of the present frame are still to be made."""
+        """Whether changes of the present frame are not applied yet."""
         return any(event.frame == self.stepper.frame for event in self.changes)
 
     def change(self) -> None:
-        """Make the changes of the present frame, each once, in their order."""
+        """Apply the changes of the present frame, each once, in order."""
         for event in [event for event in self.changes if event.frame == self.stepper.frame]:
             self.changes.remove(event)
-            make = self.stepper.set if event.text == "set" else self.stepper.add
-            make(str(event.args["item"]))
+            apply = self.stepper.set if event.text == "set" else self.stepper.add
+            apply(str(event.args["item"]))
 
     def go_to(self, frame: int) -> None:
-        """Step to a frame, with what was changed before it."""
+        """Step to a frame, with the changes before it."""
         while self.stepper.frame < frame:
             self.change()
             self.stepper.step()
 
     def comes_to(self, digest: str | None) -> bool:
-        """Whether the present state is that of a digest.
+        """Return whether the present state has this digest, before or after the frame's changes.
 
-        A change made before the first frame, of this run or of a resumed one, is in that frame already.
+        The first frame, of this run or of a resumed one, contains the changes before it already.
         """
         if self.stepper.digest() != digest:
             self.change()

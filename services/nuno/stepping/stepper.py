@@ -25,14 +25,14 @@ from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
 
 COPIED, HASHED, CALLS = 1e8, 4, 600_000
-"""Bytes that may be copied before a frame, for each second that the last one took: a few hundredths of its time. Those
-of the state are also hashed, which takes so many times as long, and what Python does takes as long as so many more.
+"""Most bytes copied before a frame, for each second of the last one, which takes a few hundredths of its time. The
+state is also hashed, which costs this factor more; the overhead of Python costs as much as this many bytes.
 """
 
 
 @dataclass
 class Stepped:
-    """A frame that has been stepped: its number, what the solver says of it, wall time [s] and the state's hash."""
+    """A stepped frame: its number, the solver's report, wall time [s] and the state's hash."""
 
     number: int
     report: Any
@@ -41,15 +41,15 @@ class Stepped:
 
 
 GROWN, FEW = 4, 1000
-"""A scene may seem to have so many times the vertices that were recorded, and so many more: models count roughly."""
+"""Factor and surplus by which a scene's vertices may exceed the recorded ones: models count roughly."""
 FINEST = 1000
-"""Of so many steps one may be made by what is changed while a run goes on."""
+"""Most steps in place of one after changes during a run."""
 
 
 class Stepper(ABC):
-    """A scene's cloth, or its dye: a state, a solver with its memory, and the frame that it is in.
+    """A scene's cloth, or its dye: a state, a solver with its memory, and the present frame.
 
-    dt [s] is the step, of which a frame has `steps`.
+    dt is the step [s]; a frame has `steps` of them.
     """
 
     part: ClassVar[str]
@@ -59,9 +59,9 @@ class Stepper(ABC):
     status: ClassVar[Topic]
     published: ClassVar[Topic]
     kept: ClassVar[Topic]
-    """Topics of what is said of each frame, and of its float32 and its float64 arrays."""
+    """Topics of each frame's status, and of its float32 and its float64 arrays."""
     quantities: ClassVar[Mapping[str, str]]
-    """What the arrays of the state are called in words."""
+    """Names of the state's arrays in words."""
 
     loaded: Loaded
     frame: int
@@ -70,7 +70,7 @@ class Stepper(ABC):
     dt: float
 
     leave: NDArray[np.int64]
-    """(1,) see nuno_schemas.system.System"""
+    """(1,) nonzero tells the solver to abandon its frame, as in nuno_schemas.system.System"""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
 
@@ -86,7 +86,7 @@ class Stepper(ABC):
 
     @abstractmethod
     def arrays(self) -> Arrays:
-        """The float64 state itself, by name."""
+        """Return the float64 state itself, by name."""
 
     @abstractmethod
     def step(self) -> Stepped:
@@ -94,11 +94,11 @@ class Stepper(ABC):
 
     @abstractmethod
     def present(self) -> Stepped:
-        """The present frame, without a step; compiles what steps need."""
+        """Return the present frame, without a step; compiles the kernels of a step."""
 
     @abstractmethod
     def about(self) -> str:
-        """How the solver's kernels run, in words."""
+        """Return how the solver's kernels run, in words."""
 
     @abstractmethod
     def set(self, item: str) -> None:
@@ -106,61 +106,61 @@ class Stepper(ABC):
 
     @abstractmethod
     def add(self, item: str) -> str:
-        """Add an item, `list: {...}`, to the running scene; what is to be known of it. Raises BadInput."""
+        """Add an item, `list: {...}`, to the running scene; return its field or text. Raises BadInput."""
 
     @abstractmethod
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
-        """Go on from a checkpoint, with the control events of this service until then, in order.
+        """Continue from a checkpoint, with the control events of this service until then, in order.
 
         Raises BadInput where it does not fit.
         """
 
     @abstractmethod
     def encode(self) -> bytes:
-        """The state as it is published, float32."""
+        """Return the state as it is published, float32."""
 
     @staticmethod
     @abstractmethod
     def decode(payload: bytes) -> Arrays:
-        """What was published, by the names of the state's arrays. Raises BadMessage."""
+        """Return a published state, by the names of its arrays. Raises BadMessage."""
 
     @abstractmethod
     def place(self, index: Sequence[int]) -> str:
-        """An index of one of the state's arrays in words."""
+        """Return an index of one of the state's arrays in words."""
 
     def digest(self) -> str:
-        """Hash of the float64 state: equal digests mean equal bits."""
+        """Return the hash of the float64 state: equal digests mean equal bits."""
         return hash_of([np.int64(self.frame), *self.digested()])
 
     def digested(self) -> Iterable[NDArray[Any]]:
-        """What a digest is of, beside the frame's number."""
+        """Return the arrays of the digest, besides the frame's number."""
         return self.arrays().values()
 
     def keep(self) -> Checkpoint:
-        """A copy of the whole present state, enough to go on from in the same bits."""
+        """Return a copy of the whole present state, which continues to the same bits."""
         arrays, text = self.whole()
         return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
 
     def whole(self) -> tuple[Arrays, dict[str, Any]]:
-        """Arrays and text of a checkpoint of the present state: its own arrays, which the next frame changes."""
+        """Return arrays and text of a checkpoint; the arrays are the state's own, which the next frame changes."""
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
         text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
         return arrays, text
 
     def copied(self) -> Checkpoint | None:
-        """The present state apart, in case that the next frame is left; None where to copy it would take as long as a
-        frame does.
+        """Return a copy of the present state, in case the next frame is abandoned; None where copying would take as
+        long as a frame.
         """
         size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
         size += HASHED * sum(array.nbytes for array in self.arrays().values())
         return self.keep() if size < COPIED * self.taken else None
 
     def holds(self) -> str:
-        """What holds up the frame that is being stepped, in words; called while it is."""
+        """Return what delays the present frame, in words; called while it is stepped."""
         return ""
 
     def check_time(self, point: Checkpoint) -> None:
-        """Raises BadInput for a checkpoint of a time or a step that no frame of this scene has."""
+        """Raise BadInput for a checkpoint whose time or step no frame of this scene has."""
         with fitting(self.loaded):
             steps, dt = int(point.text["steps"]), float(point.text["dt"])
             if point.frame < 0 or not math.isclose(point.t * self.loaded.scene.frame_rate, point.frame, abs_tol=1e-6):
@@ -172,9 +172,7 @@ class Stepper(ABC):
                 )
 
     def take_over(self, point: Checkpoint) -> None:
-        """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit, before any of
-        it is taken.
-        """
+        """Copy state and solver memory from a checkpoint. Raises BadInput where they do not fit, before any change."""
         with fitting(self.loaded):
             check_kept(self.memory, point.memory)
         copy_into(self.arrays(), point.state)
@@ -183,16 +181,16 @@ class Stepper(ABC):
 
     @property
     def checkpoints(self) -> int:
-        """How many a run keeps."""
+        """Number of checkpoints of a run."""
         return math.ceil(self.loaded.scene.frames / self.loaded.scene.checkpoint_frames)
 
     def describe_step(self, solver: str, limit: float) -> str:
-        """A solver by its name, its step and the longest stable one [s], for `nuno plan`."""
+        """Describe a solver by name, its step and the longest stable one [s], for `nuno plan`."""
         most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
         return f"{solver}, dt {self.dt * 1e3:.4g} ms, {self.steps} steps a frame; {most}"
 
     def describe_cost(self, seconds: float, size: int, memory: int, more: str = "") -> list[tuple[str, str]]:
-        """What a run will take, by the seconds of a frame, bytes recorded and bytes of memory, for `nuno plan`."""
+        """Return rows with a run's cost, from a frame's time [s], recorded bytes and memory, for `nuno plan`."""
         scene = self.loaded.scene
         rate = factor(1 / scene.frame_rate / seconds)
         return [
@@ -202,7 +200,7 @@ class Stepper(ABC):
         ]
 
     def time_frame(self) -> float:
-        """Wall time of the second frame from here on [s]; the first one may compile."""
+        """Return the wall time of the second frame from now [s]; the first one may compile."""
         self.step()
         start = time.perf_counter()
         self.step()
@@ -211,7 +209,7 @@ class Stepper(ABC):
 
 @contextmanager
 def fitting(loaded: Loaded) -> Iterator[None]:
-    """What is wrong with what was recorded, whatever it is, as BadInput."""
+    """Raise any error about recorded data as BadInput."""
     try:
         yield
     except BadInput:
@@ -222,9 +220,9 @@ def fitting(loaded: Loaded) -> Iterator[None]:
         raise BadInput(problem, loaded.file, remedy=remedy) from None
 
 
-def check_kept(memory: Memory, given: Arrays) -> None:
-    """Raises ContractError for entries out of the bounds that a solver gives for its memory: see `Memory.bounds`."""
-    for name, values in given.items():
+def check_kept(memory: Memory, recorded: Arrays) -> None:
+    """Raise ContractError for entries outside the bounds of a solver's memory, `Memory.bounds`."""
+    for name, values in recorded.items():
         if name in memory.bounds:
             check_array(MEMORY + name, values, values.dtype.type, values.shape, memory.bounds[name])
         elif name in memory.arrays and values.dtype.kind in "iu":
@@ -232,8 +230,8 @@ def check_kept(memory: Memory, given: Arrays) -> None:
 
 
 def require_memory(loaded: Loaded, field: str, number: int, noun: str, size: int, remedy: str) -> None:
-    """Raises BadInput, at the scene's `field`, for so many vertices or cells that take more bytes than are free, or are
-    far more than the recording that the scene is from has.
+    """Raise BadInput, at the scene's `field`, for vertices or cells that need more memory than is free, or are far more
+    than those of the scene's recording.
     """
     value, known = f"{number:,} {noun}", loaded.recorded_sizes.get(noun)
     if known is not None and number > GROWN * known + FEW:
@@ -248,19 +246,19 @@ def require_memory(loaded: Loaded, field: str, number: int, noun: str, size: int
 
 
 def hash_of(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
-    """Hash of the bits of some arrays."""
+    """Return a hash of the bits of arrays."""
     hasher = hashlib.blake2b(digest_size=16)
     for values in arrays:
         hasher.update(np.ascontiguousarray(values).data)
     return hasher.hexdigest()
 
 
-def copy_into(held: Arrays, given: Arrays, some: bool = False) -> None:
-    """Have the values of arrays of the same names, or of only some of them. Raises BadInput for others."""
-    for name in given if some else held | given:
-        here, there = (f"{a[name].dtype} {a[name].shape}" if name in a else "nothing" for a in (held, given))
+def copy_into(target: Arrays, source: Arrays, some: bool = False) -> None:
+    """Copy the values of arrays of the same names, or of `some` of them. Raises BadInput for other arrays."""
+    for name in source if some else target | source:
+        here, there = (f"{a[name].dtype} {a[name].shape}" if name in a else "nothing" for a in (target, source))
         if here != there:
             problem, remedy = "the checkpoint does not fit this scene", "resume with the recording's own scene"
             raise BadInput(problem, value=f"{name}, {there}", limit=here, remedy=remedy)
-    for name, values in given.items():
-        np.copyto(held[name], values)
+    for name, values in source.items():
+        np.copyto(target[name], values)

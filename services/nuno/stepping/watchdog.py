@@ -1,5 +1,5 @@
-"""Looks after frames while they are stepped: leaves one that is no longer wanted, and says what holds one that takes
-too long. Whoever steps is in compiled code meanwhile, and hears nothing.
+"""Watchdog of frames while they are stepped: it abandons a frame when the run is to end, and warns of one that takes
+too long. The stepping thread is in compiled code meanwhile, and reads no messages.
 """
 
 from __future__ import annotations
@@ -17,76 +17,76 @@ from nuno.bus.query import Query
 from nuno.service import Context
 
 PATIENCE = 0.3
-"""How long a frame, or what precedes the first one, may go on once the run is to stop [s]."""
-LOOKS = 0.1
-"""How often it is looked [s]."""
+"""Longest time that a frame, or the preparation, may go on once the run is to stop [s]."""
+CHECK_INTERVAL = 0.1
+"""Interval of the checks [s]."""
 LONG, LEAST, KNOWN = 100.0, 5.0, 3
-"""A frame takes too long from so many times the median of those before on, and from so many seconds; as long as fewer
-frames are known than the last says, nothing is usual.
+"""A frame takes too long beyond this multiple of the median of earlier frames, and this time [s]; the median needs at
+least this many frames.
 """
 LATEST = 50
-"""Frames whose median that is."""
+"""Number of earlier frames in the median."""
 
 
 class FrameWatchdog:
-    """A thread that looks after one service's steps, from its start to `close`."""
+    """A thread that watches one service's steps, from its start to `close`."""
 
     def __init__(self, context: Context) -> None:
         self._context, self.leave = context, np.zeros(1, np.int64)
-        """(1,) for whatever takes steps; see nuno_schemas.system.System"""
-        self._asked: float | None = None
+        """(1,) nonzero tells a solver to abandon its frame, as `nuno_schemas.system.System.leave`."""
+        self._end_asked_at: float | None = None
         self._began: float | None = time.monotonic()
-        """When the present frame began; at first, the preparation."""
-        self._frame, self._said, self._t = 0, True, 0.0
-        self._taken: deque[float] = deque(maxlen=LATEST)
-        self._lock, self._over = threading.Lock(), threading.Event()
+        """Start of the present frame, at first of the preparation [s]; None between frames."""
+        self._frame, self._warned, self._t = 0, True, 0.0
+        self._durations: deque[float] = deque(maxlen=LATEST)
+        self._lock, self._closed = threading.Lock(), threading.Event()
         self.holds: Callable[[], str] = str
-        """What holds the present frame, in words, as far as the solver knows."""
-        threading.Thread(target=self._look, name=f"{context.bus.service} attendant", daemon=True).start()
+        """Returns what delays the present frame, in words, as far as the solver knows."""
+        threading.Thread(target=self._watch, name=f"{context.bus.service} watchdog", daemon=True).start()
 
-    def hear(self, question: Query) -> None:
-        """Note a question that ends the run, from whichever thread it arrives in."""
-        if question.name.startswith("finish/") or question.json().get("action") == "stop":
-            self._asked = self._asked or time.monotonic()
+    def note_query(self, query: Query) -> None:
+        """Record a query that ends the run; any thread may call this."""
+        if query.name.startswith("finish/") or query.json().get("action") == "stop":
+            self._end_asked_at = self._end_asked_at or time.monotonic()
 
     def prepared(self) -> None:
-        """Nothing is being worked out until the next frame."""
+        """End the preparation: nothing is computed until the next frame."""
         with self._lock:
             self._began = None
 
     @contextmanager
     def frame(self, last: int, t: float) -> Iterator[None]:
-        """While the frame after the last one is stepped, which ended at t [s]."""
+        """Watch the frame after `last`, which ended at t [s], while it is stepped."""
         with self._lock:
-            self._began, self._frame, self._t, self._said = time.monotonic(), last, t, False
+            self._began, self._frame, self._t, self._warned = time.monotonic(), last, t, False
         try:
             yield
         finally:
             with self._lock:
-                self._taken.append(time.monotonic() - (self._began or 0.0))
+                self._durations.append(time.monotonic() - (self._began or 0.0))
                 self._began = None
 
     def close(self) -> None:
-        """Look no more."""
-        self._over.set()
+        """End the thread."""
+        self._closed.set()
 
-    def _look(self) -> None:
-        while not self._over.wait(LOOKS):
+    def _watch(self) -> None:
+        while not self._closed.wait(CHECK_INTERVAL):
             now = time.monotonic()
-            if gone := self._context.orphaned():
-                self._asked = self._asked or now
+            if orphaned := self._context.orphaned():
+                self._end_asked_at = self._end_asked_at or now
             with self._lock:
-                late = self._asked is not None and now - self._asked > PATIENCE
+                late = self._end_asked_at is not None and now - self._end_asked_at > PATIENCE
                 if late and self._began is not None:
                     self.leave[0] = 1
-                if late and (gone or self.leave[0]):
+                if late and (orphaned or self.leave[0]):
                     return
                 if self._began is None:
                     continue
-                taken, usual = now - self._began, median(self._taken) if len(self._taken) >= KNOWN else None
-                if self._said or usual is None or taken < max(LEAST, LONG * usual):
+                elapsed, typical = now - self._began, median(self._durations) if len(self._durations) >= KNOWN else None
+                if self._warned or typical is None or elapsed < max(LEAST, LONG * typical):
                     continue
-                self._said = True
-            text = f"frame {self._frame + 1} has taken {taken:.3g} s so far, {taken / usual:.0f} times the usual"
-            why = self.holds()
-            self._context.event("warning", text + (f": {why}" if why else ""), self._frame, self._t)
+                self._warned = True
+            text = f"frame {self._frame + 1} has taken {elapsed:.3g} s so far, {elapsed / typical:.0f} times the usual"
+            reason = self.holds()
+            self._context.event("warning", text + (f": {reason}" if reason else ""), self._frame, self._t)

@@ -1,1 +1,1 @@
-"""A run as a whole: starting its services, watching them, ending them in order, and what is told of it."""
+"""Supervision of a run: starting its services, watching them, ending them in order, logging, and the list of runs."""

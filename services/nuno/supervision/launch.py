@@ -1,4 +1,4 @@
-"""Where a run's services run: threads of this process, or processes of their own."""
+"""Launch of a run's services: as threads of this process, or as separate processes."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from nuno.supervision.plan import Plan
 from nuno_schemas.errors import BadInput, RunFailed
 
 LINGER = 0.3
-"""How long services that are not ready may take to end once they are not needed any more [s]."""
+"""Longest wait for the end of services that are not ready, once they are no longer needed [s]."""
 FINISH_TIMEOUT = 30.0
-"""How long a service may take to end when it is asked to [s]."""
+"""Longest wait for a service's end after the query to finish [s]."""
 
 
 @contextlib.contextmanager
 def threads(
     loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str, watch: Watch
 ) -> Iterator[Callable[[], dict[str, str]]]:
-    """All services as threads of this process. One that was never alive may be compiling, and is not waited for."""
-    over: dict[str, str] = {}
+    """Run all services as threads of this process. One that was never alive may be compiling; nothing waits for it."""
+    ended: dict[str, str] = {}
     stop = threading.Event()
 
-    def body(name: str) -> None:
+    def run_one(name: str) -> None:
         try:
             run_service(name, loaded, session, run, options, stop)
-            over[name] = ""
+            ended[name] = ""
         except (BadInput, RunFailed) as error:
-            over[name] = str(error)
-        except BaseException as error:  # whatever it is, the supervisor waits for a word
-            over[name] = f"{type(error).__name__}: {error}"
+            ended[name] = str(error)
+        except BaseException as error:  # the supervisor waits for any error's text
+            ended[name] = f"{type(error).__name__}: {error}"
 
-    threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]
+    threads = [threading.Thread(target=run_one, args=(name,), name=name, daemon=True) for name in plan.services]
     for thread in threads:
         thread.start()
     try:
-        yield lambda: dict(over)
+        yield lambda: dict(ended)
     finally:
-        # The session closes after this; a thread must not be using it then.
+        # The session closes after this, and no thread may use it then.
         stop.set()
         end = time.monotonic() + LINGER
         for thread in threads:
@@ -59,24 +59,24 @@ def threads(
 def processes(
     loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str, config: str | None = None
 ) -> Iterator[Callable[[], dict[str, str]]]:
-    """One process per service. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes.
+    """Run each service as a process. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes.
 
-    Each holds the other end of a pipe: however this process ends, the system closes it, and the service knows.
+    Each has the other end of a pipe: the system closes it at any end of this process, which the service notices.
     """
-    children: dict[str, subprocess.Popen[bytes]] = {}
+    started: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for name in plan.services:
             command = serve_command(name, loaded, options, endpoint, run, config)
-            children[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
-        yield lambda: {name: _exit(code) for name, child in children.items() if (code := child.poll()) is not None}
+            started[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+        yield lambda: {name: _exit(code) for name, child in started.items() if (code := child.poll()) is not None}
     finally:
-        _end(list(children.values()))
+        _end(list(started.values()))
 
 
 def _end(children: Sequence[subprocess.Popen[bytes]]) -> None:
-    """Wait until all have ended, the recorder with its file closed; kill what is left when their time is over."""
+    """Wait until all have ended, the recorder with its file closed; kill the rest after the timeout."""
     try:
-        # Whoever was ready only after the run had failed has never seen a supervisor, and would wait for one.
+        # A service that was ready only after the run's failure has never seen a supervisor, and would wait for one.
         for child in children:
             assert child.stdin is not None
             child.stdin.close()
@@ -92,14 +92,14 @@ def _end(children: Sequence[subprocess.Popen[bytes]]) -> None:
 
 
 def _exit(code: int) -> str:
-    """How a process ended, in words."""
+    """Return how a process ended, in words."""
     return f"exit code {code}" if code >= 0 else f"ended by {signal.Signals(-code).name}"
 
 
 def serve_command(
     name: str, loaded: Loaded, options: Options, endpoint: str, run: str, config: str | None = None
 ) -> list[str]:
-    """The command line that runs one service; a module of the working folder must not stand in for one of ours (-P)."""
+    """Return the command that runs one service; -P keeps the working folder's modules from shadowing others."""
     command = [sys.executable, "-P", "-m", "nuno", "serve", name, str(loaded.path), "--run", run, "--connect", endpoint]
     flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
     flags += [("--root", root) for root in loaded.files.roots]

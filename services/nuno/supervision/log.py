@@ -1,7 +1,7 @@
-"""What happened to a run, through Python's logging: as JSON, a line for each record, for other programs.
+"""The log of a run, by Python's logging: JSON, a line for each record, for other programs.
 
-A record has time (UTC), level, run, service, message and fields. They go to the logger `nuno.run`: a program
-that runs scenes through `nuno.run` takes them with handlers of its own.
+A record has time (UTC), level, run, service, message and fields. The logger is `nuno.run`: a program
+that runs scenes with `nuno.run` can add its own handlers.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class JsonLines(logging.Formatter):
     """A record as a line of JSON."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """See logging.Formatter."""
+        """Format a record as JSON, as logging.Formatter."""
         line = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -56,12 +56,12 @@ def note(
     level: int = logging.INFO,
     service: str = "supervisor",
 ) -> None:
-    """Log that something happened to a run."""
+    """Log a message about a run."""
     LOGGER.log(level, "%s", message, extra={"run": run, "service": service, "fields": dict(fields or {})})
 
 
 def note_start(run: str, loaded: Loaded, services: Sequence[str]) -> None:
-    """What begins: version, scene and its hash, services."""
+    """Log the start of a run: version, scene and its hash, services."""
     data = json.dumps(loaded.data, sort_keys=True, default=str).encode()
     scene: dict[str, Any] = {
         "scene": loaded.scene.name,
@@ -72,14 +72,14 @@ def note_start(run: str, loaded: Loaded, services: Sequence[str]) -> None:
 
 
 def note_event(run: str, event: Event) -> None:
-    """What a service told the run: control, warnings, errors, its end."""
+    """Log an event of a service: control, warning, error, end."""
     fields = {name: value for name, value in event.args.items() if name != "summary"}
     fields |= {"frame": event.frame, "t": event.t}
     note(run, f"{event.kind}: {event.text}", fields, LEVELS.get(event.kind, logging.INFO), event.service)
 
 
 def note_end(run: str, outcome: Outcome) -> None:
-    """How it ended, why, and in which bits."""
+    """Log the end of a run: state, reason, digests."""
     missing = {name: answer["missing"] for name, answer in outcome.services.items() if answer.get("missing")}
     level = logging.ERROR if outcome.problem else logging.INFO
     digests = {name: a["summary"]["digest"] for name, a in outcome.services.items() if "summary" in a}
@@ -89,18 +89,18 @@ def note_end(run: str, outcome: Outcome) -> None:
 
 
 def note_failure(run: str, state: str, reason: str) -> None:
-    """That it ended before there was an outcome."""
+    """Log the end of a run without an outcome."""
     note(run, f"end: {state}", {"state": state, "reason": reason}, logging.ERROR)
 
 
 class _Once(logging.StreamHandler[TextIO]):
-    """Says once that what happens is no longer kept; the run needs its recording, not its log."""
+    """A handler that reports only its first failure: the run needs its recording, not its log."""
 
     named = "standard output"
     _broken = False
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """See logging.Handler."""
+        """Report an OSError once, and pass others to logging.Handler."""
         error = sys.exception()
         if not isinstance(error, OSError):
             return super().handleError(record)
@@ -118,48 +118,48 @@ class _File(_Once, logging.FileHandler):
         super().__init__(target, "w", "utf-8", delay=True)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """See logging.Handler."""
+        """Write a record; report a file that cannot be opened."""
         try:
             super().emit(record)
-        except OSError:  # it cannot be opened any more
+        except OSError:  # the file can no longer be opened
             self.handleError(record)
 
     def close(self) -> None:
-        """See logging.Handler; what could not be written cannot be written now, either."""
+        """Close the file; records that could not be written are lost."""
         with contextlib.suppress(OSError):
             super().close()
 
 
 class _UntilReady(MemoryHandler):
-    """Holds records back until the services are ready: a run that is refused leaves the log that is there."""
+    """Buffers records until the services are ready: a refused run does not overwrite an existing log."""
 
     ready = False
 
     def shouldFlush(self, record: logging.LogRecord) -> bool:  # noqa: N802
-        """See logging.handlers.BufferingHandler."""
+        """Return whether the services are ready."""
         self.ready = self.ready or record.getMessage() == READY
         return self.ready
 
 
 @contextlib.contextmanager
 def written(run: str, target: Path | None) -> Iterator[None]:
-    """Write a run's records to a file, - for standard output, None for nowhere.
+    """Write a run's records to a file, to standard output for -, nowhere for None.
 
-    A run that is refused leaves no file. Raises BadInput where it cannot be written.
+    A refused run leaves no file. Raises BadInput where the file cannot be written.
     """
     if target is None:
         yield
         return
-    kept = _Once(sys.stdout) if str(target) == "-" else _File(target)
-    kept.setFormatter(JsonLines())
-    handler: logging.Handler = kept
-    if str(target) != "-" and (target.is_file() or not target.exists()):  # else a pipe, which is written at once
+    output = _Once(sys.stdout) if str(target) == "-" else _File(target)
+    output.setFormatter(JsonLines())
+    handler: logging.Handler = output
+    if str(target) != "-" and (target.is_file() or not target.exists()):  # a pipe is written immediately
         try:
             tempfile.TemporaryFile(dir=target.resolve().parent).close()
         except OSError as error:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
-        handler = _UntilReady(0, target=kept)
+        handler = _UntilReady(0, target=output)
     handler.addFilter(lambda record: getattr(record, "run", "") == run)
     level = LOGGER.level
     LOGGER.addHandler(handler)
@@ -174,4 +174,4 @@ def written(run: str, target: Path | None) -> Iterator[None]:
         LOGGER.removeHandler(handler)
         LOGGER.setLevel(level)
         handler.close()
-        kept.close()
+        output.close()

@@ -1,4 +1,4 @@
-"""What a scene will run, and what is left out and why: decided before anything starts."""
+"""The services of a scene's run, and the features left out with their reasons, decided before anything starts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nuno.service import Options
 
 @dataclass(frozen=True)
 class Plan:
-    """Services that a run needs, and what it does without."""
+    """Services of a run, and features left out."""
 
     services: tuple[str, ...]
     must_see: tuple[str, ...]
@@ -18,7 +18,7 @@ class Plan:
 
     @property
     def leader(self) -> str:
-        """The service that steps: it sets the pace, answers control and says when the run ends."""
+        """The stepping service that sets the pace, answers control requests and ends the run."""
         return self.services[0]
 
 
@@ -26,7 +26,7 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
     scene = loaded.scene
     absent = [name for name, part in (("dye", scene.dye), ("wrinkles", scene.operations)) if not part]
-    # Each with whether it is needed, and what is said where it is not.
+    # Each with whether it is needed, and the text if it is not.
     services = [
         ("simulation", scene.moves, "simulation and collision services: nothing in the scene moves"),
         ("dye", scene.dye is not None, ""),
@@ -48,10 +48,10 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         ("gravity", any(scene.gravity), "gravity: 0"),
         ("others", not absent, f"{' and '.join(absent)}: the scene has none"),
     ]
-    if not scene.moves:  # a cloth that is dyed by itself has none of what acts on others
-        services, parts = [one for one in services if one[0] != "collision"], []
+    if not scene.moves:  # nothing acts on cloth that is only dyed
+        services, parts = [service for service in services if service[0] != "collision"], []
     chosen = tuple(name for name, needed, _ in services if needed)
-    # A window may skip frames; a file that is being written may not. Nobody waits for the one that leads.
-    seers = {"dye", "collision", "recorder", *(["viewer"] if options.save else [])}
-    must_see = tuple(name for name in chosen[1:] if name in seers)
+    # A window may skip frames; a file may not. No service waits for the leader.
+    lockstep = {"dye", "collision", "recorder", *(["viewer"] if options.save else [])}
+    must_see = tuple(name for name in chosen[1:] if name in lockstep)
     return Plan(chosen, must_see, tuple(text for _, needed, text in (*services, *parts) if not needed and text))

@@ -1,4 +1,4 @@
-"""Runs of this user: their names, where their recordings go, which are going on, and which is the last."""
+"""Runs of this user: names, paths of recordings, the list of active runs, and the last one."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput, nearest
 
 LAST = "last"
-"""What stands for the run begun last: of this folder if there is one, else of any."""
+"""Name of the last run that began in this folder, or in any if this has none."""
 RECORDINGS = Path("recordings")
-"""Where runs are recorded unless the user names another file."""
+"""Default folder of recordings."""
 RECORDED = "recorded"
-"""Below the folder of notes, for each folder from which runs were begun one that says where the last is recorded."""
+"""Folder of notes with the last recording's path for each working folder."""
 ATTEMPTS, LOOK_SECONDS = 10, 0.01
-"""How often a run tries to hold its note: whoever looks which runs go on may hold it for a moment."""
+"""Attempts and pause [s] of locking a run's note: a program that lists the runs may hold it for a moment."""
 
 
 def new_id(scene: str) -> str:
-    """A run's name: the scene's, when it began, and four hexadecimal digits that no other has."""
+    """Return a run's name: the scene's, the start time, and four random hexadecimal digits."""
     return f"{scene}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
 
 
 def check_id(run: str) -> str:
-    """The same id. Raises BadInput where it could not be part of a key and a file's name."""
+    """Return the id. Raises BadInput if it cannot be part of a key and a file's name."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}", run):
         remedy = "use letters, digits, and - _ . after the first; at most 128"
         raise BadInput("not a run's name", field="--run", value=run, remedy=remedy)
@@ -45,7 +45,7 @@ def check_id(run: str) -> str:
 
 
 def record_path(folder: Path, run: str) -> Path:
-    """Where a run's recording goes. Raises BadInput if the folder cannot be written."""
+    """Return the path of a run's recording. Raises BadInput if the folder cannot be written."""
     try:
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "it is a file")
@@ -63,7 +63,7 @@ def record_path(folder: Path, run: str) -> Path:
 
 
 def folder() -> Path:
-    """Where runs are noted: readable by this user only. Raises BadInput where there is none."""
+    """Return the folder of notes of runs, readable by this user only. Raises BadInput where there is none."""
     base = os.environ.get("XDG_RUNTIME_DIR")
     try:
         path = (
@@ -83,9 +83,9 @@ def folder() -> Path:
 
 @contextmanager
 def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[None]:
-    """Note a run while it goes on, and the file of its scene where that is the user's.
+    """Keep a note of a run while it goes on, with the file of its scene if that is the user's.
 
-    The note is locked meanwhile. Its process's number would not do: once that has been killed, it may be another's.
+    The note is locked meanwhile. Rejected: the process's number, which may be another's after that is killed.
     Raises BadInput where a run of that name goes on, or the note cannot be written.
     """
     note: dict[str, object] = {"endpoint": endpoint, "folder": working_folder()}
@@ -100,7 +100,7 @@ def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[No
 
 
 def _hold(path: Path, text: str) -> FileIO:
-    """A run's note, written and held by this process alone. Raises BadInput."""
+    """Write a run's note, and lock it for this process. Raises BadInput."""
     stream = None
     try:
         stream = _lock(path)
@@ -116,12 +116,12 @@ def _hold(path: Path, text: str) -> FileIO:
 
 
 def _lock(path: Path) -> FileIO:
-    """The note of a run that begins, held by this process alone. Raises BadInput where another run holds it."""
+    """Open the note of a new run, locked for this process. Raises BadInput where another run has the lock."""
     for _ in range(ATTEMPTS):
         stream = path.open("ab", buffering=0)
         with suppress(BlockingIOError, FileNotFoundError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # In between it may have been taken for a dead run's and removed.
+            # Between opening and locking, it may have been removed as a dead run's.
             if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
                 return stream
         stream.close()
@@ -130,20 +130,20 @@ def _lock(path: Path) -> FileIO:
 
 
 def goes_on(run: str) -> BadInput:
-    """What is said where another run has that name."""
+    """Return the error for a name that an active run has."""
     remedy = "wait for its end, or give this one another name with --run"
     return BadInput("a run of that name is going on", field="--run", value=run, remedy=remedy)
 
 
 def _holds(path: Path) -> bool:
-    """Whether the run of a note goes on; the note of a dead one is removed."""
+    """Return whether the run of a note goes on; the note of a dead one is removed."""
     with path.open() as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True
-        # Only whoever holds it alone may remove it, and only while it is this note that stands there: another's look
-        # may have removed it, and a run of that name begun since.
+        # The exclusive lock allows the removal, and only of this same file: another program may have removed it, and a
+        # run of that name begun since.
         with suppress(BlockingIOError, FileNotFoundError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
@@ -152,8 +152,8 @@ def _holds(path: Path) -> bool:
 
 
 def running() -> dict[str, str]:
-    """Run id -> endpoint of the runs that are alive, oldest first; notes of dead ones are removed."""
-    found = {}
+    """Return the endpoints of active runs by id, oldest first; notes of dead ones are removed."""
+    endpoints = {}
     notes = []
     for path in folder().glob("*.json"):
         with suppress(FileNotFoundError):
@@ -161,20 +161,20 @@ def running() -> dict[str, str]:
     for _, path in sorted(notes):
         try:
             if _holds(path):
-                found[path.stem] = str(json.loads(path.read_text())["endpoint"])
+                endpoints[path.stem] = str(json.loads(path.read_text())["endpoint"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
-    return found
+    return endpoints
 
 
 def scene_path(run: str) -> Path | None:
-    """The file that a run going on has its scene from; None where there is none, or no such run."""
+    """Return the scene file of an active run; None if it has none, or there is no such run."""
     path = Path(_noted(folder() / f"{run}.json", "scene"))
     return path if path.is_file() else None
 
 
 def _noted(path: Path, name: str) -> str:
-    """A text of a note; empty where there is none."""
+    """Return a text of a note; empty where there is none."""
     try:
         return str(json.loads(path.read_text())[name])
     except (OSError, ValueError, KeyError, TypeError):
@@ -182,8 +182,8 @@ def _noted(path: Path, name: str) -> str:
 
 
 def find(run: str, here: bool = False) -> tuple[str, str]:
-    """A running run by id, unique prefix, or "last", begun `here`, in this folder, where that is asked for. Raises
-    BadInput.
+    """Return id and endpoint of an active run by id, unique prefix, or "last"; with `here`, the last of this folder.
+    Raises BadInput.
     """
     alive = running()
     matches = [run] if run in alive else [name for name in alive if name.startswith(run)]
@@ -197,39 +197,39 @@ def find(run: str, here: bool = False) -> tuple[str, str]:
 
 
 def _newest(begun: Sequence[tuple[str, str]]) -> list[str]:
-    """Of folders and what was begun in them, in order, the last of this folder, or else of all; it is said which."""
-    here = [pair for pair in begun if pair[0] == working_folder()]
-    for place, found in (here or begun)[-1:]:
-        print(f"{LAST} is {found}{'' if here else f', begun in {place}'}", file=sys.stderr, flush=True)
-        return [found]
+    """Return the last of pairs (folder, name) of this folder, or else of all; print which one it is."""
+    of_this_folder = [pair for pair in begun if pair[0] == working_folder()]
+    for place, name in (of_this_folder or begun)[-1:]:
+        print(f"{LAST} is {name}{'' if of_this_folder else f', begun in {place}'}", file=sys.stderr, flush=True)
+        return [name]
     return []
 
 
 def note_recording(path: Path) -> None:
-    """Let `last` mean a recording that is being written, by a run of the folder that this program works in."""
+    """Make a recording in progress the `last` of the working folder."""
     here = working_folder()
     notes = folder() / RECORDED
     target = notes / f"{hashlib.sha256(os.fsencode(here)).hexdigest()[:32]}.json"
     new = target.with_suffix(f".{os.getpid()}")
-    with suppress(OSError):  # no run fails for it
+    with suppress(OSError):  # this does not fail a run
         notes.mkdir(exist_ok=True)
         new.write_text(json.dumps({"folder": here, "recording": str(path.resolve())}))
         new.replace(target)
 
 
 def find_recording(path: Path) -> Path:
-    """The same path, or for `last` the recording that was written to last. Raises BadInput where there is none."""
+    """Return the path, for `last` that of the most recently written recording. Raises BadInput if there is none."""
     if str(path) != LAST:
         return path
-    known = [(working_folder(), file) for pattern in ("*.mcap", "*.mcap.part") for file in RECORDINGS.glob(pattern)]
+    files = [(working_folder(), file) for pattern in ("*.mcap", "*.mcap.part") for file in RECORDINGS.glob(pattern)]
     for note in (folder() / RECORDED).glob("*.json"):
         file = Path(_noted(note, "recording"))
-        known += [(_noted(note, "folder"), one) for one in (file, part_of(file))]
-    found = []
-    for place, file in known:
+        files += [(_noted(note, "folder"), each) for each in (file, part_of(file))]
+    by_time = []
+    for place, file in files:
         with suppress(OSError):
-            found.append((file.stat().st_mtime_ns, place, str(file)))
-    newest = _newest([(place, file) for _, place, file in sorted(found)])
+            by_time.append((file.stat().st_mtime_ns, place, str(file)))
+    newest = _newest([(place, file) for _, place, file in sorted(by_time)])
     if not newest:
         problem, remedy = "no recording is known here", f"name one, or make one: nuno run SCENE (into {RECORDINGS}/)"
         raise BadInput(problem, value=LAST, remedy=remedy)

@@ -1,4 +1,4 @@
-"""Starts just the services that a scene needs, has them watched, and ends the run in order."""
+"""Runs a scene: starts the services that it needs, supervises them, and ends the run in order."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from nuno.warnings import scene_warnings
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT = 120.0
-"""How long an answer may take [s]: it comes between frames, and what is added for the first time is compiled."""
+"""Timeout of a control request [s]: the answer comes between frames, and a first addition compiles kernels."""
 CONNECT_PATIENCE = 20.0
 AT_ONCE = " (once more, and they end at once)"
 
 
 @dataclass
 class Deployment:
-    """Where services run; the result is the same to the last bit."""
+    """Placement of the services; the result is the same to the last bit."""
 
     processes: bool = False
     listen: str | None = None
-    """Endpoint to listen on; None: a free port on loopback."""
+    """Endpoint to listen on; None chooses a free port on loopback."""
     connect: str | None = None
-    """Endpoint of a hub where services started by hand wait; nothing is started here."""
+    """Endpoint of a hub with services started by hand; this process starts none."""
     run: str | None = None
     config: str | None = None
     """zenoh configuration file (TLS, access control)."""
     paused: bool = False
-    """Wait, before the first frame, until a control request resumes the run."""
+    """Whether the run waits before the first frame for the control request to resume."""
 
 
 @dataclass
 class Outcome:
-    """How a run ended and what its services reported."""
+    """State of a run at its end, and the reports of its services."""
 
     run: str
     state: str
@@ -60,7 +60,7 @@ class Outcome:
 
     @property
     def problem(self) -> str:
-        """What went wrong, in words; empty where nothing did."""
+        """The problem of the run in words; empty if there is none."""
         if self.state in ("done", "stopped"):
             return intersections.problem(self.services.get("collision", {}).get("cloth_contact"))
         if self.state in SIGNALS:
@@ -75,9 +75,9 @@ def supervise(
     progress: Progress | None = None,
     report: Callable[[Outcome], dict[str, Any]] | None = None,
 ) -> Outcome:
-    """Run a scene from start to end. Raises BadInput for what is wrong before it starts.
+    """Run a scene from start to end. Raises BadInput for errors before the start.
 
-    `report` turns the outcome into what the recording keeps. A run that fails has its state and
+    `report` makes the recording's report of the outcome. A run that fails has its state and
     error in the outcome; its recording is kept.
     """
     deployment = deployment or Deployment()
@@ -88,13 +88,13 @@ def supervise(
     with contextlib.ExitStack() as stack:
         if deployment.connect:
             endpoint = deployment.connect
-            own = identity(run, SUPERVISOR)
-            # First, for a second session of its identity would end that of a run of the same name.
+            own_identity = identity(run, SUPERVISOR)
+            # First, since a second session of its identity would end that of a run of the same name.
             stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
             with spoke(endpoint, deployment.config, CONNECT_PATIENCE) as session:
                 if SUPERVISOR in Bus(session, run, "visitor").present():  # from another host
                     raise runs.goes_on(run)
-            session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE, own))
+            session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE, own_identity))
         else:
             trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config, trusted))
@@ -125,7 +125,7 @@ def supervise(
 def _conduct(
     supervisor: Supervisor, began: float, apart: bool, report: Callable[[Outcome], dict[str, Any]] | None
 ) -> Outcome:
-    """`apart`: each service has read the scene by itself."""
+    """Supervise a run; with `apart`, each service has read the scene itself."""
     ready, error = 0.0, ""
     try:
         supervisor.wait_until_ready()
@@ -137,7 +137,7 @@ def _conduct(
         log.note(supervisor.run, log.READY, {"seconds": ready - began})
         error = supervisor.follow()
     except BadInput:
-        supervisor.progress = None  # why it is refused is all that is to be said
+        supervisor.progress = None  # only the reason of the refusal is shown
         supervisor.finish("refused", lambda answers: {}, discard=True)
         raise
     except RunFailed as failure:
@@ -151,10 +151,10 @@ def _conduct(
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
         summary = supervisor.ended or answers.get(supervisor.plan.leader, {}).get("summary", {})
-        why = error or "; ".join(_lost(supervisor, answers))
-        state = error if error in SIGNALS else "failed" if why else str(summary["state"])
+        reason = error or "; ".join(_lost(supervisor, answers))
+        state = error if error in SIGNALS else "failed" if reason else str(summary["state"])
         seconds = {"prepare": ready - began, "run": ended - ready}
-        return Outcome(supervisor.run, state, why, supervisor.plan, summary, answers, seconds)
+        return Outcome(supervisor.run, state, reason, supervisor.plan, summary, answers, seconds)
 
     try:
         answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
@@ -168,7 +168,7 @@ def _conduct(
 
 
 def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:
-    """Why a run that came to its end has failed all the same: what was asked for is not whole."""
+    """Return the problems of a run that reached its end: requested output is incomplete."""
     if supervisor.broken:
         return [supervisor.broken]
     lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
@@ -189,9 +189,9 @@ def control(
     config: str | None = None,
     slow: Callable[[], None] | None = None,
 ) -> dict[str, Any]:
-    """Send one control request to a running run, whose hub may ask for a zenoh configuration.
+    """Send one control request to an active run, whose hub may need a zenoh configuration.
 
-    `slow` is called once where the answer is long in coming. Raises BadInput or RunFailed.
+    `slow` is called once after a long wait. Raises BadInput or RunFailed.
     """
     begin = time.monotonic()
     with spoke(endpoint, config) as session:

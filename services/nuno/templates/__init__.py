@@ -1,1 +1,1 @@
-"""Scenes to begin from: after those that come with nuno, and garments that bodies wear."""
+"""Templates of scenes: copies of shipped ones, garments on a body, and fabrics of laboratory sheets."""

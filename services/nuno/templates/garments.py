@@ -1,4 +1,4 @@
-"""Garments on a body, as scenes to be run as they are and to be changed: what `nuno sew` writes."""
+"""Scenes of garments on a body, which `nuno sew` writes."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from nuno_schemas.units import to_si
 PERSON = "shape: person, resolution: 64"
 """The body that comes with nuno."""
 COARSE = 0.02
-"""Garments of shorter sides than this [m] come to rest on sides as long first."""
+"""Sides of triangles of the coarse start [m], for garments with shorter ones."""
 COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
-"""In turn, the innermost first."""
+"""Colours of garments in turn, the innermost first."""
 
 
 class Garment(NamedTuple):
-    """An object's name, its pattern's file beside the scene, and its fabric."""
+    """An object's name, its pattern's file in the scene's folder, and its fabric."""
 
     name: str
     pattern: str
@@ -36,32 +36,32 @@ class Garment(NamedTuple):
 
 
 def name_garments(stems: Sequence[str]) -> list[str]:
-    """Names of objects, or of a scene, after their files: letters, digits, - and _, none twice."""
-    found: list[str] = []
+    """Return names of objects, or of a scene, from their files: letters, digits, - and _, each unique."""
+    names: list[str] = []
     for stem in stems:
         name = re.sub("[^A-Za-z0-9_-]", "-", stem)[:48]
         name = name if re.match("[A-Za-z]", name) else f"garment-{name}"
-        found.append(name if name not in found else f"{name}-{len(found) + 1}")
-    return found
+        names.append(name if name not in names else f"{name}-{len(names) + 1}")
+    return names
 
 
 def unit_for(size: float, patterns: Sequence[Path]) -> str:
-    """The unit of the file of a body whose longest side is `size` of them, by how tall persons are and how high
-    patterns are placed. Raises BadInput where none fits.
+    """Return the unit of a body's file, in which its longest side is `size`, by the height of persons and of the
+    patterns. Raises BadInput where none fits.
     """
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
-    high = 0.0
+    height = 0.0
     for pattern in patterns:
         try:
-            found: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, float("inf"))
-            high = max(high, found.high)
-        except BadInput:  # as the run says
+            checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, float("inf"))
+            height = max(height, checked.high)
+        except BadInput:  # the run reports it
             continue
-    if unit := unit_of(size, high):
+    if unit := unit_of(size, height):
         return unit
     raise BadInput(
         "the body fits no one, in whatever unit its file is", field="body", value=f"{size:.3g} units long",
-        limit=f"{METRES[0]:g} to {METRES[1]:g} m, or what wears a pattern that is placed up to {high:.3g} m high",
+        limit=f"{METRES[0]:g} to {METRES[1]:g} m, or what wears a pattern that is placed up to {height:.3g} m high",
         remedy="scale its file, so that its numbers are metres",
     )  # fmt: skip
 
@@ -69,30 +69,30 @@ def unit_for(size: float, patterns: Sequence[Path]) -> str:
 def describe_worn(
     name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None, scale: str = ""
 ) -> str:
-    """A scene's text: `garments`, the innermost first, their triangles' sides about `edge` long, on a `body`, a file
-    beside the scene, whose unit is `scale` long where it is not the metre, or None for the mannequin; it may go by the
-    file `motion`.
+    """Return a scene's text: `garments`, the innermost first, with sides of triangles about `edge` long, on a `body`, a
+    file in the scene's folder, with the length of its unit in `scale` unless that is the metre, or None for the
+    mannequin; `motion` is the file of its motion.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
     of_body = f"file: {json.dumps(body)}" + (f", scale: {scale}" if scale else "") if body else PERSON
-    given = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
-    return _template().render(given, edge=edge, coarse=coarse, colours=COLOURS)
+    values = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
+    return _template().render(values, edge=edge, coarse=coarse, colours=COLOURS)
 
 
 @cache
 def _template() -> jinja2.Template:
-    """The scene of patterns on a body that stands, or that stands for a second and sets out."""
+    """Load the template of patterns on a body that stands, or that stands for a second and then moves."""
     environment = jinja2.Environment(trim_blocks=True, keep_trailing_newline=True)
     environment.filters["quoted"] = json.dumps
     return environment.from_string(Path(__file__).with_suffix(".yaml.jinja").read_text(encoding="utf-8"))
 
 
 def is_own(text: str) -> bool:
-    """Whether a scene was written here, for whatever flags, and not changed since: it may go."""
+    """Return whether a scene was written by this module, with any flags, and is unchanged: it may be replaced."""
     try:
         data, _ = yaml_lines.parse(text, "")
         objects, (wearer,) = data["objects"], data["bodies"]
-        garments = [Garment(one["name"], one["model"]["file"], one["model"]["fabric"]) for one in objects]
+        garments = [Garment(item["name"], item["model"]["file"], item["model"]["fabric"]) for item in objects]
         body, motion, edge = wearer["collider"], wearer.get("motion", {}).get("file"), objects[0]["model"]["edge"]
         return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, body.get("scale", ""))
     except (BadInput, LookupError, TypeError, ValueError, AttributeError):
@@ -100,7 +100,7 @@ def is_own(text: str) -> bool:
 
 
 def _is_shorter(length: str, than: float) -> bool:
-    """Whether it is one [m] and is; what is none, the run refuses."""
+    """Return whether a text is a length below `than` [m]; the run refuses invalid ones."""
     try:
         return to_si(length, "m") < than
     except ValueError:

@@ -1,4 +1,4 @@
-"""A laboratory's sheet of a fabric, read; and what was made of it, as YAML for scenes."""
+"""Import of a laboratory's sheet of a fabric, and its values as YAML for scenes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nuno_schemas.preset import Imported
 from nuno_schemas.units import decimal_point
 
 TITLE = ("name", "source")
-"""What a sheet says of itself, in words."""
+"""Texts of a sheet about itself."""
 WORDS = ("instrument", *TITLE)
 _CUT = re.compile(r"(?<![\w.])[+-]?\d+,\d+(?![\d.])")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(?!\d)")
@@ -25,25 +25,25 @@ KINDS = (".csv", ".yaml", ".yml")
 
 
 def import_sheet(path: Path, like: str | None) -> tuple[Imported, list[str]]:
-    """The fabric of a sheet, where what that does not tell is as of the preset `like`; and what it says of itself, in
+    """Import the fabric of a sheet, with other values from the preset `like`; return it, and the sheet's title in
     lines. Raises BadInput with the sheet's line.
     """
-    given, lines = read_values(path)
-    # In one line, as a comment holds them.
-    title = {name: " ".join(str(given.pop(name)).split()) for name in TITLE if name in given}
+    values, lines = read_values(path)
+    # In one line, for a comment.
+    title = {name: " ".join(str(values.pop(name)).split()) for name in TITLE if name in values}
     try:
         importer = registry.offering("nuno.models", "import_fabric", "reads a laboratory's sheet")
-        found: Imported = importer.import_fabric(given, like, path.parent)
+        fabric: Imported = importer.import_fabric(values, like, path.parent)
     except BadInput as error:
         if error.field is None or error.field.startswith("--"):
             raise
         raise replace(error, file=str(path), line=lines.get(error.field)) from None
-    head = [f"{title.get('name', path.stem)}: {given['instrument']}, {path.name}"]
-    return found, head + ([f"source: {title['source']}"] if "source" in title else [])
+    head = [f"{title.get('name', path.stem)}: {values['instrument']}, {path.name}"]
+    return fabric, head + ([f"source: {title['source']}"] if "source" in title else [])
 
 
 def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
-    """What a sheet gives by name, and the line of each. Raises BadInput."""
+    """Read the values of a sheet by name, and the line of each. Raises BadInput."""
     if path.suffix.lower() not in KINDS:
         problem = "a sheet is YAML, or CSV of lines such as B, 0.12, 0.08"
         raise BadInput(problem, str(path), limit=f"one of {', '.join(KINDS)}", remedy="save it as one of these")
@@ -51,19 +51,19 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
     if path.suffix.lower() != ".csv":
         values, lines = yaml_lines.parse(text, str(path))
         return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}
-    given, where = dict[str, Any](), dict[str, int]()
+    values_by_name, where = dict[str, Any](), dict[str, int]()
     for line, (name, *parts) in _read_rows(text, str(path)):
-        if name in given or not parts:
-            problem = "the value is given twice" if name in given else "a name without a value"
+        if name in values_by_name or not parts:
+            problem = "the value is given twice" if name in values_by_name else "a name without a value"
             raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        given[name], where[name] = (", ".join(parts) if name in WORDS else _with_unit(parts)), line
-    return given, where
+        values_by_name[name], where[name] = (", ".join(parts) if name in WORDS else _with_unit(parts)), line
+    return values_by_name, where
 
 
 def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
-    """Cells of the lines of a CSV, whose separator is that behind `instrument`; decimal commas become points.
+    """Read the cells of the lines of a CSV, whose separator is that after `instrument`; decimal commas become points.
 
-    Raises BadInput where a comma may part numbers as well, or thousands.
+    Raises BadInput where a comma may separate numbers as well, or thousands.
     """
     lines = text.splitlines()
     separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
@@ -85,11 +85,11 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
 
 
 def _with_unit(parts: list[str]) -> list[str]:
-    """Numbers, each with the unit that may stand in the last cell."""
+    """Return numbers, each with the unit that may be in the last cell."""
     *values, last = parts
     return parts if not values or re.match(r"[+-]?[.]?\d", last) else [f"{value} {last}" for value in values]
 
 
-def in_units(found: Imported, values: Mapping[str, float]) -> dict[str, str]:
-    """Values by name, each with its unit, as scenes take them."""
-    return {name: f"{value:.6g} {found.units[name]}".strip() for name, value in values.items()}
+def in_units(fabric: Imported, values: Mapping[str, float]) -> dict[str, str]:
+    """Return values by name, each with its unit, as scenes take them."""
+    return {name: f"{value:.6g} {fabric.units[name]}".strip() for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""A scene to begin from, after one that comes with nuno."""
+"""Commented copies of shipped scenes."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from nuno_schemas.errors import BadInput
 
 
 def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Path]:
-    """Write a commented scene after the shipped one of a name, and beside it the files that it needs; what was written,
-    the scene last.
+    """Write a commented copy of a shipped scene, and the files that it needs into its folder; return their paths, the
+    scene last.
 
-    `overrides` (`key=value`) change it; the files that they name lie beside `file`. Raises BadInput for a scene that
-    they make wrong, and where something else of a name is there already: nothing is written over.
+    `overrides` (`key=value`) change it; the files that they name are in the folder of `file`. Raises BadInput for an
+    invalid scene, and where another file of the same name exists: nothing is overwritten.
     """
     loaded = load_after(name, file, overrides)
-    files = {file.parent / beside: place for beside, place in assets(loaded).items()}
-    missing = {path: place for path, place in files.items() if not _same(path, place)}
+    files = {file.parent / name_in_scene: source for name_in_scene, source in assets(loaded).items()}
+    missing = {path: source for path, source in files.items() if not _same(path, source)}
     for path in (file, *missing):
         if path.exists():
             raise BadInput("it is there already, and is not written over", value=str(path),
                            remedy=f"name another: nuno new {name} FILE.yaml")  # fmt: skip
     try:
-        for path, place in missing.items():
+        for path, source in missing.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as new:
-                shutil.copyfile(place, new)
+                shutil.copyfile(source, new)
         with replacing(file) as new:
             new.write_text(comment(loaded), encoding="utf-8")
     except OSError as error:
@@ -46,7 +46,7 @@ def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Pa
 
 
 def load_after(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
-    """The scene that `write_after` writes. Raises BadInput."""
+    """Load the scene that `write_after` writes. Raises BadInput."""
     path = shipped.scenes()[name]
     titled = [as_override("name", name_garments([file.stem])[0]), *overrides]
     if not overrides:
@@ -54,11 +54,11 @@ def load_after(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
     data, lines = yaml_lines.parse(path.read_text(encoding="utf-8"), str(path))
     for item in titled:
         apply_override(data, item)
-    # Of two files of one name that beside the new scene is meant, which may have been put there for it.
-    own = scene_file.files_of(path)
-    files = SceneFiles(file.parent, (own.folder, *own.roots))
+    # Of two files with one name, that in the new scene's folder counts, which may have been put there for it.
+    shipped_files = scene_file.files_of(path)
+    files = SceneFiles(file.parent, (shipped_files.folder, *shipped_files.roots))
     return replace(scene_file.load(data, dict.fromkeys(lines, UNNUMBERED), file.name, files), path=path)
 
 
-def _same(path: Path, place: Path) -> bool:
-    return path.is_file() and path.read_bytes() == place.read_bytes()
+def _same(path: Path, source: Path) -> bool:
+    return path.is_file() and path.read_bytes() == source.read_bytes()
