@@ -185,7 +185,7 @@ def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s:
         return worst
     st.missing[...] = st.residual
     for grip in st.grips:
-        st.residual[:, grip.held] += grip.rub
+        st.residual += grip.rub
         grip.filter(st.residual)
     return float(np.sqrt((st.residual * st.residual).sum(axis=0).max(initial=0.0)))
 

@@ -238,7 +238,7 @@ class TRBDF2(Implicit):
         evaluate(work.x, work.v, start / span, st.a, packed, extra)
         st.counts.evaluations += 1
         for grip in st.grips:
-            st.a[:, grip.held] += packed.inverse_mass[grip.held] * grip.rub
+            st.a += packed.inverse_mass * grip.rub
         np.multiply(work.v, g, out=xhat)
         xhat += work.x
         np.multiply(st.a, g, out=vhat)
