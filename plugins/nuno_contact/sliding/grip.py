@@ -94,7 +94,7 @@ def unit(a: Float) -> Float:
 
 
 class Grip:
-    """Which of n vertices are held on bodies, and how. In the arrays of a step free vertices have normal and force 0.
+    """The vertices, of n, that are held on bodies. In the arrays of a step free ones have normal and force 0.
 
     body     (n,) the body that holds each vertex after the last step, -1 for free ones: part of the state
     push     (3, n) friction [N] on sliding vertices, in the body's frame; 0 for those that stick: part of the state

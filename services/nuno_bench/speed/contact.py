@@ -22,7 +22,7 @@ from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import is_thorough, pass_by
 from nuno_contact.offset.contact_state import ContactState
-from nuno_contact.offset.impulse import SWEEPS, brake, farthest_way
+from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_kernels.step.acceleration import evaluate
@@ -208,7 +208,7 @@ class Parts:
             "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
-            "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
+            "brakes": lambda: apply_impulses(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
