@@ -26,7 +26,7 @@ from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import own_copy, silence
+from nuno_kernels.step.packing import copy_term, silence
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
@@ -200,7 +200,7 @@ class Parts:
     def look(self) -> None:
         """Time the parts as the cloth lies now; the run goes on as if it had not been looked at."""
         packed, state, dt = self._packed, self.simulation.state, self.simulation.dt
-        m, threads = own_copy(self._meeting), packed.threads
+        m, threads = copy_term(self._meeting), packed.threads
         x, v = m.last.copy(), np.zeros_like(m.last)
         v[:, : len(state.v)] = state.v.T
         there = sum_rows(x, dt, v)
