@@ -1,1 +1,1 @@
-"""Bodies that cloth meets: shapes, skeletons, their motions, and penalty contact."""
+"""Bodies and contact: shapes, skeletons and their motions; penalty, sliding and cloth contact."""

@@ -11,7 +11,7 @@ Length = Annotated[float, quantity("m")]
 Size = Annotated[float, quantity("m", gt=0)]
 Reach = Annotated[float, quantity("m", ge=0)]
 Angle = Annotated[float, quantity("rad")]
-Spin = Annotated[float, quantity("rad", ANY)]  # a body may turn many times
+Spin = Annotated[float, quantity("rad", ANY)]  # a body may turn several times
 Tilt = Annotated[float, quantity("rad", ge=0, le=0.5)]
 Turn = Annotated[float, quantity("rad", ge=0, le=0.8)]
 Time = Annotated[float, quantity("s")]

@@ -1,1 +1,1 @@
-"""Methods that advance cloth in time: explicit, implicit and XPBD; the forces that they take are no part of it."""
+"""Methods that advance cloth in time: explicit, implicit and XPBD. The forces come from nuno_kernels and plugins."""

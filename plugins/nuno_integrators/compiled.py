@@ -1,4 +1,4 @@
-"""What the integrators share: a system in the kernels' layout, its limits, and the report of a frame."""
+"""The base of all integrators: the system in the kernels' layout, its limits, and the report of a frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno_integrators.forces import find_forces, find_touched, undisturbed
-from nuno_integrators.nonfinite import find_first, find_lost, say_lost
+from nuno_integrators.nonfinite import describe_nonfinite, find_first, find_nonfinite
 from nuno_integrators.profile import profile_steps
 from nuno_integrators.residual import unbalance
 from nuno_integrators.stability import measure_rates, stable_step
@@ -40,36 +40,36 @@ from nuno_schemas.layout import Bounds
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 
 AGAIN = 5.0
-"""Steps that took this long [s] are not taken again to see where vertices were lost."""
+"""Steps that took this long [s] are not repeated to find where vertices became non-finite."""
 
 
 @dataclass
 class Work:
-    """Kernel layout of one system: x, v and the stages' buffers are rows (3, n)."""
+    """Buffers of one system in the kernels' layout: x, v and the stages are rows (3, n)."""
 
     packed: Packed
     x: Float
     v: Float
     stages: Float
-    pace: ThreadTuning | None = field(default=None, init=False)
-    """None where one thread runs."""
+    tuning: ThreadTuning | None = field(default=None, init=False)
+    """None where one thread runs"""
 
     def __post_init__(self) -> None:
         if self.packed.threads is not None:
-            self.pace = ThreadTuning(self.packed.threads)
+            self.tuning = ThreadTuning(self.packed.threads)
 
-    def kept(self) -> dict[str, NDArray[Any]]:
-        """Arrays that are part of the state."""
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that are part of the state."""
         return {}
 
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of their entries."""
+        """Return the bounds of their entries."""
         return {}
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a method says of the steps it took: `problem` is empty where all is well."""
+class StepResult:
+    """The result of a method's steps: `problem` is empty where they succeeded."""
 
     steps: int
     problem: str = ""
@@ -85,44 +85,44 @@ class Compiled(ABC):
     explicit: ClassVar[bool]
     adaptive: ClassVar[bool] = False
     holds: ClassVar[bool] = True
-    """Whether its steps are so small that forces far softer than tension may be held over several."""
+    """whether its steps are so small that forces far softer than tension may be held over several of them"""
 
     def prepare(self, config: Any, system: System, state: State, without: Sequence[str] = ()) -> Memory:
-        """Memory for this system, in which the terms of some names do nothing. Raises BadInput for a force that no
-        kernel knows.
+        """Return the memory for a system in which the terms named in `without` do nothing. Raises BadInput for a force
+        without kernels.
         """
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        arrays, bounds = _own_arrays(packed, work)
+        arrays, bounds = _state_arrays(packed, work)
         return Memory(arrays, work, bounds)
 
     @abstractmethod
     def make_work(self, config: Any, system: System, packed: Packed) -> Work:
-        """Buffers of the method."""
+        """Allocate the method's buffers."""
 
     @abstractmethod
-    def go(self, work: Any, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
-        """Bring work.x and work.v from the start of an interval of steps * dt [s] to its end."""
+    def go(self, work: Any, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+        """Advance work.x and work.v from the start of an interval of steps * dt [s] to its end."""
 
     @abstractmethod
     def compile(self, work: Any, packed: Packed, extra: Extra) -> None:
-        """Compile what `go` needs, changing nothing: a run's own time is then without it."""
+        """Compile what `go` needs and change nothing, so that compilation does not count as the run's time."""
 
     @abstractmethod
     def step_at_rest(self, work: Any, extra: Extra) -> Any:
-        """A function (x, v, stages, steps, dt, packed, extra) of the cost of the method's steps, for `profile`."""
+        """Return a function (x, v, stages, steps, dt, packed, extra) that costs as much as the steps, for `profile`."""
 
     def adapt(self, packed: Packed) -> Packed:
-        """The packed system as this method reads it."""
+        """Return the packed system as this method reads it."""
         return packed
 
     def damped(self, packed: Packed, damping: float) -> Packed:
-        """The packed system under another damping, which may change from frame to frame; none stays none."""
+        """Return the system with another damping, which may change in each frame; an undamped one stays so."""
         return packed if packed.damping == 0.0 else packed._replace(damping=damping)
 
     def limit(self, config: Any, system: System, state: State) -> StepLimit:
-        """Largest stable step [s] in the present state, from bounds on its frequency and damping."""
+        """Return the largest stable step [s] in the present state, from bounds on its frequency and damping."""
         omega, damping = measure_rates(system, state)
         return StepLimit(stable_step(self.amplification, omega, damping, system.damping), omega, damping)
 
@@ -140,30 +140,30 @@ class Compiled(ABC):
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
-        told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
+        result = self.go(work, packed, extra, steps, dt) if steps else StepResult(0)
         seconds = time.perf_counter() - started
         if steps and system.leave[0]:
             return StepReport("left", 0)
-        if work.pace is not None:
-            work.pace.took(seconds, told.totals.get("evaluations", told.steps))
-        lost = self._say_lost(system, state, work, poses, steps, dt, seconds)
+        if work.tuning is not None:
+            work.tuning.took(seconds, result.totals.get("evaluations", result.steps))
+        nonfinite = self._describe_nonfinite(system, state, work, poses, steps, dt, seconds)
         state.x[...] = work.x.T
         state.v[...] = work.v.T
         state.t += steps * dt
-        return _report(system, work, packed, told, lost, time.perf_counter() - began)
+        return _report(system, work, packed, result, nonfinite, time.perf_counter() - began)
 
-    def _say_lost(
+    def _describe_nonfinite(
         self, system: System, before: State, work: Work, poses: tuple[Poses, Poses] | None, steps: int, dt: float,
         seconds: float,
     ) -> str:  # fmt: skip
-        """What is said of vertices without a finite position or velocity, nothing where there are none.
+        """Describe the vertices without a finite position or velocity; "" if all are finite.
 
-        To find the first of them the interval's steps are taken again, with bodies where they were at its start: not
-        where they took long already, and not of one step alone, which would tell no more than its end.
+        To find the first of them the interval's steps are repeated, with bodies where they were at its start; but not
+        if they took long already, and not a single step, which would tell no more than its end.
         """
-        lost = find_lost(work.x, work.v)
-        first, step = lost, 0
-        if lost.any() and steps > 1 and seconds < AGAIN:
+        nonfinite = find_nonfinite(work.x, work.v)
+        first, step = nonfinite, 0
+        if nonfinite.any() and steps > 1 and seconds < AGAIN:
             packed = _set_poses(work.packed, poses and (poses[0], poses[0]))
 
             def go(taken: int, more: int) -> None:
@@ -172,7 +172,7 @@ class Compiled(ABC):
                 self.go(work, packed, extra, more, dt)
 
             first, step = find_first(before, work.x, work.v, go, steps)
-        return say_lost(system.fabric, before, lost, first, f"in step {step} of {steps}" if step else "")
+        return describe_nonfinite(system.fabric, before, nonfinite, first, f"in step {step} of {steps}" if step else "")
 
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
@@ -190,7 +190,7 @@ class Compiled(ABC):
         return making_lists(work.packed)
 
     def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
-        """Of each term that tells: pieces (k,) and places (k, 3) [m] of vertices that cannot go on; in a step, too."""
+        """Return pieces (k,) and places (k, 3) [m] of stuck vertices of each term; also within a step."""
         work: Work = memory.work  # type: ignore[assignment]
         return call_each(work.packed, "pinched")
 
@@ -216,23 +216,23 @@ class Compiled(ABC):
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
-        # After a change, or from a checkpoint, what makes lists has none before its next step.
+        # After a change, or from a checkpoint, contact has no lists before its next step.
         call_each(_set_poses(packed, (poses[1], poses[1])), "begin", work.x, 0.0, packed.threads)
         free = self.free_forces(system, work, packed, extra)
         _set_poses(packed, poses)
         return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1], free)
 
     def free_forces(self, system: System, work: Any, packed: Packed, extra: Extra) -> Float | None:
-        """(n, 3) forces [N] as steps find them where nothing is slid on; None where that is what their laws say."""
+        """Return the forces (n, 3) [N] of steps without sliding; None where they are those of the laws."""
         return None
 
     def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:
-        """(3, n) the velocity by which contact was felt at the end of the last step; that of the state unless told."""
+        """Return the velocity (3, n) by which contact was felt at the end of the last step: that of the state."""
         v: Float = work.v
         return v
 
     def about(self, system: System) -> str:
-        """Threads for this system, and what limits them."""
+        """Describe the threads for this system, and what limits them."""
         count, available = thread_count(system), threads_available()
         if count == 1 and available[0] > 1 and system.threads > 1:
             return f"1 thread: {system.fabric.number:,} vertices are fewer than several threads pay for"
@@ -241,20 +241,20 @@ class Compiled(ABC):
 
     @abstractmethod
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        """Return the matrix (2, 2) of one step on x'' = -omega^2 x - damping x', state (x, v)."""
 
 
 def _enter(system: System, state: State, work: Work, end: float) -> Extra:
-    """Put the state into the kernels' layout; the forces written in Python, or None."""
-    if work.pace is not None:
-        numba.set_num_threads(work.pace.choose() if state.t < end else work.pace.threads)
+    """Copy the state into the kernels' layout, and return the forces written in Python, or None."""
+    if work.tuning is not None:
+        numba.set_num_threads(work.tuning.choose() if state.t < end else work.tuning.threads)
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
     return python_terms(system, state.t, end)
 
 
 def lacking(terms: Sequence[Term], role: str) -> list[str]:
-    """Names of the forces, in Python or by blocks, that have nothing for a role (nuno_kernels.terms)."""
+    """Return the names of the forces, in Python or by blocks, that lack a role (nuno_kernels.terms)."""
     return sorted(
         {
             term.name
@@ -266,57 +266,59 @@ def lacking(terms: Sequence[Term], role: str) -> list[str]:
 
 
 def source_of(loop: Any, extra: object) -> Any:
-    """A compiled loop; with a force written in Python the same source runs interpreted, over compiled parts."""
+    """Return a compiled loop, or its Python source where a force is written in Python: it then calls compiled parts."""
     return loop if extra is None else loop.py_func
 
 
 def cloth_size(fabric: Fabric) -> float:
-    """Diagonal of the cloth's bounding box at the start [m], 1 where it has none."""
+    """Return the diagonal of the cloth's bounding box at the start [m], 1 if it has no extent."""
     if fabric.number == 0:
         return 1.0
     return float(np.linalg.norm(np.ptp(fabric.position, axis=0))) or 1.0
 
 
 def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
-    """Write the interval into contact and bindings; without poses there is nothing to meet or to follow."""
+    """Write the interval into contact and bindings; without poses there are no bodies."""
     if poses is None:
         return silence_bodies(packed)
     call_each(packed, "interval", *poses)
     return packed
 
 
-def _own_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], dict[str, Bounds]]:
-    """The method's own arrays that are part of the state, and the bounds of their entries."""
+def _state_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], dict[str, Bounds]]:
+    """Return the terms' and the method's arrays that are part of the state, and the bounds of their entries."""
     arrays: dict[str, NDArray[Any]] = {}
     bounds: dict[str, Bounds] = {}
     for term in {id(term): term for term in (*packed.forces, *packed.bodies)}.values():
         kernels = kernels_of(term)
-        own = kernels.bounds(term) if kernels.bounds else {}
+        term_bounds = kernels.bounds(term) if kernels.bounds else {}
         for name in kernels.memory:
             key = name if name not in arrays else f"{name}-{len(arrays)}"
             arrays[key] = getattr(term, name)
-            if name in own or arrays[key].dtype.kind == "f":
-                bounds[key] = own.get(name, Bounds())
-    return arrays | work.kept(), bounds | work.bounds()
+            if name in term_bounds or arrays[key].dtype.kind == "f":
+                bounds[key] = term_bounds.get(name, Bounds())
+    return arrays | work.state_arrays(), bounds | work.bounds()
 
 
 def _restore(packed: Packed, work: Work, memory: Memory) -> None:
-    """Take over arrays that a checkpoint put in the place of the method's own."""
-    for name, own in _own_arrays(packed, work)[0].items():
+    """Copy the arrays of a checkpoint into the method's own."""
+    for name, array_of_method in _state_arrays(packed, work)[0].items():
         array = memory.arrays[name]
-        if array is not own:
-            own[...] = array
-            memory.arrays[name] = own
+        if array is not array_of_method:
+            array_of_method[...] = array
+            memory.arrays[name] = array_of_method
 
 
-def _report(system: System, work: Work, packed: Packed, told: Told, lost: str, seconds: float) -> StepReport:
+def _report(system: System, work: Work, packed: Packed, taken: StepResult, failure: str, seconds: float) -> StepReport:
     energy = measure_energy(
         work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
     )
     counts = {"zero_length_springs": int(energy.zero_length)}
-    for found in call_each(packed, "counts"):
-        counts |= {name: counts.get(name, 0) + number for name, number in found.items()}
-    status: Literal["ok", "diverged", "unconverged"] = "diverged" if lost else "unconverged" if told.problem else "ok"
-    message = lost or told.problem
+    for term_counts in call_each(packed, "counts"):
+        counts |= {name: counts.get(name, 0) + number for name, number in term_counts.items()}
+    status: Literal["ok", "diverged", "unconverged"] = (
+        "diverged" if failure else "unconverged" if taken.problem else "ok"
+    )
+    message = failure or taken.problem
     times = {"steps": seconds}
-    return StepReport(status, told.steps, message, times, counts, energy.kinds, energy.stretch, told.totals)
+    return StepReport(status, taken.steps, message, times, counts, energy.kinds, energy.stretch, taken.totals)

@@ -1,4 +1,4 @@
-"""What acts on every vertex in one state, by kind of force: to be read after a run, not for steps."""
+"""The forces on every vertex in one state, by kind: for analysis after a run, not for steps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, own_terms, parts, silence
+from nuno_kernels.step.packing import call_each, copy_terms, parts, silence
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
@@ -16,8 +16,8 @@ from nuno_schemas.system import Forces, System, Touched
 
 
 def undisturbed(packed: Packed) -> Packed:
-    """The same system, whose terms are its own and free of what a solver's step makes of them: see Contact.rate."""
-    packed = own_terms(packed)
+    """Return a copy of the system without the adjustments that a solver's step makes to its terms: see Contact.rate."""
+    packed = copy_terms(packed)
     call_each(packed, "approach", np.inf)
     return packed
 
@@ -26,11 +26,11 @@ def find_forces(
     system: System, state: State, packed: Packed, x: Float, v: Float, extra: Extra,
     poses: tuple[Poses, Poses] | None,
 ) -> Forces:  # fmt: skip
-    """The forces in a state, which is also in x and v (3, n), with bodies as at the start of `poses`.
+    """Return the forces in a state, which is also in x and v (3, n), with bodies as at the start of `poses`.
 
-    Each kind is what the kernels of a step give where the others do nothing, so nothing is compiled for it; with
-    masses of 1 kg their accelerations are newtons. What surfaces that are slid on hold against is found as for
-    balance (nuno_contact.sliding.balance).
+    Each kind is computed by the kernels of a step with the others silent, so nothing is compiled for it; with masses of
+    1 kg their accelerations are newtons. The reaction of sliding surfaces is found as for balance
+    (nuno_contact.sliding.balance).
     """
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = _bare(packed)
@@ -56,9 +56,9 @@ def find_forces(
 def find_touched(
     system: System, packed: Packed, x: Float, v: Float, extra: Extra, poses: Poses, free: Float | None
 ) -> Touched:
-    """What each body does to the vertices in the state x, v (3, n), with bodies as at the end of the interval, where
-    `poses` has them: what its contact gives where nothing else acts. What is slid on holds against `free` (n, 3) [N] of
-    vertices that are not held, where a method's steps find other forces than their laws.
+    """Return the force of each body on the vertices in the state x, v (3, n), with bodies as at the end of the
+    interval, where `poses` has them: its contact's force with all else silent. A sliding surface reacts to `free` (n,
+    3) [N] on vertices that are not held, for methods whose steps use other forces than their laws'.
     """
     bare, mass = _bare(packed), system.fabric.mass[:, None]
     total = _force(bare, x, v, 1.0, extra)
@@ -70,14 +70,14 @@ def find_touched(
             alone = role_of(type(term), "alone")(term, number)
             if kernels_of(term).unbalance is None:
                 by[name] = _force(_only(bare, term, alone), x, v, 1.0, None)
-            else:  # what is slid on holds against all that acts, and against what those before have left of it
+            else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
                 by[name], total = left - total, left
     return Touched(by, total)
 
 
 def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, ...]]]:
-    """Terms that are contact with bodies, as they are packed, and the bodies' names; those that slide last."""
+    """Return the terms that are contact with bodies, as they are packed, and the bodies' names; sliding ones last."""
     own = {id(term): term for term in (*packed.forces, *packed.bodies)}
     found: list[tuple[Any, tuple[str, ...]]] = []
     for term in system.terms:
@@ -88,26 +88,26 @@ def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, .
 
 
 def _only(bare: Packed, term: Any, alone: Any) -> Packed:
-    """The same system, of the same types, in which a term acts by itself, as `alone` stands in for it."""
+    """Return the system, of the same types, in which only one term acts, replaced by `alone`."""
     forces, bodies = (tuple(alone if one is term else one for one in terms) for terms in (bare.forces, bare.bodies))
     on = [np.array([one is term for one in terms], np.bool_) for terms in (bare.forces, bare.bodies)]
     return bare._replace(forces=forces, forces_on=on[0], bodies=bodies, bodies_on=on[1])
 
 
 def _bare(packed: Packed) -> Packed:
-    """The same system, whose accelerations are newtons: of masses of 1 kg, without gravity and damping."""
+    """Return the system with masses of 1 kg, without gravity and damping: its accelerations are newtons."""
     return packed._replace(inverse_mass=np.ones(len(packed.inverse_mass)), gravity=np.zeros(3), damping=0.0)
 
 
 def _force(packed: Packed, x: Float, v: Float, s: float, python: Extra) -> Float:
-    """(n, 3) forces [N] of a bare system at fraction s of the interval."""
+    """Return the forces (n, 3) [N] of a bare system at fraction s of the interval."""
     found = np.empty_like(x)
     evaluate(x, v, s, found, packed, python)
     return np.ascontiguousarray(found.T)
 
 
 def _held(x: Float, total: Float, packed: Packed, poses: Poses) -> Float:
-    """(n, 3) what surfaces and friction leave of the forces on vertices, as at rest; `total` itself where none do."""
+    """Return what surfaces and friction leave of forces (n, 3), as at rest; `total` itself without sliding."""
     acting = [term for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
     holding = [term for term in acting if kernels_of(term).unbalance is not None]
     if not holding:

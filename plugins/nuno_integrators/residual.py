@@ -1,4 +1,4 @@
-"""How far every vertex of a cloth is from rest, as a share of what its springs or triangles pull with."""
+"""How far every vertex of a cloth is from rest, as a share of the forces of its springs or triangles."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.triangles import Membrane
 
 TINY = 1e-300
-"""Stands for the length of a yarn that has none [1], which then pulls nowhere."""
+"""stands for the length of a yarn of length 0 [1], which then exerts no force"""
 NO_STRAIN = 1e-11
-"""Springs that are strained by less than this share of the cloth's largest coordinate pull with that much: their own
-length is known no better, so that cloth without load, which pulls with rounding alone, is at rest."""
+"""Springs strained by less than this share of the cloth's largest coordinate count with that strain: their own length
+is known no better, so that cloth without load, whose forces are rounding, is at rest."""
 
 
 def typical_tension(fabric: Fabric, x: Float) -> float:
-    """Mean size of the forces [N] at x (n, 3) [m] that springs have themselves and triangles at their corners; 0
-    without either.
+    """Return the mean size of the forces [N] at x (n, 3) [m] of springs and of triangles at their corners; 0 without
+    either.
 
     Summed exactly: NumPy's order differs between machines, and this decides which frame is the last.
     """
@@ -35,13 +35,13 @@ def typical_tension(fabric: Fabric, x: Float) -> float:
         return 0.0
     try:
         pull = math.fsum(pulls)
-    except OverflowError:  # of cloth that flies apart
+    except OverflowError:  # cloth that flies apart
         pull = math.inf
     return max(pull, NO_STRAIN * float(np.abs(x).max()) * math.fsum(stiffness)) / len(pulls)
 
 
 def pulls_of_membrane(membrane: Membrane, x: Float) -> Float:
-    """(t, 3) size of the force [N] that each triangle has on each corner at x (n, 3) [m]."""
+    """Return the size of the force [N] that each triangle has on each corner at x (n, 3) [m], shape (t, 3)."""
     shares, corners = membrane.shares(), x[membrane.faces]
     warp, weft = (sum(share[:, k, None] * corners[:, k] for k in range(3)) for share in shares)
     long, wide = size(warp), size(weft)
@@ -55,13 +55,13 @@ def pulls_of_membrane(membrane: Membrane, x: Float) -> Float:
 
 
 def size(a: Float) -> Float:
-    """(n,) lengths of vectors (n, 3), by sums in one order on every machine."""
+    """Return the lengths (n,) of vectors (n, 3), by sums in one order on every machine."""
     return np.asarray(np.sqrt(a[:, 0] * a[:, 0] + a[:, 1] * a[:, 1] + a[:, 2] * a[:, 2]))
 
 
 def unbalance(fabric: Fabric, x: Float, v: Float, left: Float) -> Float:
-    """(n,) distance from rest: the force `left` (n, 3) [N] on each vertex and what its velocity v (n, 3) [m/s] will
-    turn into, over the typical tension; 0 for vertices that are held, inf everywhere else in cloth without tension.
+    """Return the distance from rest (n,): the force `left` (n, 3) [N] on each vertex and what its velocity v (n, 3)
+    [m/s] will turn into, over the typical tension; 0 for held vertices, inf for all others in cloth without tension.
 
     Force alone is no measure of rest: a mass that swings feels none in the middle of its way. With K the stiffness of
     all springs and triangles of a vertex, F^2 + m K v^2 is the same all along its swing, the square of the force at

@@ -1,4 +1,4 @@
-"""How fast a system can oscillate and how strongly it is damped, and the step that this allows.
+"""The largest frequency and damping rate of a system, and the step that they allow.
 
 The largest eigenvalue of -da/dx (squared angular frequency) and of -da/dv (damping rate) is found
 by the Lanczos method in the mass inner product, in which both are symmetric, with products taken as
@@ -25,15 +25,15 @@ from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
 
 FEWEST, MOST, CHECK = 24, 160, 8
-"""Lanczos steps: at least, at most, and between looks at the residual."""
+"""Lanczos steps: at least, at most, and between checks of the residual"""
 
 MARGIN = 0.02
-"""Least and sought share of the residual in an eigenvalue's bound: 1 % of the frequency."""
+"""share of the residual in an eigenvalue's bound: 1 % of the frequency"""
 
 
 @kernel
 def weigh(u: Float, w: Float, mass: Float) -> float:
-    """Sum of mass u.w over all vertices, in one fixed order."""
+    """Return the sum of mass u.w over all vertices, in one fixed order."""
     total = 0.0
     for row in range(3):
         for p in range(u.shape[1]):
@@ -42,10 +42,10 @@ def weigh(u: Float, w: Float, mass: Float) -> float:
 
 
 def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float:
-    """Upper bound on the largest eigenvalue, 0 at least, of an operator on rows (3, n).
+    """Return an upper bound on the largest eigenvalue, 0 at least, of an operator on rows (3, n).
 
-    It is symmetric in the inner product weighted by mass (n,); vertices of mass 0 are held. The
-    array that `multiply` returns is its own: it is read before the next call.
+    It is symmetric in the inner product weighted by mass (n,); vertices of mass 0 are held. The array that `multiply`
+    returns is its own: it is read before the next call.
     """
     free = mass > 0.0
     size = 3 * int(free.sum())
@@ -55,7 +55,7 @@ def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float
     u[:, ~free] = 0.0
     u /= np.sqrt(np.where(free, mass, 1.0))
     u /= np.sqrt(weigh(u, u, mass))
-    # Two vectors are enough: the next one is written over the one before. On a large sheet this
+    # Two vectors are enough: the next one overwrites the one before. On a large sheet this
     # is where a run needs most memory.
     before, beta, bound = np.zeros_like(u), 0.0, 0.0
     alphas: list[float] = []
@@ -84,7 +84,7 @@ def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float
 
 
 def measure_rates(system: System, state: State) -> tuple[float, float]:
-    """Largest angular frequency and damping rate [1/s] in the present state, bounds from above.
+    """Return bounds from above on the largest angular frequency and damping rate [1/s] in the present state.
 
     What a term declares for when it becomes active (contact) is added.
     """
@@ -93,7 +93,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
     moved, a, b = np.empty_like(x), np.empty_like(x), np.empty_like(x)
 
     def difference(u: Float, base: Float, step: float) -> Float:
-        """-(da/dx) u or -(da/dv) u, whichever of x and v is `base`."""
+        """Return -(da/dx) u or -(da/dv) u, whichever of x and v is `base`."""
         width = step / max(float(u.max()), -float(u.min()))
         for sign, out in ((width, a), (-width, b)):
             np.multiply(u, sign, out=moved)
@@ -118,32 +118,32 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
 
 
 def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float, float]:
-    """What is differentiated, and the reach of the differences [m].
+    """Return the system to differentiate, and the reach of the differences [m].
 
     The reach is 1e-5 of the shortest spring: curvature then spoils 1e-10 of a product and rounding
     1e-11 R/L, for which positions are taken from their middle where no force depends on the place.
     """
     extra = python_terms(system, state.t, state.t)
     if system.fabric.springs is not None:
-        # What locks may do so at any time: it counts as if it had.
+        # A spring that locks may do so at any time: it counts as if it had.
         system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
-    packed = silence_bodies(pack(system, own=False))
+    packed = silence_bodies(pack(system, copy=False))
     x, v = to_rows(state.x), to_rows(state.v)
-    # What slips now holds again as soon as it turns.
+    # A slipping element holds again as soon as it turns.
     call_each(packed, "stick", x)
     if extra is None and x.shape[1]:
         x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
-        packed = silence_bodies(pack(replace(system, fabric=fabric), own=False))
+        packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))
         call_each(packed, "stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
 
 
 def _with_loose_springs(fabric: Fabric, position: Float) -> Fabric:
-    """Springs of zero length act as if their rest length were 0.
+    """Give springs of zero length the rest length 0.
 
     They exert no force now, but have stiffness k along any direction they take.
     """
@@ -155,7 +155,7 @@ def _with_loose_springs(fabric: Fabric, position: Float) -> Fabric:
 
 
 def spectral_radius(matrix: Float) -> float:
-    """Largest modulus of the eigenvalues of a (2, 2) matrix."""
+    """Return the largest modulus of the eigenvalues of a (2, 2) matrix."""
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
     det = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     disc = half * half - det
@@ -163,10 +163,9 @@ def spectral_radius(matrix: Float) -> float:
 
 
 def critical_step(amplification: Callable[[float, float, float], Float], omega: float, damping: float) -> float:
-    """Step [s] up to which |x|, |v| stay bounded on x'' = -omega^2 x - damping x'.
+    """Return the step [s] up to which |x|, |v| stay bounded on x'' = -omega^2 x - damping x'.
 
-    The first crossing of spectral radius 1; 0 for a method that grows at any step, inf where there
-    is nothing to limit.
+    The first crossing of spectral radius 1; 0 for a method that grows at any step, inf where there is nothing to limit.
     """
     rate = max(omega, damping)
     if rate <= 0.0:
@@ -192,10 +191,10 @@ def critical_step(amplification: Callable[[float, float, float], Float], omega: 
 def stable_step(
     amplification: Callable[[float, float, float], Float], omega: float, damping: float, least: float
 ) -> float:
-    """Step [s] that is stable for every mode up to `omega` with damping from `least` to `damping`.
+    """Return the step [s] that is stable for every mode up to `omega` with damping from `least` to `damping`.
 
-    The fastest and the most damped mode need not be one: a stability region with lobes may allow
-    the two together what it denies to either alone.
+    The fastest and the most damped mode need not be one: a stability region with lobes may allow the two together what
+    it denies to either alone.
     """
     rates = sorted({least + f * (damping - least) for f in (0.0, 0.25, 0.5, 0.75, 1.0)})
     return min(critical_step(amplification, f * omega, rate) for f in (0.0, 0.25, 0.5, 0.75, 1.0) for rate in rates)

@@ -1,4 +1,4 @@
-"""How many threads step fastest just now: a matter of what else the machine does, not of the mesh alone.
+"""The number of threads that steps fastest at present, which depends on the machine's load, not on the mesh alone.
 
 Threads meet after every pass over the vertices. Where another process has one of the cores, each meeting waits
 for it, and two threads are several times slower than one; where it has not, they are up to twice as fast. The
@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 
 TRY_AGAIN = 24
-"""Frames after which the number not in use is tried for one."""
+"""frames after which the other number is tried for one"""
 SLOWER = 1.2
-"""How much slower a frame may make what is known of a number of threads."""
+"""factor by which one frame may raise the known time of a number of threads"""
 BETTER = 0.95
-"""What a change must promise, as a share of the time now taken: times vary by a few percent."""
+"""share of the present time that a change must promise: times vary by a few percent"""
 
 
 class ThreadTuning:
@@ -25,7 +25,7 @@ class ThreadTuning:
         self.taken: dict[int, float] = {}
 
     def choose(self) -> int:
-        """Threads for the next frame. The first one is not counted: what it needs is not yet in the caches."""
+        """Return the threads for the next frame. The first one is not counted: its data are not yet in the caches."""
         self.frames += 1
         other = 1 if self.threads == self.most else self.most
         again = self.frames == 3 or self.frames % TRY_AGAIN == 0
@@ -33,10 +33,10 @@ class ThreadTuning:
         return self.used
 
     def took(self, seconds: float, work: int) -> None:
-        """What the frame just chosen for took, for so much work (steps, or evaluations)."""
+        """Note the time of the frame just chosen for, and its work (steps, or evaluations)."""
         if work < 1 or self.frames == 1:
             return
-        # A single slow frame is somebody else's doing; one after the other is a change.
+        # A single slow frame is a disturbance; a second one is a change.
         self.taken[self.used] = min(seconds / work, SLOWER * self.taken.get(self.used, math.inf))
         best = min(self.taken, key=self.taken.__getitem__)
         if self.taken[best] < BETTER * self.taken.get(self.threads, 0.0):

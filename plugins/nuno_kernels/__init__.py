@@ -1,9 +1,9 @@
 """Compiled functions that plugins share: springs, hinges, contact, the acceleration.
 
-Kernels see one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when
-only a callee in another module changes, so its folder carries a hash of the sources of the solvers'
-packages, the compile flags and the versions; it is set here, before any function is decorated. Kernels of
-other packages are known by all that they reach beside, see `nuno_kernels.compile.dependency_hash`.
+Kernels use one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when only a callee in another
+module changes, so its folder carries a hash of the sources of the solvers' packages, the compile flags and the
+versions; it is set here, before any function is decorated. Kernels of other packages are keyed by all that they reach,
+see `nuno_kernels.compile.dependency_hash`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from nuno_kernels.compile.borrowed import Borrowing
-from nuno_kernels.compile.cache import keep, reached_by
+from nuno_kernels.compile.cache import dependencies_of, keep
 from nuno_kernels.compile.calling_convention import call_by_address, call_from_kernels
 from nuno_kernels.compile.dependency_hash import SOLVERS
 from nuno_kernels.compile.quiet import compile_quietly
@@ -61,7 +61,7 @@ def kernel(function: F) -> F:
 
 
 def block_kernel(function: F) -> F:
-    """As `kernel`, for functions that work on a block of vertices or on a mesh: compiled once, and called by address.
+    """Compile a function that works on a block of vertices or on a mesh as `kernel` does, once, and call it by address.
 
     Not for those called per vertex, which a call may cost ten times what they do.
     """
@@ -69,7 +69,7 @@ def block_kernel(function: F) -> F:
 
 
 def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
-    """A compiled function for Python, with what kernels call in its place."""
+    """Return a compiled function for Python, with the version that kernels call in its place."""
 
     @functools.cache
     def part() -> Any:
@@ -77,8 +77,8 @@ def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
 
     @functools.cache
     def by_address() -> Any:
-        own = keep(numba.njit(no_cpython_wrapper=True, pipeline_class=Borrowing, **FLAGS)(function), CACHE, "apart")
-        return call_by_address(own, lambda types: CACHE.name + reached_by(function, types))
+        alone = keep(numba.njit(no_cpython_wrapper=True, pipeline_class=Borrowing, **FLAGS)(function), CACHE, "apart")
+        return call_by_address(alone, lambda types: CACHE.name + dependencies_of(function, types))
 
     outer: Any = keep(numba.njit(**flags, **FLAGS)(function), CACHE)
     outer.by_address = by_address
@@ -86,7 +86,7 @@ def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
 
 
 def inlined(function: F) -> F:
-    """A small function whose source goes into every kernel that calls it, compiled only there.
+    """Compile a small function whose source goes into every kernel that calls it.
 
     Compiling a kernel optimises all that it calls once more, so a call costs a user's first run
     about as much as the function itself. For functions without optional arguments: numba prunes
@@ -96,8 +96,8 @@ def inlined(function: F) -> F:
 
 
 def forced_inline(function: F) -> F:
-    """As `kernel`, for functions called per vertex: LLVM inlines them, since a call would pass every array's shape and
-    strides.
+    """Compile a function called per vertex as `kernel` does: LLVM inlines it, since a call would pass every array's
+    shape and strides.
     """
     return cast(F, _versions(function, forceinline=True))
 
@@ -108,7 +108,7 @@ def parallel_kernel(function: F) -> F:
 
 
 def shared_source(function: F) -> F:
-    """A function that compiled code compiles and Python interprets."""
+    """Mark a function that compiled code compiles and Python interprets."""
     return cast(F, register_jitable(function))
 
 
@@ -117,7 +117,7 @@ SPINS = 3000
 
 @functools.cache
 def threads_available() -> tuple[int, str]:
-    """How many threads a kernel may use, and a word about it.
+    """Return how many threads a kernel may use, and a description.
 
     Only OpenMP and TBB will do: numba's own workqueue aborts the process when two threads of a
     program run parallel kernels at once. OpenMP's threads wait for each other awake for SPINS turns, some

@@ -1,4 +1,4 @@
-"""Arrays of .npz files: their headers first, so that nothing is allocated for a lie, and never a pickle."""
+"""Arrays of .npz files: their headers first, so that nothing is allocated for a false one, and never a pickle."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from numpy.typing import NDArray
 from nuno_schemas.errors import BadInput, nearest
 
 PACKED_MOST = 1032
-"""Deflate makes nothing smaller than one part in so many: a member that says more of itself lies."""
+"""Deflate's largest compression: a member that claims more is false."""
 SUFFIX = ".npy"
 DTYPES = {"fiu": "float64", "iu": "int32", "b": "bool"}
-"""What arrays are read as, by the kinds of dtype that they may have in the file."""
+"""types that arrays are read as, by the kinds of dtype that they may have in the file"""
 
 Spec = tuple[tuple[int | str, ...], str]
-"""An array's shape, lengths that are not known as letters, and the kinds of dtype that it may have."""
+"""an array's shape, unknown lengths as letters, and the kinds of dtype that it may have"""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What an array says of itself, and whether the file holds as much."""
+    """An array's shape and type by its header, and whether the file holds as much."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     held: int
-    """Bytes of values that the file holds."""
+    """bytes of values that the file holds"""
 
     def check(self, path: Path, name: str) -> None:
-        """Raises BadInput where the file holds less than the header announces."""
+        """Raise BadInput if the file holds less than the header announces."""
         if math.prod(self.shape) * self.dtype.itemsize > self.held:
             problem, limit = "holds less than its header says", f"{self.held} bytes"
             raise BadInput(problem, file=str(path), field=name, value=self.shape, limit=limit)
@@ -48,7 +48,7 @@ class NpzFile:
         self.path, self._archive = path, archive
         members = archive.infolist()
         self.names = [member.filename.removesuffix(SUFFIX) for member in members]
-        """Of the arrays, in the file's order."""
+        """names of the arrays, in the file's order"""
         size = path.stat().st_size
         for name, member in zip(self.names, members, strict=True):
             if self.names.count(name) > 1 or name == member.filename:
@@ -59,7 +59,7 @@ class NpzFile:
                 raise BadInput("packed in a way that no array is", file=str(path), field=name, remedy=remedy)
 
     def header(self, name: str) -> Header:
-        """Of an array that is there. Raises BadInput for what is no array."""
+        """Return the header of an array. Raises BadInput for another kind of member."""
         with self._reading(name), self._archive.open(name + SUFFIX) as stream:
             version = np.lib.format.read_magic(stream)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -69,7 +69,7 @@ class NpzFile:
             return Header(shape, dtype, self._archive.getinfo(name + SUFFIX).file_size - stream.tell())
 
     def require(self, needed: Iterable[str], known: Iterable[str]) -> None:
-        """Raises BadInput where a needed array is missing, or one is there that is not known."""
+        """Raise BadInput for a missing array, and for one that is neither required nor optional."""
         needed, known = list(needed), list(known)
         for name in needed:
             if name not in self.names:
@@ -80,7 +80,7 @@ class NpzFile:
                 raise BadInput("unknown array", file=str(self.path), field=name, remedy=nearest(name, known))
 
     def sizes(self, specs: Mapping[str, Spec]) -> dict[str, int]:
-        """What the letters in the shapes of the arrays that are there stand for, from the headers alone.
+        """Return the values of the letters in the shapes of the arrays, from the headers alone.
 
         Raises BadInput for a wrong dtype or shape, and a header that announces more than the file holds.
         """
@@ -102,10 +102,10 @@ class NpzFile:
     def arrays(
         self, specs: Mapping[str, Spec], below: Mapping[str, tuple[int, str]] | None = None
     ) -> dict[str, NDArray[Any]]:
-        """The arrays that are there, whose headers were checked, C-contiguous and of the types in DTYPES; pickles are
-        never read. `below` says how many there are of what an array of indices counts, and what is wrong beyond.
+        """Return the arrays, whose headers were checked, C-contiguous and of the types in DTYPES; pickles are never
+        read. `below` gives the bound of an array of indices, and the problem beyond it.
 
-        Raises BadInput where an array cannot be read, and for an index that is none.
+        Raises BadInput for an array that cannot be read, and an index out of range.
         """
         found: dict[str, NDArray[Any]] = {}
         for name in (name for name in specs if name in self.names):
@@ -122,7 +122,7 @@ class NpzFile:
     def _reading(self, name: str) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # whatever a broken file makes of the decoders, of which there are many
+        except Exception as error:  # broken files make the many decoders raise anything
             raise BadInput(f"not a numpy array: {error}", file=str(self.path), field=name) from None
 
 
@@ -130,7 +130,7 @@ def require_values(
     path: Path, name: str, values: NDArray[Any], good: NDArray[np.bool_], problem: str, limit: str,
     remedy: str | None = None,
 ) -> None:  # fmt: skip
-    """Raises BadInput that names the array and the index of the first value that is not good."""
+    """Raise BadInput that names the array and the index of the first bad value."""
     bad = np.argwhere(~good)
     if bad.size:
         index = tuple(int(i) for i in bad[0])
@@ -140,11 +140,11 @@ def require_values(
 
 @contextmanager
 def open_npz(path: Path) -> Iterator[NpzFile]:
-    """An open .npz file. Raises BadInput for one that is none, for two arrays of one name, and what is no array."""
+    """Open an .npz file. Raises BadInput for another file, two arrays of one name, and a member that is no array."""
     remedy = "write it with numpy.savez"
     try:
         archive = zipfile.ZipFile(path)
-    except Exception as error:  # beside BadZipFile, what an odd version, name or extra field raises
+    except Exception as error:  # BadZipFile, and the errors of an odd version, name or extra field
         raise BadInput(f"not a readable .npz file: {error}", file=str(path), remedy=remedy) from None
     with archive:
         yield NpzFile(path, archive)

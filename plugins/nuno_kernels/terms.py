@@ -1,8 +1,8 @@
-"""What acts on cloth, as typed terms: a NamedTuple of arrays, and the compiled functions that go with its type.
+"""Forces on cloth as typed terms: a NamedTuple of arrays, and the compiled functions that go with its type.
 
 A system holds tuples of terms. numba compiles a step for just the types in them: `each` makes a function over such a
 tuple that calls, term by term, the kernel that the term's type has for a role, and nothing for types without it. A
-type's kernels are told once, where they stand, by `register`; nothing lists the types there are.
+type's kernels are given once, where they are defined, by `register`; nothing lists the types.
 
 A term in the tuple can be switched off without another type, so that nothing is compiled anew: a mask goes with the
 tuple, and each call asks it once. Not chosen: `literal_unroll`, which compiles a loop's body once for every type with
@@ -28,8 +28,8 @@ from nuno_schemas.fabric import Float
 
 
 class Measured(NamedTuple):
-    """What a term's energy comes with: energy [J]; of springs also the largest |d| / L - 1, the smallest |d| > 0 [m]
-    and how many have none.
+    """A term's energy [J]; of springs also the largest |d| / L - 1, the smallest |d| > 0 [m] and the number without
+    length.
     """
 
     energy: float
@@ -39,8 +39,8 @@ class Measured(NamedTuple):
 
 
 class Displaced(NamedTuple):
-    """A step of xpbd under way: x (3, n) [m] at its start, u (3, n) how far vertices have moved [m], y and w (3, n)
-    scratch, mobility (1, n) [s^2/kg] (see nuno_kernels.forces.constraints), and 1 / the step [1/s].
+    """An xpbd step in progress: x (3, n) [m] at its start, u (3, n) displacements [m], y and w (3, n) scratch, mobility
+    (1, n) [s^2/kg] (see nuno_kernels.forces.constraints), and 1 / the step [1/s].
     """
 
     x: Float
@@ -109,16 +109,16 @@ class Kernels:
     """
 
     name: str
-    """What a report calls it; several types of one force share a name."""
+    """name in reports; several types of one force share a name"""
     lags: bool = True
-    """Whether a method that has no constraint for it may take it as at the step's start."""
+    """whether a method that has no constraint for it may take it as at the step's start"""
     memory: tuple[str, ...] = ()
-    """Fields that are part of the state."""
+    """fields that are part of the state"""
     lists: bool = False
-    """Whether it makes lists now and then, as far as vertices move: only real steps tell what it costs."""
+    """whether it makes lists now and then, as far as vertices move: only real steps show its cost"""
     reads_velocity: Callable[[Any], bool] = lambda term: False
     vertices: Callable[[Any], int] = lambda term: 0
-    """How many vertices a term looks at, where others than the cloth's are among them."""
+    """number of vertices that a term examines, if bodies' vertices are among them"""
     block: Any = None
     after: Any = None
     place: Any = None
@@ -158,64 +158,61 @@ class Kernels:
     hold_over: Any = None
 
     def find(self, role: str) -> Any:
-        """What is done in a role, None for nothing."""
-        found = getattr(self, role)
-        return resolve_name(found) if isinstance(found, str) else found
+        """Return the function of a role, None for none."""
+        kernel = getattr(self, role)
+        return resolve_name(kernel) if isinstance(kernel, str) else kernel
 
     def all(self) -> list[Any]:
-        """What is done in all roles."""
+        """Return the functions of all roles."""
         roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory", "lists")]
-        return [found for role in roles if (found := self.find(role)) is not None]
+        return [kernel for role in roles if (kernel := self.find(role)) is not None]
 
 
 def register(kind: type, **roles: Any) -> None:
-    """Tell kernels of a type of term, a NamedTuple of arrays and numbers, which kernels are given by reference.
+    """Register the kernels of a type of term, a NamedTuple of arrays and numbers, which is passed by reference.
 
-    Fields of Kernels by name. A role may be given as "module:function": it is then loaded where a solver first asks
-    for it.
+    Fields of Kernels by name. A role may be given as "module:function", which is loaded when a solver first needs it.
     """
     by_reference(kind)
     kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
 
 
 def kernels_of(term: Any) -> Kernels:
-    """The kernels of a term. Raises BadInput for one of a type that has none."""
-    found = getattr(type(term), "kernels", None)
-    if not isinstance(found, Kernels):
+    """Return the kernels of a term. Raises BadInput for one of a type that has none."""
+    kernels = getattr(type(term), "kernels", None)
+    if not isinstance(kernels, Kernels):
         raise BadInput(
             f"no kernels for a force of type {type(term).__name__!r}",
             field="forces",
             limit="a type that nuno_kernels.terms.register knows, or a function f(x, v, t, out)",
         )
-    return found
+    return kernels
 
 
 def role_of(kind: type, role: str) -> Any:
-    """What terms of a type do in a role, None for nothing."""
+    """Return the function of a role for terms of a type, None for none."""
     kernels: Kernels = kind.kernels  # type: ignore[attr-defined]
     return kernels.find(role)
 
 
 COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a kernel")'
-"""Body of what numba replaces as it compiles. Interpreted, as where a force is written in Python, it is not to do
-nothing in silence.
-"""
+"""Body of functions that numba replaces in compiled code. Interpreted, as with a force written in Python, it raises."""
 
 
 def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
-    """A function made from source: numba has no other way to call by a tuple's types."""
+    """Make a function from source: numba has no other way to call by a tuple's types."""
     exec(f"def {name}({parameters}):\n{body or '    pass'}\n", scope)
     return scope[name]
 
 
 def each(role: str, parameters: str, linear: bool = False) -> Any:
-    """A function f(terms, on, <parameters>) for kernels: calls all terms' kernels of this role, in their order.
+    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of this role, in order.
 
     `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
     """
     head = f"terms, on, rows, {parameters}" if linear else f"terms, on, {parameters}"
-    own = "terms[{0}], rows[{0}]" if linear else "terms[{0}]"
-    call = "    if on[{0}]:\n        kernel{0}(" + own + ", " + parameters + ")\n"
+    term = "terms[{0}], rows[{0}]" if linear else "terms[{0}]"
+    call = "    if on[{0}]:\n        kernel{0}(" + term + ", " + parameters + ")\n"
 
     def build(kinds: Any) -> Any:
         kernels = {f"kernel{k}": by_address(role_of(kind.instance_class, role)) for k, kind in enumerate(kinds)}
@@ -226,13 +223,13 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
 
 
 def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block") -> Any:
-    """A function f(<parameters>, blocks, threads) for kernels: calls one(block, <parameters>) for every block, in their
-    order where `threads` is None, else on several threads.
+    """Return a function f(<parameters>, blocks, threads) for kernels, which calls one(block, <parameters>) for every
+    block, in order if `threads` is None, else on several threads.
 
-    Which of the two it is, is known when a kernel is compiled, and only that is compiled. With `worth` f takes what
-    there is to do before `threads`; less than that is done in order by one thread, since others have to be woken for
-    it and waited for, which takes some microseconds. Each of several threads takes consecutive ones; with `order`, an
-    expression in `block`, those that it gives for them.
+    The choice is made when a kernel is compiled, and only that branch is compiled. With `worth` f takes the amount of
+    work before `threads`; less than that is done in order by one thread, since waking others takes some microseconds.
+    Each of several threads takes consecutive blocks; with `order`, an expression in `block`, those that it gives for
+    them.
     """
     head, call = f"{parameters}, blocks{', work' if worth else ''}, threads", f"one(block, {parameters})"
     body = f"    for block in prange(blocks):\n        one({order}, {parameters})"
@@ -250,7 +247,7 @@ def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block")
 
 
 def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
-    """A function that compiled code calls as the one that `build` makes for the types in its first parameter."""
+    """Return a function that compiled code calls as the one that `build` makes for the types in its first parameter."""
     called = _define("called", parameters, COMPILED)
     typed = _define("typed", parameters, "    return build(terms.types)", build=build)
     overload(called, jit_options=FLAGS, inline="always")(typed)

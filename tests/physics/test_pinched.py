@@ -15,7 +15,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import pile
-from nuno_contact.offset.impulse import SWEEPS, brake
+from nuno_contact.offset.impulse import SWEEPS, apply_impulses
 from nuno_contact.offset.places import CLOSE, LISTED, NEAR
 from nuno_contact.offset.plugin import find_pinched
 from nuno_schemas.fabric import Float
@@ -47,7 +47,7 @@ def approach(share: float, held: int) -> tuple[Any, Float]:
 def test_no_vertex_beside_what_is_held_is_thrown_by_a_lever(share: float) -> None:
     """It would have to go at SPEED / share for the point to give way, ten thousand times as fast as what pushes it."""
     m, v = approach(share, 2)
-    brake(m, v, DT, SWEEPS[1], None)
+    apply_impulses(m, v, DT, SWEEPS[1], None)
     moved = np.linalg.norm(v[:, m.faces[-1, 2]])
     assert 0.0 < moved < 8.0 * SPEED
     if share >= 0.5:
@@ -59,7 +59,7 @@ def test_no_vertex_beside_what_is_held_is_thrown_by_a_lever(share: float) -> Non
 def test_a_triangle_that_is_free_gives_way_as_far_as_it_must(share: float) -> None:
     """The point below stops what comes at a quarter of the thickness: whichever corners it is shared by."""
     m, v = approach(share, 0)
-    brake(m, v, DT, SWEEPS[1], None)
+    apply_impulses(m, v, DT, SWEEPS[1], None)
     weights = np.array([0.5 * (1.0 - share), 0.5 * (1.0 - share), share])
     gap = 0.5 * H + DT * (v[1, 0] - weights @ v[1, m.faces[-1]])
     assert gap == pytest.approx(0.25 * H, rel=1e-9)

@@ -179,7 +179,7 @@ def test_the_same_bits_whatever_the_threads() -> None:
         pieces = [sheet(46, 0.5, pinned=True), sheet(46, 0.48, at=np.array([0.003, 0.003, 0.002]))]
         pile = Pile(*pieces, solver="xpbd", dt=USUAL, threads=threads)
         pile.go(60)
-        assert (pile.memory.work.pace is None) == (threads == 1)  # type: ignore[attr-defined]
+        assert (pile.memory.work.tuning is None) == (threads == 1)  # type: ignore[attr-defined]
         assert pile.meeting.number[TOUCHING] > 1000
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]

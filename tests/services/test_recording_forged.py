@@ -23,7 +23,7 @@ from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.stepping.stepper import check_kept
 from nuno_contact.offset.contact_state import ContactState
-from nuno_integrators.compiled import _own_arrays
+from nuno_integrators.compiled import _state_arrays
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.layout import Bounds
@@ -152,8 +152,8 @@ def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value:
     kept |= {name: np.zeros((rows, 3)) for name, rows in {"motion": 6, "spread": 2, "unrest": 2, "last": 3}.items()}
     kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64)}
     term = ContactState(*[None] * len(ContactState._fields))._replace(**kept)
-    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(kept=dict, bounds=dict)
-    arrays, bounds = _own_arrays(cast(Any, packed), cast(Any, work))
+    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(state_arrays=dict, bounds=dict)
+    arrays, bounds = _state_arrays(cast(Any, packed), cast(Any, work))
     memory = Memory(arrays, None, bounds)
     check_kept(memory, arrays)
     wrong = arrays[name].copy()

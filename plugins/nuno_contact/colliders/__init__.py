@@ -1,3 +1,1 @@
-"""The shapes that bodies are made of, each a plugin. How they move is in `motions`, what they do to cloth in
-`penalty` and `sliding`.
-"""
+"""The shapes of bodies, each a plugin. Their motions are in `motions`, their contact in `penalty` and `sliding`."""

@@ -42,13 +42,13 @@ class MeshConfig(OnJoint, Surface):
 
 
 class MeshCollider:
-    """A rigid closed mesh on a joint of its body's motion. Contact with it is `sliding`."""
+    """A rigid closed mesh on a joint of its body's motion. Its contact is `sliding`."""
 
     name: ClassVar[str] = "mesh"
     Config: ClassVar[type[BaseModel]] = MeshConfig
 
     def search(self, vertices: Float, faces: Int) -> Search:
-        """The closest point of a mesh, for others than the contact: see nuno_kernels.meshes.closest_point."""
+        """Return a mesh's closest-point search, for callers other than contact: nuno_kernels.meshes.closest_point."""
         tree = build_tree(vertices, faces)
 
         def ask(points: Float, start: Int | None = None) -> Closest:
@@ -57,14 +57,14 @@ class MeshCollider:
         return ask
 
     def heights(self, config: BaseModel) -> dict[str, float]:
-        """Heights in the joint's frame [m] of places that have a name: of a shape that stands as it comes."""
+        """Return the heights in the joint's frame [m] of named places, of a built-in shape as it stands."""
         c = cast(MeshConfig, config)
         upright = c.rotate is None or c.rotate.axis[0] == c.rotate.axis[2] == 0.0
         return {name: c.centre[1] + c.scale * y for name, y in c.heights().items()} if upright else {}
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        """Raises BadInput for a mesh that is not closed, or cannot be read; one that passes through itself is noted,
-        and refused by contact that has to know its inside.
+        """Build the body. Raises BadInput for a mesh that is not closed, or cannot be read; one that passes through
+        itself is noted, and refused by contact that must know its inside.
         """
         c = cast(MeshConfig, config)
         x, faces = find_mesh(c, files, read_closed)
@@ -74,7 +74,7 @@ class MeshCollider:
 def find_mesh(
     config: MeshConfig, files: Files, read: Callable[[Path, float, bool], tuple[Float, Int]]
 ) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] in the joint's frame and triangles (f, 3) of a scene's mesh; `read` reads a file's.
+    """Return vertices (n, 3) [m] in the joint's frame and triangles (f, 3) of a scene's mesh; `read` reads a file's.
 
     Raises BadInput for one that cannot be read or made, and for a turn without axis.
     """
@@ -83,7 +83,7 @@ def find_mesh(
 
 
 def mesh_shape(config: OnJoint, mover: Mover | None, x: Float, faces: Int, kind: int) -> BodyShape:
-    """A body of one primitive that has a mesh. Raises BadInput for a joint that the motion does not have."""
+    """Return a body of one primitive that has a mesh. Raises BadInput for a joint that the motion does not have."""
     frames, frame = find_frame(config.joint, mover)
     return BodyShape(
         frames=frames,
@@ -99,7 +99,7 @@ def mesh_shape(config: OnJoint, mover: Mover | None, x: Float, faces: Int, kind:
 
 
 def turn_of(rotation: Rotation | None) -> Float:
-    """(3, 3) matrix of a turn. Raises BadInput for an axis without direction."""
+    """Return the matrix (3, 3) of a turn. Raises BadInput for an axis without direction."""
     if rotation is None:
         return np.eye(3)
     if not any(rotation.axis):

@@ -1,4 +1,4 @@
-"""How thick the parts of a body are, as fractions of its height.
+"""Thicknesses of the parts of a body, as fractions of its height.
 
 Measured on horizontal sections of a real body of 1.666 m with arms half raised (a CC0 mesh): the
 radius of the circle with the section's girth, girth/(2 pi), at the height given. Waist and pelvis
@@ -39,7 +39,7 @@ PROFILES: dict[str, tuple[tuple[float, float], ...]] = {
 }
 
 PIECES = {"back": 2, "thigh": 3, "shin": 2}
-"""Capsules that a part is cut into (the skirt paper's numbers); one where it is not listed."""
+"""capsules that a part is cut into (the skirt paper's numbers); 1 for other parts"""
 
 _PATTERNS = (
     ("", r"thumb|finger|index|middle|ring|pinky"),
@@ -59,7 +59,7 @@ _PATTERNS = (
 
 
 def find_part(joint: str) -> str | None:
-    """The part of the body that the bone starting at `joint` belongs to, from the joint's name.
+    """Return the part of the body that the bone starting at `joint` belongs to, from the joint's name.
 
     "" for fingers, which have no shape of their own; None for a name that says nothing.
     """
@@ -70,11 +70,11 @@ def find_part(joint: str) -> str | None:
 
 
 RESTS = 0.85
-"""A skeleton stands at rest if it is then as high as this share of what it is in its tallest pose."""
+"""A skeleton stands at rest if it is then at least this share as high as in its tallest pose."""
 
 
 def choose_height(at_rest: float, posed: float) -> float:
-    """A skeleton's, by how high it is at rest and in its tallest pose, both without its arms.
+    """Return a skeleton's height, from that at rest and in its tallest pose, both without arms.
 
     Many captured files have a skeleton that lies at rest, or has all bones along one axis.
     """
@@ -82,9 +82,7 @@ def choose_height(at_rest: float, posed: float) -> float:
 
 
 def find_arms(joints: Sequence[str], parents: Int) -> Bool:
-    """(j,) which joints are of arms, which may be raised, of a skeleton that is more than an arm; parents come before
-    their children.
-    """
+    """Return which joints (j,) belong to arms, of a skeleton that is more than an arm; parents come before children."""
     arm = np.array([find_part(joint) in ("arm", "forearm", "hand") for joint in joints])
     for j, parent in enumerate(parents):
         arm[j] |= parent >= 0 and arm[parent]
@@ -92,6 +90,6 @@ def find_arms(joints: Sequence[str], parents: Int) -> Bool:
 
 
 def default_radius(part: str, first: float, last: float) -> float:
-    """Mean radius over body height between two places in [0, 1] along a part."""
+    """Return the mean radius over body height between two places in [0, 1] along a part."""
     at, radius = zip(*PROFILES[part], strict=True)
     return float(np.interp(np.linspace(first, last, 17), at, radius).mean())

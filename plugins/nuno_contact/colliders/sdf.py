@@ -1,4 +1,4 @@
-"""A mesh as a body by its signed distance, sampled once: faster to ask than the mesh, and holes are no hindrance."""
+"""A mesh as a body by its sampled signed distance: faster than the mesh itself, and holes do no harm."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 from nuno_schemas.plugin import BodyShape, Files, Mover
 
-# Distance fields on disk, by what they were made of: a body is sampled once, not at every start.
+# Distance fields on disk, by a hash of their input: a body is sampled once, not at every start.
 
-KEPT = 24
-"""Files that are kept, the ones last used."""
+MOST_FILES = 24
+"""files in the cache: the ones last used"""
 ARRAYS = ("low", "shape", "child", "corners")
 
 
 def cache_folder() -> Path:
-    """Where fields are kept, beside the compiled kernels."""
+    """Return the folder of cached fields, beside the compiled kernels."""
     return CACHE.parents[1] / "fields"
 
 
 def field_key(x: Float, faces: Int, tolerance: float, band: float | None, closed: bool) -> str:
-    """Name of a field by all that it depends on, the sources of the kernels that make it among them."""
+    """Return a field's name by all that it depends on, the sources of the kernels that make it among them."""
     digest = hashlib.sha256(repr((CACHE.name, x.shape, faces.shape, tolerance, band, closed)).encode())
     digest.update(np.ascontiguousarray(x, np.float64).tobytes())
     digest.update(np.ascontiguousarray(faces, np.int32).tobytes())
@@ -53,9 +53,9 @@ def field_key(x: Float, faces: Int, tolerance: float, band: float | None, closed
 def cached_field(
     x: Float, faces: Int, tolerance: float, band: float | None, closed: bool, most_bytes: int
 ) -> DistanceField:
-    """`nuno_contact.fields.build.build_field`, from disk where it has been made before: the same bits.
+    """Return `nuno_contact.fields.build.build_field`, from disk if it has been made before: the same bits.
 
-    A file that cannot be read is made anew, and a folder that cannot be written to is done without.
+    A file that cannot be read is made anew; a folder that cannot be written to is not used.
     """
     path = cache_folder() / f"{field_key(x, faces, tolerance, band, closed)}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
@@ -69,7 +69,7 @@ def cached_field(
 
 
 def load_field(path: Path) -> DistanceField:
-    """The field in a file. Raises what numpy raises of one that is missing or broken: its parts have checksums."""
+    """Load a field. Raises what numpy raises for a missing or broken file: its parts have checksums."""
     with np.load(path, allow_pickle=False) as file:
         size, tolerance, band = file["numbers"].tolist()
         low, shape, child, corners = (file[name] for name in ARRAYS)
@@ -77,7 +77,7 @@ def load_field(path: Path) -> DistanceField:
 
 
 def save_field(path: Path, field: DistanceField) -> None:
-    """Write a whole file or none, and forget the ones that were not used for longest. Raises OSError."""
+    """Write a file atomically, and delete the least recently used ones. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
     try:
@@ -88,20 +88,20 @@ def save_field(path: Path, field: DistanceField) -> None:
     finally:
         Path(name).unlink(missing_ok=True)
     kept = sorted(path.parent.glob("*.npz"), key=lambda one: one.stat().st_mtime, reverse=True)
-    for old in kept[KEPT:]:
+    for old in kept[MOST_FILES:]:
         old.unlink(missing_ok=True)
 
 
 LARGEST = 1 << 30
-"""Bytes of a field at most."""
+"""most bytes of a field"""
 FINEST = 1e-5
-"""Least tolerance, as a share of the body's size: numbers are kept in single precision."""
+"""least tolerance, as a share of the body's size: numbers are in single precision"""
 THIN = 1e-3
-"""Share of the surface that may be thinner than the field can tell, before the user is told."""
+"""share of the surface that may be thinner than the field resolves, without a warning"""
 
 
 class SdfConfig(MeshConfig):
-    """A surface as for `mesh`, which may have holes, and how exact its distance is."""
+    """A surface as for `mesh`, which may have holes, and the accuracy of its distance."""
 
     tolerance: Size = Field(default=1e-3, description="largest error of the distance near the surface [m]")
     band: Size | None = Field(
@@ -112,26 +112,26 @@ class SdfConfig(MeshConfig):
 
 
 class SdfCollider:
-    """A rigid body on a joint of its motion, by a distance field (nuno_contact.fields.build). Contact is `penalty`."""
+    """A rigid body on a joint of its motion, by a distance field (nuno_contact.fields.build), for penalty contact."""
 
     name: ClassVar[str] = "sdf"
     Config: ClassVar[type[BaseModel]] = SdfConfig
 
     def heights(self, config: BaseModel) -> dict[str, float]:
-        """The heights of the mesh that the field is made of: see MeshCollider."""
+        """Return the heights of the mesh that the field is made of: see MeshCollider."""
         return MeshCollider().heights(config)
 
     def field(self, vertices: Float, faces: Int, tolerance: float) -> DistanceField:
-        """The field of a closed mesh, made anew: see nuno_contact.fields.build."""
+        """Build the field of a closed mesh, without the cache: see nuno_contact.fields.build."""
         return build_field(vertices, faces, tolerance)
 
     def sampler(self, field: DistanceField) -> Callable[[Float], Float]:
-        """A function (points (n, 3)) -> (n, 4) distance [m] and gradient, for others than the contact."""
+        """Return a function (points (n, 3)) -> (n, 4) distance [m] and gradient, for callers other than contact."""
         return partial(sample_field, field)
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        """Raises BadInput for a mesh that cannot be read, is inside out or encloses nothing, and for a tolerance
-        that is larger than the body, or takes too much memory.
+        """Build the body. Raises BadInput for a mesh that cannot be read, is inside out or encloses nothing, and for a
+        tolerance that is larger than the body, or takes too much memory.
         """
         c = cast(SdfConfig, config)
         x, faces = find_mesh(c, files, read_mesh)
@@ -144,7 +144,7 @@ class SdfCollider:
 
 
 def check_tolerance(x: Float, tolerance: float) -> None:
-    """Raises BadInput for one that makes no sense for vertices (n, 3)."""
+    """Raise BadInput for a tolerance that makes no sense for vertices (n, 3)."""
     size = np.ptp(x, axis=0)
     if tolerance >= 0.5 * float(size.min()):
         raise BadInput(
@@ -159,7 +159,7 @@ def check_tolerance(x: Float, tolerance: float) -> None:
 
 
 def find_fault(x: Float, faces: Int) -> str | None:
-    """What keeps a mesh from having an inside of its own, in words with the place; None of a closed one.
+    """Describe, with its place, why a mesh has no inside of its own; None for a closed one.
 
     Raises BadInput for one that is closed, but inside out.
     """
@@ -174,7 +174,7 @@ def find_fault(x: Float, faces: Int) -> str | None:
 
 
 def check_inside(field: DistanceField, x: Float, faces: Int) -> None:
-    """Raises BadInput for a field without an inside deeper than its tolerance."""
+    """Raise BadInput for a field without an inside deeper than its tolerance."""
     deepest = -float(field.corners[:, ::4].min())
     if deepest <= field.tolerance:
         raise BadInput(
@@ -186,7 +186,7 @@ def check_inside(field: DistanceField, x: Float, faces: Int) -> None:
 
 
 def thin_parts(field: DistanceField, x: Float, faces: Int) -> tuple[str, ...]:
-    """A word about parts so thin that the field there faces away from the surface."""
+    """Describe parts so thin that the field there faces away from the surface."""
     normals = face_normals(x, faces)
     corners = x[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -55,7 +55,7 @@ class BoxConfig(OnJoint):
 
 
 def find_frame(joint: str | None, mover: Mover | None) -> tuple[tuple[str, ...], int]:
-    """All frames of a body and the index of the one named `joint`.
+    """Return all frames of a body and the index of the one named `joint`.
 
     Raises BadInput for a joint that the motion does not have.
     """
@@ -68,7 +68,7 @@ def find_frame(joint: str | None, mover: Mover | None) -> tuple[tuple[str, ...],
 
 
 def one_primitive(config: OnJoint, mover: Mover | None, kind: int, a: object, b: object, radius: float) -> BodyShape:
-    """A body of one primitive (Geometry's layout) on the joint that `config` names."""
+    """Return a body of one primitive (Geometry's layout) on the joint that `config` names."""
     frames, frame = find_frame(config.joint, mover)
     return BodyShape(
         frames=frames,

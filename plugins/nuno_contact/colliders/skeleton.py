@@ -1,4 +1,4 @@
-"""Skeletons become capsules: every bone one, or cut in pieces with radii of their own."""
+"""Skeletons as capsules: each bone is one, or cut into pieces with radii of their own."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class Bone:
 
 
 def find_height(mover: Mover) -> float:
-    """Extent of the skeleton at rest [m] along the axis in which its head lies from its root (the
-    widest, where no joint is called head or neck); of one that does not stand so its height as the motion begins.
+    """Return the skeleton's extent at rest [m] along the axis in which its head lies from its root (the widest, if no
+    joint is called head or neck); its height as the motion begins, if it does not stand so.
     """
     rest = rest_positions(mover.parents, mover.offsets)
     extent = np.ptp(rest, axis=0)
@@ -87,7 +87,7 @@ def find_height(mover: Mover) -> float:
 
 
 def name_parts(mover: Mover, named: Collection[str]) -> list[str]:
-    """Part of the body that the bones from every joint belong to, "" for none.
+    """Return the part of the body that the bones from every joint belong to, "" for none.
 
     Raises BadInput for a joint with children whose name says nothing, unless it is in `named`
     (then its part is called "bone").
@@ -106,11 +106,11 @@ def name_parts(mover: Mover, named: Collection[str]) -> list[str]:
 
 
 def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[Bone]:
-    """Bones of nonzero length, in the order of the joints they lead to.
+    """Return the bones of nonzero length, in the order of the joints they lead to.
 
-    The two bones from the pelvis to the thighs are one, across the body and `half_width` [m] to
-    either side of its middle at most: the hip joints lie further apart than a pelvis's round end
-    may begin. Joints of the pelvis are taken not to turn against each other.
+    The two bones from the pelvis to the thighs are one, across the body and `half_width` [m] to either side of its
+    middle at most: the hip joints lie further apart than a pelvis's round end may begin. Joints of the pelvis are
+    assumed not to turn against each other.
     """
     parts, size = name_parts(mover, named), norm(mover.offsets)
     hips = [j for j, p in enumerate(mover.parents) if p >= 0 and (parts[p], parts[j]) == ("pelvis", "thigh")]
@@ -135,14 +135,14 @@ def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[
 
 
 def bone_part(parent: str, child: str) -> str:
-    """Part of a bone between joints of the parts `parent` and `child`."""
+    """Return the part of a bone between joints of the parts `parent` and `child`."""
     if parent in ("pelvis", "back", "neck") and child in ("arm", "shoulder"):
         return "shoulder"
     return parent
 
 
 def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: float) -> Bone:
-    """The bone across the pelvis between two hip joints, carried by the topmost pelvis joint."""
+    """Return the bone across the pelvis between two hip joints, carried by the topmost pelvis joint."""
     carrier = int(mover.parents[hips[0]])
     while mover.parents[carrier] >= 0 and parts[mover.parents[carrier]] == "pelvis":
         carrier = int(mover.parents[carrier])
@@ -155,7 +155,7 @@ def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: fl
 
 
 def choose_radii(bone: Bone, own: float | list[float] | None, height: float, split: bool) -> list[float]:
-    """Radii [m] of a bone's pieces, from its inner end to its outer; one if it is not `split`."""
+    """Return the radii [m] of a bone's pieces, from its inner end to its outer; one if it is not `split`."""
     if own is None:
         whole = bone.before + bone.length + bone.after
         share = bone.length / whole if whole > 0.0 else 0.0
@@ -168,8 +168,8 @@ def choose_radii(bone: Bone, own: float | list[float] | None, height: float, spl
 
 
 def cut(bone: Bone, radii: list[float]) -> list[tuple[Float, Float, float]]:
-    """(a, b, radius) of pieces of equal length, end to end. A bone that `ends` gives up as much of
-    its last piece as the round cap adds.
+    """Return (a, b, radius) of pieces of equal length, end to end. With `ends`, the last piece is shortened by its
+    round cap.
     """
     pieces = []
     for i, radius in enumerate(radii):
@@ -181,7 +181,7 @@ def cut(bone: Bone, radii: list[float]) -> list[tuple[Float, Float, float]]:
 
 
 def check_names(field: str, names: Collection[str], mover: Mover) -> None:
-    """Raises BadInput for a name that is neither a joint nor a part of the body."""
+    """Raise BadInput for a name that is neither a joint nor a part of the body."""
     for name in names:
         if name not in mover.joints and name not in PROFILES:
             raise BadInput("no such bone", field=field, value=name, remedy=nearest(name, (*mover.joints, *PROFILES)))

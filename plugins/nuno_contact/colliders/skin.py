@@ -1,6 +1,4 @@
-"""A person's mesh as a body that moves with its skin: its joints and weights are found or given, a motion is carried
-over.
-"""
+"""A person's mesh as a body whose skin moves: its joints and weights are found or given, and a motion is retargeted."""
 
 from __future__ import annotations
 
@@ -43,13 +41,13 @@ LINES = {
         ("thigh", (("thigh", "shin"),)), ("shin", (("shin", "foot"),)),
         ("foot", (("foot", "foot_end"), ("foot", "heel"))))},
 }  # fmt: skip
-"""From where to where the bones of each part go."""
+"""start and end of the bones of each part"""
 
 
 def bones_of(figure: Figure, parts: Sequence[str]) -> tuple[Float, Int]:
-    """Ends (b, 2, 3) [m] of the bones of parts of a body, and the number (b,) of the part that each is of.
+    """Return the ends (b, 2, 3) [m] of the bones of parts of a body, and the number (b,) of each bone's part.
 
-    Bones of parts that are not among them, a spine or a neck, are of the part before.
+    Bones of other parts, a spine or a neck, belong to the part before.
     """
     ends, of = [], []
     for part, lines in LINES.items():
@@ -78,18 +76,18 @@ class SkinConfig(Surface):
 
 
 class SkinCollider:
-    """A person's mesh whose vertices go with the joints of a motion. It is met by cloth_contact.bodies."""
+    """A person's mesh whose vertices follow the joints of a motion. Its contact is cloth_contact.bodies."""
 
     name: ClassVar[str] = "skin"
     Config: ClassVar[type[BaseModel]] = SkinConfig
 
     def search(self, vertices: Float, faces: Int) -> Search:
-        """The closest point of its mesh where that is, for others than the contact: see MeshCollider."""
+        """Return a closest-point search in its mesh in place, for callers other than contact: see MeshCollider."""
         return MeshCollider().search(vertices, faces)
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        """Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed, cannot be read,
-        or is of no one who stands so; one that passes through itself is noted.
+        """Build the body. Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed,
+        cannot be read, or is not a person standing so; one that passes through itself is noted.
         """
         c = cast(SkinConfig, config)
         if mover is None or len(mover.joints) < 2:
@@ -126,7 +124,7 @@ class SkinCollider:
 
 
 def _read_rig(config: SkinConfig, files: Files) -> Rig | None:
-    """That of the file, if any. Raises BadInput for one that cannot be read, unless it is not asked for."""
+    """Read the file's rig, if any. Raises BadInput for one that cannot be read, if it is requested."""
     if config.file is None:
         return None
     try:
@@ -138,7 +136,7 @@ def _read_rig(config: SkinConfig, files: Files) -> Rig | None:
 
 
 def skin_shape(mover: Mover, x: Float, faces: Int, skin: Skin) -> BodyShape:
-    """A body of one skin on all joints of its motion."""
+    """Return a body of one skin on all joints of its motion."""
     return BodyShape(
         frames=mover.joints,
         kind=np.array([SKIN], np.int8),

@@ -1,4 +1,4 @@
-"""Closed surfaces that colliders are made of: a file's, or the figures and solids that come with nuno."""
+"""Closed surfaces of colliders: from a file, or the figures and solids that come with nuno."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files
 
 ARMS = (math.radians(40.0), math.radians(80.0))
-"""Between these angles a mannequin's arms part from its trunk, and end below its shoulders [rad]."""
+"""range of angles in which a mannequin's arms are clear of its trunk, and end below its shoulders [rad]"""
 RANGE = (0.7, 1.4)
-"""Shares of the average girths that a mannequin may have."""
+"""range of a mannequin's girths, as shares of the average"""
 PERSON = {name: height for name, height in (HEIGHTS | LANDMARKS).items() if name != "neck"}
-"""Heights of a person's girths [m]; that of the neck is behind the chin."""
+"""heights of a person's girths [m]; that of the neck is behind the chin"""
 MANNEQUINS, SOLIDS = ("torso", "person"), ("box", "cylinder", "cone")
 
 
 class Girths(Config):
-    """Girths of a mannequin [m]; what is not given keeps the average."""
+    """Girths of a mannequin [m]; by default the average."""
 
     bust: Size | None = Field(default=None, description="round the breasts, 90 cm unless given [m]")
     waist: Size | None = Field(default=None, description="at its narrowest, 69.8 cm unless given [m]")
@@ -82,7 +82,7 @@ class Surface(Config):
         return self
 
     def _check_solid(self) -> None:
-        """Raises ValueError for a solid that is none, and for what only solids have."""
+        """Raise ValueError for an impossible solid, and for fields that only solids have."""
         given = {"size", "rounding", "top"} & self.model_fields_set
         if given and (self.shape not in SOLIDS or self.file is not None):
             raise ValueError(f"{' and '.join(sorted(given))} are for shape: {', '.join(SOLIDS)}; a file has its scale")
@@ -94,7 +94,7 @@ class Surface(Config):
             raise ValueError(f"a {self.shape} needs its size; for example size: [40 cm, 75 cm, 40 cm]")
         most = 0.5 * min(self.size)
         if self.shape == "cone":
-            # The circle that touches base and sides; and where the top is narrower, half of that.
+            # The circle that touches base and sides; half of it where the top is narrower.
             radius, height = 0.5 * self.size[0], self.size[1]
             along = radius * (1.0 - self.top)
             most = min(most, radius * height / (along + math.hypot(along, height)))
@@ -103,17 +103,17 @@ class Surface(Config):
             raise ValueError(f"rounded by {self.rounding:g} m: at most {0.999 * most:.4g} m of this size")
 
     def heights(self) -> dict[str, float]:
-        """Heights [m] of places that have a name, of a shape as it comes."""
+        """Return the heights [m] of named places, of a built-in shape."""
         known = {"leg": LANDMARKS, "torso": HEIGHTS, "person": PERSON}
         return {} if self.file is not None or self.shape is None else known.get(self.shape, {})
 
     def upright(self, x: Float) -> Float:
-        """Points (n, 3) of the file with y up."""
+        """Return points (n, 3) of the file with y up."""
         return x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if self.up == "z" else x
 
     def make(self, files: Files, read: Callable[[Path, float, bool], tuple[Float, Int]]) -> tuple[Float, Int]:
-        """Vertices (n, 3) [m] before they are moved, and triangles (f, 3); `read` reads a file's. Raises BadInput for
-        one that cannot be read or made.
+        """Return vertices (n, 3) [m] before they are moved, and triangles (f, 3); `read` reads a file's. Raises
+        BadInput for a file that cannot be read, and a shape that cannot be made.
         """
         if self.file is not None:
             x, faces = read(files.resolve(self.file), self.scale, self.mend)
@@ -129,8 +129,8 @@ class Surface(Config):
 
 
 def make_mannequin(config: Surface) -> tuple[Float, Int]:
-    """The torso or the person of a configuration. Raises BadInput for girths so far from the average that its parts
-    would meet.
+    """Make the torso or the person of a configuration. Raises BadInput for girths so far from the average that its
+    parts would meet.
     """
     given = {} if config.girths is None else config.girths.model_dump(exclude_none=True)
     for name, girth in given.items():

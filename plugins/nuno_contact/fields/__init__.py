@@ -1,1 +1,1 @@
-"""Sampled distance fields of meshes: built, kept on disk, and read."""
+"""Sampled distance fields of meshes: building, caching and reading."""

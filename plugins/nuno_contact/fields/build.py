@@ -50,24 +50,24 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 
 SHARE_AFTER = 0.75
-"""Of what is allowed, the error that a cell may have beside larger ones."""
+"""share of the allowed error that a cell may have beside larger ones"""
 WHOLE = 16
-"""Whole cells along the longest side of the box, about."""
+"""whole cells along the longest side of the box, about"""
 PROBE, EACH = 4096, 15
-"""As soon as there are so many cells to cut, every so many of them are, to foresee how large the field will be."""
+"""from so many cells to cut, each so-manieth is cut first, to predict the field's size"""
 ROUNDS = 12
-"""Times that cells are cut again beside larger ones."""
+"""times that cells are cut again beside larger ones"""
 
 
 def build_field(
     x: Float, faces: Int, tolerance: float, band: float | None = None, closed: bool = True,
     most_bytes: int = 1 << 30, threads: int | None = None,
 ) -> DistanceField:  # fmt: skip
-    """The field of a mesh of vertices (n, 3) [m] and triangles (f, 3), counter-clockwise seen from outside.
+    """Build the field of a mesh of vertices (n, 3) [m] and triangles (f, 3), counter-clockwise seen from outside.
 
     `tolerance` [m] holds within `band` [m], five times as much unless given. A mesh that is not `closed` gets its signs
-    from the winding number. `threads` are all that there are unless given; the same bits with any.
-    Raises BadInput for a field of more than `most_bytes`, once a part of it tells how large it will be.
+    from the winding number. `threads` are all that there are unless given; the same bits with any. Raises BadInput for
+    a field of more than `most_bytes`, predicted from a part of it.
     """
     available = threads_available()[0]
     numba.set_num_threads(max(1, min(threads or available, available)))
@@ -97,7 +97,7 @@ def build_field(
 
 
 def foresee(builder: Builder, cells: Cells) -> None:
-    """Raises BadInput where the cells, of which every few are cut to their leaves, would be too many."""
+    """Raise BadInput if the cells, a sample of which is cut to its leaves, would be too many."""
     left = builder.most - builder.leaves
     probe = replace(builder, child=[], leaves=0, most=left // EACH)
     try:
@@ -107,7 +107,7 @@ def foresee(builder: Builder, cells: Cells) -> None:
 
 
 def start_builder(exact: Exact, x: Float, tolerance: float, band: float, most: int) -> Builder:
-    """A box of whole cells round the mesh and the band about it."""
+    """Return a box of whole cells round the mesh and the band about it."""
     low, high = x.min(axis=0) - band, x.max(axis=0) + band
     size = float((high - low).max()) / WHOLE
     shape = np.maximum(1, np.ceil((high - low) / size - 1e-9)).astype(np.int32)
@@ -116,7 +116,7 @@ def start_builder(exact: Exact, x: Float, tolerance: float, band: float, most: i
 
 
 def whole_cells(builder: Builder) -> Cells:
-    """The cells that a field begins with."""
+    """Return the cells that a field begins with."""
     nx, ny, nz = builder.shape.tolist()
     number = np.arange(nx * ny * nz, dtype=np.int64)
     at = np.stack([number // (ny * nz), number // nz % ny, number % nz], axis=1)
@@ -127,8 +127,8 @@ def whole_cells(builder: Builder) -> Cells:
 
 
 def find_bad(builder: Builder, leaves: Leaves, made: DistanceField, x: Float) -> NDArray[np.bool_]:
-    """(l,) leaves to cut, because they or smaller ones beside them are off by more than SHARE_AFTER of what is
-    allowed, in their lattices or at the mesh's vertices, where the distance is 0.
+    """Return the leaves (l,) to cut, because they or smaller ones beside them are off by more than SHARE_AFTER of what
+    is allowed, in their lattices or at the mesh's vertices, where the distance is 0.
     """
     size = builder.size / 2.0**leaves.level
     least = np.abs(leaves.tests).min(axis=1)

@@ -1,4 +1,4 @@
-"""What a cell of a distance field must know: exact distances at its 27 lattice points, and how far off it is.
+"""The data of a cell of a distance field: exact distances at its 27 lattice points, and its interpolation error.
 
 The lattice of a cell are the corners of its eight parts. Of the interpolation from the eight corners the error is
 measured at the other 19 points. Where the distance has a kink (at edges, and halfway between two parts of the surface)
@@ -25,15 +25,15 @@ from nuno_schemas.fabric import Float
 Single = NDArray[np.float32]
 
 BLOCK = 256
-"""Points handled together."""
+"""points handled together"""
 LATTICE = 27
 ON_SURFACE = 1e-9
-"""Nearer to the surface than this share of its coordinates a point has no direction of its own."""
+"""A point nearer to the surface than this share of its coordinates has no direction of its own."""
 
 
 @kernel
 def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room) -> tuple[float, Vector, int]:
-    """(signed distance [m], its unit gradient, place of the nearest triangle), the search starting in place `start`.
+    """Return (signed distance [m], its unit gradient, place of the nearest triangle), searching from place `start`.
 
     With dipoles (nuno_contact.fields.winding) the sign is the winding number's, else the pseudonormal's.
     """
@@ -53,7 +53,7 @@ def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room
 
 @parallel_kernel
 def measure_points(points: Float, near: Long, tree: Tree, dipoles: Dipoles | None, out: Float) -> None:
-    """out (n, 4) exact distance and gradient at points (n, 3); near (n,) places to start with and then found."""
+    """Measure distance and gradient, out (n, 4), at points (n, 3); near (n,) places to start with, then found."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
         room = make_room()
         for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
@@ -63,7 +63,7 @@ def measure_points(points: Float, near: Long, tree: Tree, dipoles: Dipoles | Non
 
 @forced_inline
 def blend_lattice(lattice: Single, cell: int, p: int, part: int) -> float:
-    """Quantity `part` at point p of a cell's lattice, interpolated from the cell's corners."""
+    """Interpolate quantity `part` at point p of a cell's lattice from the cell's corners."""
     i, j, k = p // 9, p // 3 % 3, p % 3
     value = 0.0
     for c in range(8):
@@ -74,10 +74,10 @@ def blend_lattice(lattice: Single, cell: int, p: int, part: int) -> float:
 
 
 @parallel_kernel
-def measure_errors(lattice: Single, size: float, near: float, found: Float) -> None:
-    """found (m, 3) of cells of edge `size` [m] with lattices (m, 27, 4): the largest error of the interpolation [m],
-    the least distance to the surface [m], and, of cells that it may pass through, the least cosine between
-    interpolated and exact gradient at points within `near` [m] or half of its edge.
+def measure_errors(lattice: Single, size: float, near: float, errors: Float) -> None:
+    """Write, for cells of edge `size` [m] with lattices (m, 27, 4), into errors (m, 3): the largest error of the
+    interpolation [m], the least distance to the surface [m], and, of cells that it may pass through, the least cosine
+    between interpolated and exact gradient at points within `near` [m] or half of its edge.
     """
     for cell in prange(lattice.shape[0]):
         worst, least, along = 0.0, math.inf, 1.0
@@ -92,4 +92,4 @@ def measure_errors(lattice: Single, size: float, near: float, found: Float) -> N
                     cosine += value * lattice[cell, p, part]
                     square += value * value
                 along = min(along, cosine / math.sqrt(square) if square > 0.0 else -1.0)
-        found[cell, 0], found[cell, 1], found[cell, 2] = worst, least, along
+        errors[cell, 0], errors[cell, 1], errors[cell, 2] = worst, least, along

@@ -1,4 +1,4 @@
-"""Cells of a distance field in the making (nuno_contact.fields.build), cut into eight until they are near enough."""
+"""Cells of an unfinished distance field (nuno_contact.fields.build), cut into eight until they are accurate."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from nuno_schemas.field import DistanceField
 Single = NDArray[np.float32]
 
 SHARE = 0.5
-"""Of what is allowed, the error in a cell's lattice up to which it is left whole."""
+"""share of the allowed error in a cell's lattice up to which it is not cut"""
 ALONG = 0.3
-"""Least cosine between interpolated and exact gradient at the surface."""
+"""least cosine between interpolated and exact gradient at the surface"""
 DEEPEST = 15
-"""Halvings of a whole cell at most: places in a lattice then have 21 bits."""
+"""most halvings of a whole cell: places in a lattice then have 21 bits"""
 TORN = 2.0
-"""Cells across which the distance jumps, in the hole of a mesh, are no smaller than half of so many tolerances."""
+"""Cells across which the distance jumps, in a hole of the mesh, are no smaller than half of so many tolerances."""
 PIECE = 1 << 15
-"""Cells examined together."""
+"""cells examined together"""
 BYTES_PER_LEAF = 128 + 5
-"""A leaf, and its part of the cells above it."""
+"""a leaf, and its part of the cells above it"""
 
 CORNER = np.array([18 * a + 6 * b + 2 * c for a in (0, 1) for b in (0, 1) for c in (0, 1)])
 """The corners of a cell in its lattice."""
@@ -61,7 +61,7 @@ class Cells:
 
 @dataclass
 class Leaves:
-    """What is kept of leaves until the field is done: see Cells; tests (l, 27) exact distances in their lattices."""
+    """Leaves of an unfinished field: see Cells; tests (l, 27) exact distances in their lattices."""
 
     level: Long
     at: Long
@@ -80,7 +80,7 @@ class Leaves:
 
 @dataclass
 class Builder:
-    """A field in the making."""
+    """An unfinished field."""
 
     exact: Exact
     low: Float
@@ -89,18 +89,18 @@ class Builder:
     tolerance: float
     band: float
     most: int
-    """Leaves at most."""
+    """most leaves"""
     child: list[Long] = field(default_factory=list)
     cells: int = 0
-    """Cells so far, of any level: the length of `child` when it is done."""
+    """number of cells so far, of any level: the final length of `child`"""
     leaves: int = 0
 
     def allowed(self, distance: Any) -> Any:
-        """Error allowed at a distance [m]."""
+        """Return the error allowed at a distance [m]."""
         return self.tolerance * np.maximum(1.0, distance / self.band)
 
     def examine(self, cells: Cells) -> tuple[Single, Float]:
-        """Lattices (m, 27, 4), and what `measure_errors` finds (m, 3). Points that cells share are measured once."""
+        """Return lattices (m, 27, 4), and their `measure_errors` (m, 3). Shared points are measured once."""
         lattice = np.empty((len(cells.at), LATTICE, 4), np.float32)
         lattice[:, CORNER] = cells.corners
         places = (2 * cells.at[:, None] + BETWEEN_AT).reshape(-1, 3)
@@ -111,28 +111,28 @@ class Builder:
         points = self.low + 0.5 * self.size / 2**cells.level * places[first]
         lattice[:, BETWEEN] = self.exact.measure(points, near)[number.reshape(-1)].reshape(len(cells.at), -1, 4)
         cells.near[:] = near[number.reshape(len(cells.at), -1)[:, MIDDLE]]
-        found = np.empty((len(cells.at), 3))
-        measure_errors(lattice, self.size / 2**cells.level, self.tolerance, found)
-        return lattice, found
+        errors = np.empty((len(cells.at), 3))
+        measure_errors(lattice, self.size / 2**cells.level, self.tolerance, errors)
+        return lattice, errors
 
     def refine(self, cells: Cells) -> list[Leaves]:
-        """Cut cells and their parts until all are leaves, level by level."""
+        """Cut cells and their parts until all are leaves, level by level; return the leaves."""
         done: list[Leaves] = []
         while len(cells.at):
-            found, cells = self.step(cells)
-            done += found
+            leaves_of_level, cells = self.step(cells)
+            done += leaves_of_level
         return done
 
     def step(self, cells: Cells) -> tuple[list[Leaves], Cells]:
-        """Cells of a level that are leaves, and the parts of the others."""
+        """Return the leaves among the cells of a level, and the parts of the others."""
         done, parts = [], []
         size = self.size / 2**cells.level
         for first in range(0, len(cells.at), PIECE):
             piece = cells.pick(slice(first, first + PIECE))
-            lattice, found = self.examine(piece)
+            lattice, errors = self.examine(piece)
             # Every point of a cell is within sqrt(3)/4 of its edge from a point of the lattice.
-            allowed = self.allowed(np.maximum(0.0, found[:, 1] - 0.433013 * size))
-            whole = (found[:, 0] <= SHARE * allowed) & (found[:, 2] >= ALONG)
+            allowed = self.allowed(np.maximum(0.0, errors[:, 1] - 0.433013 * size))
+            whole = (errors[:, 0] <= SHARE * allowed) & (errors[:, 2] >= ALONG)
             whole |= 0.866026 * size <= SHARE * allowed
             whole |= cells.level >= DEEPEST
             if not self.exact.closed:
@@ -145,7 +145,7 @@ class Builder:
         return done, _join(parts)
 
     def cut(self, cells: Cells, lattice: Single, chosen: Any) -> Cells:
-        """The eight parts of the chosen cells."""
+        """Return the eight parts of the chosen cells."""
         at, slot, near = cells.at[chosen], cells.slot[chosen], cells.near[chosen]
         first = self.cells + 8 * np.arange(len(at), dtype=np.int64)
         self.cells += 8 * len(at)
@@ -159,7 +159,7 @@ class Builder:
         )
 
     def lay_out(self, leaves: Leaves) -> DistanceField:
-        """The field of these leaves, corners joined."""
+        """Return the field of these leaves, corners joined."""
         child = np.zeros(self.cells, np.int64)
         for links in self.child:
             child[links[:, 0]] = links[:, 1]
@@ -173,12 +173,12 @@ class Builder:
 
 
 def grid_of(leaves: Leaves, made: DistanceField) -> Grid:
-    """Leaves among the cells of the field that was made of them."""
+    """Return the leaves among the cells of the field that they were made into."""
     return Grid(leaves.at, leaves.level, int(leaves.level.max()), made.shape, made.child, made.corners)
 
 
 def too_large(leaves: int, most: int, tolerance: float) -> BadInput:
-    """The error of a field that takes too much memory."""
+    """Return the error for a field that takes too much memory."""
     return BadInput(
         "the distance field is too large", field="tolerance", value=f"{tolerance:g} m, which takes at least "
         f"{leaves * BYTES_PER_LEAF / 2**20:,.0f} MiB", limit=f"{most * BYTES_PER_LEAF / 2**20:,.0f} MiB",
@@ -199,8 +199,8 @@ def _join(parts: list[Cells]) -> Cells:
 
 
 def are_torn(lattice: Single, size: Any) -> NDArray[np.bool_]:
-    """(m,) whether distances in lattices (m, 27) of cells of edge `size` [m] differ by more than their places do: they
-    do where a hole is between them, on both sides of which the surface is as far away.
+    """Return whether distances in lattices (m, 27) of cells of edge `size` [m] differ by more than their points'
+    distances do: across a hole, on both sides of which the surface is as far away.
     """
     values = lattice.reshape(-1, 3, 3, 3)
     steps = [np.abs(np.diff(values, axis=axis)).reshape(len(values), -1).max(axis=1) for axis in (1, 2, 3)]

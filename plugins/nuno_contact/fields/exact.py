@@ -15,12 +15,12 @@ class Exact:
     """A mesh's exact signed distance, for the build and to check a field by."""
 
     def __init__(self, tree: Tree, closed: bool) -> None:
-        """Signs of a mesh that is not `closed` are the winding number's."""
+        """Compute signs of a mesh that is not `closed` by the winding number."""
         self.tree, self.closed = tree, closed
         self.dipoles = None if closed else make_dipoles(tree)
 
     def measure(self, points: Float, near: Long | None = None) -> Float:
-        """(n, 4) distance [m] and gradient at points (n, 3)."""
+        """Return the distance [m] and gradient (n, 4) at points (n, 3)."""
         points = np.ascontiguousarray(points, np.float64)
         out = np.empty((len(points), 4))
         near = np.zeros(len(points), np.int64) if near is None else near

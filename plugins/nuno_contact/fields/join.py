@@ -1,4 +1,4 @@
-"""Leaves of a distance field beside larger ones: corners that lie on a larger leaf's face, and what that does."""
+"""Leaves of a distance field beside larger ones: continuity across their common faces, and its error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Grid(NamedTuple):
 
 @kernel
 def leaf_at(i: int, j: int, k: int, grid: Grid) -> tuple[int, int]:
-    """(leaf, its level) of the cell i, j, k of the deepest level; -1 outside of the box."""
+    """Return (leaf, its level) of the cell i, j, k of the deepest level; -1 outside of the box."""
     shape, child, deepest = grid.shape, grid.child, grid.deepest
     if min(i, j, k) < 0 or i >> deepest >= shape[0] or j >> deepest >= shape[1] or k >> deepest >= shape[2]:
         return -1, 0
@@ -49,15 +49,15 @@ def leaf_at(i: int, j: int, k: int, grid: Grid) -> tuple[int, int]:
 
 @kernel
 def corner_at(leaf: int | np.int64, c: int, grid: Grid) -> tuple[int, int, int]:
-    """Corner c of a leaf, in cells of the deepest level."""
+    """Return corner c of a leaf, in cells of the deepest level."""
     at, down = grid.at[leaf], grid.deepest - grid.level[leaf]
     return (at[0] + c // 4) << down, (at[1] + c // 2 % 2) << down, (at[2] + c % 2) << down
 
 
 @kernel
 def largest_round(corner: tuple[int, int, int], own: int, grid: Grid) -> tuple[int, int]:
-    """(leaf, its level) of the largest leaf whose face or edge a corner of a leaf of level `own` lies on, without
-    being its corner; -1 where there is none.
+    """Return (leaf, its level) of the largest leaf whose face or edge a corner of a leaf of level `level` lies on,
+    without being its corner; -1 if there is none.
     """
     x, y, z = corner
     found, least = -1, own
@@ -70,7 +70,7 @@ def largest_round(corner: tuple[int, int, int], own: int, grid: Grid) -> tuple[i
 
 @kernel
 def join_leaf(leaf: int, grid: Grid) -> None:
-    """Give a leaf's corners that lie on larger leaves those leaves' values."""
+    """Set a leaf's corners that lie on larger leaves to those leaves' values."""
     for c in range(8):
         corner = corner_at(leaf, c, grid)
         larger, level = largest_round(corner, grid.level[leaf], grid)
@@ -84,7 +84,7 @@ def join_leaf(leaf: int, grid: Grid) -> None:
 
 @parallel_kernel
 def join_leaves(grid: Grid) -> None:
-    """Join all leaves, from large to small: what a leaf takes is done by then."""
+    """Join all leaves, from large to small: a leaf's source is done before it."""
     for own in range(1, grid.deepest + 1):
         for block in prange((grid.at.shape[0] + BLOCK - 1) // BLOCK):
             for leaf in range(block * BLOCK, min((block + 1) * BLOCK, grid.at.shape[0])):
@@ -94,7 +94,7 @@ def join_leaves(grid: Grid) -> None:
 
 @kernel
 def to_blame(leaf: int | np.int64, tests: NDArray[np.float32], allowed: float, grid: Grid) -> int:
-    """The leaf to cut where one is off: the larger one beside it whose error at one of its corners is more than
+    """Return the leaf to cut if one is off: the larger one beside it whose error at one of its corners is more than
     `allowed`, or itself.
     """
     worst, which = allowed, int(leaf)
@@ -109,8 +109,8 @@ def to_blame(leaf: int | np.int64, tests: NDArray[np.float32], allowed: float, g
 def check_places(
     tests: NDArray[np.float32], allowed: Float, x: Float, at_vertices: float, grid: Grid, field: Fields, bad: Bool
 ) -> None:
-    """bad (l,): leaves to cut because some are off by more than allowed (l,) from tests (l, 27) in their lattices,
-    or by more than `at_vertices` from 0 at places x (n, 3).
+    """Mark in bad (l,) the leaves to cut because some are off by more than allowed (l,) from tests (l, 27) in their
+    lattices, or by more than `at_vertices` from 0 at places x (n, 3).
     """
     corners = grid.corners
     for leaf in range(tests.shape[0]):

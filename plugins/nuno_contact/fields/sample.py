@@ -24,9 +24,9 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 
 BLOCK = 1024
-"""Points handled together."""
+"""points handled together"""
 LOWEST, INVERSE, COUNT, FIRST = 0, 3, 4, 7
-"""Columns of `Fields.head`."""
+"""columns of `Fields.head`"""
 
 
 class Fields(NamedTuple):
@@ -46,7 +46,7 @@ Leaf = tuple[Index, float, float, float, float]
 
 
 def join_fields(fields: Sequence[DistanceField]) -> Fields:
-    """At least one field in the layout of the kernels."""
+    """Return at least one field in the layout of the kernels."""
     cells = np.cumsum([0, *(len(field.child) for field in fields)])
     leaves = np.cumsum([0, *(len(field.corners) for field in fields)])
     return Fields(
@@ -60,13 +60,13 @@ def join_fields(fields: Sequence[DistanceField]) -> Fields:
 
 @forced_inline
 def clamp_to(value: float, most: float) -> float:
-    """`value` in [0, most]; 0 for NaN."""
+    """Clamp `value` to [0, most]; NaN to 0."""
     return min(value, most) if value > 0.0 else 0.0
 
 
 @forced_inline
 def find_leaf(px: float, py: float, pz: float, q: int, fields: Fields) -> Leaf:
-    """(leaf, the point's place in it from 0 to 1 along x, y, z, and how far the point is outside of the box [m])."""
+    """Return (leaf, the point's place in it from 0 to 1 along x, y, z, and its distance from the box [m])."""
     head, child = fields.head, fields.child
     scale = head[q, 3]
     u, v, w = (px - head[q, 0]) * scale, (py - head[q, 1]) * scale, (pz - head[q, 2]) * scale
@@ -88,7 +88,7 @@ def find_leaf(px: float, py: float, pz: float, q: int, fields: Fields) -> Leaf:
 
 @forced_inline
 def blend(corners: NDArray[np.float32], leaf: Index, part: Index, x: float, y: float, z: float) -> float:
-    """Quantity `part` of a leaf, 0 the distance and 1 to 3 the gradient, trilinear between its corners."""
+    """Interpolate trilinearly a quantity `part` of a leaf, 0 the distance and 1 to 3 the gradient."""
     row = corners[leaf]
     a = row[part] + z * (row[part + np.uint64(4)] - row[part])
     b = row[part + np.uint64(8)] + z * (row[part + np.uint64(12)] - row[part + np.uint64(8)])
@@ -100,14 +100,14 @@ def blend(corners: NDArray[np.float32], leaf: Index, part: Index, x: float, y: f
 
 @forced_inline
 def sample_distance(px: float, py: float, pz: float, q: int, fields: Fields) -> float:
-    """Distance [m] of a point from field q."""
+    """Return the distance [m] of a point from field q."""
     leaf, x, y, z, away = find_leaf(px, py, pz, q, fields)
     return blend(fields.corners, leaf, np.uint64(0), x, y, z) + away
 
 
 @forced_inline
 def sample(px: float, py: float, pz: float, q: int, fields: Fields) -> tuple[float, float, float, float]:
-    """Distance [m] of a point from field q and the gradient there, interpolated: about of length 1."""
+    """Return the distance [m] of a point from field q and the gradient there, interpolated: about of length 1."""
     leaf, x, y, z, away = find_leaf(px, py, pz, q, fields)
     corners = fields.corners
     return (
@@ -120,7 +120,7 @@ def sample(px: float, py: float, pz: float, q: int, fields: Fields) -> tuple[flo
 
 @parallel_kernel
 def sample_points(points: Float, fields: Fields, out: Float) -> None:
-    """out (n, 4): distance [m] and gradient at points (n, 3) of the first field, blocks of them on several threads."""
+    """Write out (n, 4): distance [m] and gradient at points (n, 3) of the first field, in parallel blocks."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
         for i in range(np.uint64(block * BLOCK), np.uint64(min((block + 1) * BLOCK, points.shape[0]))):
             d, gx, gy, gz = sample(points[i, 0], points[i, 1], points[i, 2], 0, fields)
@@ -128,9 +128,9 @@ def sample_points(points: Float, fields: Fields, out: Float) -> None:
 
 
 def sample_field(field: DistanceField, points: Float, threads: int | None = None) -> Float:
-    """(n, 4) distance [m] and gradient, not of unit length between corners, at points (n, 3) [m].
+    """Return distance [m] and gradient, not of unit length between corners, (n, 4), at points (n, 3) [m].
 
-    `threads` are all that there are unless given; the same bits with any.
+    `threads`: all by default; the result has the same bits with any number.
     """
     points = np.ascontiguousarray(points, np.float64)
     out = np.empty((len(points), 4))

@@ -1,4 +1,4 @@
-"""The winding number of a triangle mesh, which tells inside from outside where the mesh has holes or overlaps.
+"""The winding number of a triangle mesh, which separates inside from outside where the mesh has holes or overlaps.
 
 It is the solid angle under which a point sees the mesh, over 4 pi: 1 inside of a closed mesh, 0 outside, and near 1
 and 0 still where a hole is seen under a small angle (A. Jacobson et al. 2013). A group of triangles that is far away
@@ -30,7 +30,7 @@ BETA = 2.3
 
 @kernel
 def solid_angle(px: float, py: float, pz: float, corners: Float, place: int) -> float:
-    """Solid angle of a triangle (A. van Oosterom, J. Strackee 1983), positive where its inside is seen."""
+    """Return the solid angle of a triangle (A. van Oosterom, J. Strackee 1983), positive where its inside is seen."""
     row, j = 9 * (place // WIDTH), place % WIDTH
     ax, ay, az = corners[row, j] - px, corners[row + 1, j] - py, corners[row + 2, j] - pz
     bx, by, bz = ax + corners[row + 3, j], ay + corners[row + 4, j], az + corners[row + 5, j]
@@ -45,7 +45,7 @@ def solid_angle(px: float, py: float, pz: float, corners: Float, place: int) -> 
 
 @kernel
 def far_angle(px: float, py: float, pz: float, dipole: Float, i: int) -> float:
-    """Solid angle of a group of triangles; NaN where the point is too near for it."""
+    """Return the solid angle of a group of triangles; NaN if the point is too near for it."""
     x, y, z = dipole[i, 3] - px, dipole[i, 4] - py, dipole[i, 5] - pz
     square = x * x + y * y + z * z
     if square <= BETA * BETA * dipole[i, 6]:
@@ -54,8 +54,8 @@ def far_angle(px: float, py: float, pz: float, dipole: Float, i: int) -> float:
 
 
 class Dipoles(NamedTuple):
-    """What groups of triangles act as: leaves (L, 8) and nodes (N, 8) of a tree, with area vector [m^2], middle [m],
-    squared radius [m^2], and of leaves how many triangles they have.
+    """Dipoles of groups of triangles: leaves (L, 8) and nodes (N, 8) of a tree, with area vector [m^2], middle [m],
+    squared radius [m^2], and of leaves the number of triangles.
     """
 
     leaves: Float
@@ -64,7 +64,7 @@ class Dipoles(NamedTuple):
 
 @kernel
 def winding(p: Vector, tree: Tree, dipoles: Dipoles, room: Room) -> float:
-    """Winding number of a tree's mesh about a point."""
+    """Return the winding number of a tree's mesh about a point."""
     px, py, pz = p
     boxes, child, corners, waiting = tree.boxes, tree.child, tree.corners, room.waiting
     leaf_dipoles, node_dipoles = dipoles.leaves, dipoles.nodes
@@ -93,7 +93,7 @@ def winding(p: Vector, tree: Tree, dipoles: Dipoles, room: Room) -> float:
 
 
 def make_dipoles(tree: Tree) -> Dipoles:
-    """The dipoles of a tree's leaves and nodes."""
+    """Return the dipoles of a tree's leaves and nodes."""
     count = len(tree.faces)
     corner = tree.corners.reshape(-1, 9, WIDTH).transpose(0, 2, 1).reshape(-1, 3, 3)[:count]
     a, b, c = corner[:, 0], corner[:, 0] + corner[:, 1], corner[:, 0] + corner[:, 2]
@@ -106,7 +106,7 @@ def make_dipoles(tree: Tree) -> Dipoles:
 
 @kernel
 def gather_leaves(area: Float, centre: Float, corner: Float, leaves: Float) -> None:
-    """Dipoles of leaves from area vectors (f, 3), centroids (f, 3) and corners (f, 3, 3) in the order of places."""
+    """Compute leaves' dipoles from area vectors (f, 3), centroids (f, 3) and corners (f, 3, 3) in places' order."""
     for leaf in range(leaves.shape[0]):
         low, high = WIDTH * leaf, min(WIDTH * (leaf + 1), area.shape[0])
         whole = 0.0
@@ -129,8 +129,8 @@ def gather_leaves(area: Float, centre: Float, corner: Float, leaves: Float) -> N
 
 @kernel
 def gather_nodes(boxes: Float, child: NDArray[np.int64], leaves: Float, nodes: Float) -> None:
-    """Dipoles of nodes from those of their children, which stand after them. Their middle weighs by area vectors'
-    lengths, and their radius reaches round their children's.
+    """Compute dipoles of nodes from those of their children, which stand after them. Their middle is weighted by area
+    vectors' lengths, and their radius encloses their children's.
     """
     for node in range(child.shape[0] - 1, -1, -1):
         first, whole = child[node], 0.0

@@ -58,19 +58,19 @@ RINGS = (
     Ring(0.031, 0.174, 0.000, 0.152, 0.042, 2.4, 0.0),
     Ring(0.023, 0.187, 0.002, 0.176, 0.033, 2.4, 0.0),
 )
-"""From thigh to toes."""
+"""the rings from thigh to toes"""
 LANDMARKS = {"thigh": 0.700, "knee": 0.455, "calf": 0.320, "ankle": 0.1125}
 """Heights of the measured girths [m]."""
 TOE, RIM = 0.012, 0.012
-"""How far the toes reach beyond the last ring, and the radius of the thigh's rounded rim [m]."""
+"""reach of the toes beyond the last ring, and the radius of the thigh's rounded rim [m]"""
 CAP = 6
-"""Rings that round each end off."""
+"""rings that round each end off"""
 SPACING = 0.35
-"""Distance of rings times the vertices round them [m]: about the girth of a calf, so that quads are square there."""
+"""distance of rings times the vertices round them [m]: about the girth of a calf, so that quads are square there"""
 
 
 def leg_mesh(around: int = 96) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3) of a closed leg, `around` (at least 12) vertices to a ring.
+    """Return vertices (n, 3) [m] and triangles (f, 3) of a closed leg, `around` (at least 12) vertices to a ring.
 
     y is up, the toes point along +z and the sole stands on y = 0; the ankle is above the origin.
     """
@@ -87,14 +87,14 @@ def leg_mesh(around: int = 96) -> tuple[Float, Int]:
 
 
 def _outline(angle: Float, power: Float) -> tuple[Float, Float]:
-    """(r, a) x and z of superellipses |x|^p + |z|^p = 1 at angles (a,)."""
+    """Return (r, a) x and z of superellipses |x|^p + |z|^p = 1 at angles (a,)."""
     share = 2.0 / power[:, None]
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.sign(cosine) * np.abs(cosine) ** share, np.sign(sine) * np.abs(sine) ** share
 
 
 def _sections(around: int) -> tuple[Float, Float, Float, Float, Float]:
-    """Of every ring: foremost and hindmost point (r, 3), half width, power and scale (r,)."""
+    """Return, for every ring, the foremost and hindmost point (r, 3), half width, power and scale (r,)."""
     table = np.array(RINGS)
     steps = np.diff(table[:, :4], axis=0)
     along = np.concatenate(
@@ -109,20 +109,20 @@ def _sections(around: int) -> tuple[Float, Float, Float, Float, Float]:
 
 
 def scales_of(rings: Sequence[Ring]) -> Float:
-    """(r,) by how much rings are scaled to have the girths that were measured; 1 of others."""
+    """Return the factors (r,) that give rings their measured girths; 1 for others."""
     table = np.array(rings)
     return np.where(table[:, 6] > 0.0, table[:, 6] / _girths(table), 1.0)
 
 
 def _girths(table: Float) -> Float:
-    """(r,) girths of the table's rings as they stand, by 720 chords."""
+    """Return the girths (r,) of the table's rings as they stand, by 720 chords."""
     x, z = _outline(2.0 * np.pi * np.arange(721) / 720, table[:, 5])
     depth = 0.5 * np.hypot(table[:, 0] - table[:, 2], table[:, 1] - table[:, 3])
     return np.asarray(np.hypot(np.diff(x * table[:, 4:5]), np.diff(z * depth[:, None])).sum(axis=1))
 
 
 def _cap(rings: Float, deep: Float) -> Float:
-    """Rings (r, a, 3) with further ones that round off the thigh's rim and the toes.
+    """Return rings (r, a, 3) with further ones that round off the thigh's rim and the toes.
 
     `deep` (3,) points from the middle of the last ring to its foremost point, and so upwards.
     """
@@ -139,7 +139,7 @@ def _cap(rings: Float, deep: Float) -> Float:
 
 
 def _faces(rows: int, around: int) -> Int:
-    """Triangles of a tube of rings from the top down, and of the fans that close it."""
+    """Return the triangles of a tube of rings from the top down, and of the fans that close it."""
     row, column = np.divmod(np.arange((rows - 1) * around), around)
     a, b = row * around + column, row * around + (column + 1) % around
     c, d = a + around, b + around
@@ -152,8 +152,8 @@ def _faces(rows: int, around: int) -> Int:
 
 
 def monotone(x: Float, y: Float, at: Float) -> Float:
-    """Piecewise cubic through y (n,) at ascending x (n,) that does not overshoot: slopes are weighted harmonic means
-    of those beside, 0 at an extreme (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
+    """Interpolate y (n,) at ascending x (n,) by a piecewise cubic that does not overshoot: slopes are weighted harmonic
+    means of the neighbours', 0 at an extreme (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
     """
     h, slope = np.diff(x), np.diff(y) / np.diff(x)
     w0, w1 = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]

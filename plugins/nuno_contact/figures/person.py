@@ -19,17 +19,17 @@ from nuno_contact.figures.torso import GIRTHS, JOINT, cap, draw, find_scales, jo
 from nuno_schemas.fabric import Float, Int
 
 HIPS = 0.775
-"""Height at which the trunk ends between the legs [m]."""
+"""height at which the trunk ends between the legs [m]"""
 TOP = 0.80
-"""Height at which legs end inside of the trunk [m]."""
+"""height at which legs end inside of the trunk [m]"""
 APART, OUTWARDS = 0.092, 0.075
-"""Of a leg from the middle at HIPS [m], and its slope outwards downwards."""
+"""distance of a leg from the middle at HIPS [m], and its outward slope downwards"""
 LEG = (
     RINGS[0]._replace(width=0.085, front=0.082, back=-0.108),
     RINGS[1]._replace(front=0.086, back=-0.094),
     *RINGS[2:10],
 )
-"""From the thigh, above as the trunk is there, down to the ankle."""
+"""from the thigh, above as the trunk is there, down to the ankle"""
 ANKLE = 0.115
 FOOT = (
     ((0.000, 0.130, -0.006), (0.004, 0.046, 0.080), 0.030, 0.034),
@@ -41,21 +41,21 @@ FOOT = (
 """Cones from ankle to instep and to heel, of the sole, and of the toes: ends [m] from the leg's middle at the ankle, on
 the left foot, and radii there [m]."""
 FOREARM = ((0.210, 0.0395), (0.330, 0.0375), (0.520, 0.0255))
-"""Distances from the shoulder joint along the arm, and radii there [m]."""
+"""distances from the shoulder joint along the arm, and radii there [m]"""
 HAND, FINGERS = ((0.540, 0.0190), (0.668, 0.0165)), (0.012, -0.012)
-"""Distances from the shoulder joint to its ends, with radii there [m], of two cones side by side [m]."""
+"""distances from the shoulder joint to its ends, with radii there [m], of two cones side by side [m]"""
 HEAD, HEAD_RADII = (0.0, 1.545, 0.014), (0.070, 0.104, 0.086)
 BLEND_LEG, BLEND_THIGHS, BLEND_ANKLE, BLEND_FOOT, BLEND_HAND, BLEND_HEAD = 0.006, 0.020, 0.012, 0.035, 0.020, 0.050
-"""Distances of two parts at which they begin to blend [m]."""
+"""distances of two parts at which they begin to blend [m]"""
 
 
 def person_mesh(
     around: int = 96, girths: Mapping[str, float] | None = None, arms: float = 0.25 * np.pi
 ) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3) of a closed mannequin, about `around` vertices round its waist.
+    """Return vertices (n, 3) [m] and triangles (f, 3) of a closed mannequin, about `around` vertices round its waist.
 
-    girths: those of torso.GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad].
-    y is up, the floor is y = 0, and it faces +z; it is its own mirror image in x. Raises BadInput as torso_mesh does.
+    girths: those of torso.GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad]. y is up, the
+    floor is y = 0, and it faces +z; it is its own mirror image in x. Raises BadInput as torso_mesh does.
     """
     scale = find_scales(girths or {}, arms)
     spacing = {**GIRTHS, **(girths or {})}["waist"] / around
@@ -65,7 +65,7 @@ def person_mesh(
 
 
 def _field(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float) -> Float:
-    """About the signed distance [m] at places x, y, z [m]."""
+    """Return approximately the signed distance [m] at places x, y, z [m]."""
     x = np.abs(x)
     trunk = cap(cap(upper_body(x, y, z, scale, arms), HIPS - y), y - HEAD[1])
     head = [(c - m) / r for c, m, r in zip((x, y, z), HEAD, HEAD_RADII, strict=True)]
@@ -76,7 +76,7 @@ def _field(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float
 
 
 def _leg(x: Float, y: Float, z: Float) -> Float:
-    """A tube of rings from the trunk to the ankle, and the foot's cones, cut off at the floor."""
+    """Return the distance of a tube of rings from trunk to ankle, and the foot's cones, cut off at the floor."""
     heights, columns = _columns()
     front, back, width, power, slope, tilt = (np.interp(y, heights, column) for column in columns)
     middle, deep, aside = 0.5 * (front + back), 0.5 * (front - back), x - _middle(y)
@@ -92,13 +92,13 @@ def _leg(x: Float, y: Float, z: Float) -> Float:
 
 
 def _middle(y: Float) -> Float:
-    """How far from the body's middle that of a leg is [m]."""
+    """Return the distance of a leg's middle from the body's [m]."""
     return np.asarray(APART + OUTWARDS * np.maximum(HIPS - y, 0.0))
 
 
 @cache
 def _columns() -> tuple[Float, Float]:
-    """Heights (h,) a millimetre apart, and front, back, width, power, slope of the width and of the middle (6, h)."""
+    """Return heights (h,) a millimetre apart; front, back, width, power, slopes of the width and the middle (6, h)."""
     table = np.array(LEG)[::-1]
     low, high = float(table[0, 0]), float(table[-1, 0])
     heights = np.linspace(low, high, round((high - low) * 1e3) + 1)
@@ -110,13 +110,13 @@ def _columns() -> tuple[Float, Float]:
 
 
 def _forearm(x: Float, y: Float, z: Float, arms: float) -> Float:
-    """From above the elbow down to the wrist, and the hand."""
+    """Return the distance of the forearm, from above the elbow down to the wrist, and the hand."""
     dx, dy, dz = x - JOINT[0], y - JOINT[1], z - JOINT[2]
     along, across = dx * np.sin(arms) - dy * np.cos(arms), dx * np.cos(arms) + dy * np.sin(arms)
     arm: Float | None = None
     for (start, thick), (end, thin) in pairwise(FOREARM):
         cone = _cone(along, across, dz, (start, 0.0, 0.0), (end, 0.0, 0.0), thick, thin)
-        # One goes on as thick as the other ends: blended, they would swell.
+        # One begins as thick as the other ends: blended, they would swell.
         arm = cone if arm is None else np.minimum(arm, cone)
     assert arm is not None
     (start, thick), (end, thin) = HAND
@@ -127,7 +127,7 @@ def _forearm(x: Float, y: Float, z: Float, arms: float) -> Float:
 
 
 def _cone(x: Float, y: Float, z: Float, a: tuple[float, ...], b: tuple[float, ...], thick: float, thin: float) -> Float:
-    """Round cone between two places, whose radius goes from `thick` to `thin`."""
+    """Return the distance of a round cone between two places, whose radius goes from `thick` to `thin`."""
     way = np.subtract(b, a)
     share = ((x - a[0]) * way[0] + (y - a[1]) * way[1] + (z - a[2]) * way[2]) / float((way * way).sum())
     share = np.clip(share, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Boxes, cylinders and cones as closed meshes, their edges rounded where that is asked for; y up, their middle at 0."""
+"""Boxes, cylinders and cones as closed meshes, with rounded edges if requested; y up, their middle at 0."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from nuno_schemas.fabric import Float, Int
 
 CORNER = 4
-"""At least so many sides round a quarter of a rounded edge."""
+"""least number of sides round a quarter of a rounded edge"""
 
 
 def box_mesh(size: tuple[float, float, float], rounding: float, resolution: int) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3), seen counter-clockwise from outside.
+    """Return vertices (n, 3) [m] and triangles (f, 3), seen counter-clockwise from outside.
 
     size [m] along x, y and z; rounding [m] is the radius of edges and corners; sides of triangles are about as long as
     the longest way round over `resolution`.
@@ -22,7 +22,7 @@ def box_mesh(size: tuple[float, float, float], rounding: float, resolution: int)
     half = 0.5 * np.asarray(size)
     step = 8.0 * float(np.sort(half)[1:].sum()) / 2.0 / resolution
     corner = max(CORNER, math.ceil(0.5 * math.pi * rounding / step)) if rounding > 0.0 else 0
-    # Along each axis; in a rounded edge the points of a cube that come to even angles of a circle.
+    # Along each axis; in a rounded edge the points of a cube that map to even angles of a circle.
     bent = rounding * np.tan(np.linspace(0.0, 0.25 * math.pi, corner + 1)[1:]) if corner else np.zeros(0)
     axes = []
     for one in half:
@@ -49,7 +49,7 @@ def box_mesh(size: tuple[float, float, float], rounding: float, resolution: int)
 
 
 def cone_mesh(size: tuple[float, float, float], top: float, rounding: float, resolution: int) -> tuple[Float, Int]:
-    """A cone whose top is this share of its base as wide: 1 is a cylinder, 0 has a tip. Else as `box_mesh`.
+    """Return a cone whose top is this share of its base as wide: 1 is a cylinder, 0 has a tip. Else as `box_mesh`.
 
     size [m] is the base's width, the height, and the base's depth; round it go `resolution` vertices.
     """
@@ -77,7 +77,7 @@ def cone_mesh(size: tuple[float, float, float], top: float, rounding: float, res
 
 
 def _outline(base: float, top: float, height: float, rounding: float, step: float) -> Float:
-    """(k, 2) radius and height of an outline from the middle of the base to that of the top."""
+    """Return radius and height (k, 2) of an outline from the middle of the base to that of the top."""
     corners = np.array([[0.0, 0.0], [base, 0.0], [top, height], [0.0, height]])
     if top == 0.0:
         corners = np.array([[0.0, 0.0], [base, 0.0], [0.0, height], [-base, 0.0]])
@@ -98,7 +98,7 @@ def _outline(base: float, top: float, height: float, rounding: float, step: floa
 
 
 def _fillet(before: Float, corner: Float, after: Float, radius: float, step: float) -> Float:
-    """An arc that rounds a corner on the way, an odd number of points; the corner itself for no radius."""
+    """Return an arc that rounds a corner on the way, an odd number of points; the corner itself for no radius."""
     if radius == 0.0:
         return corner[None].copy()
     one, other = before - corner, after - corner
@@ -115,14 +115,14 @@ def _fillet(before: Float, corner: Float, after: Float, radius: float, step: flo
 
 
 def _between(start: Float, end: Float, step: float) -> Float:
-    """Points between two, apart by about a step, without the ends."""
+    """Return points between two, about a step apart, without the ends."""
     number = max(1, math.ceil(float(np.linalg.norm(end - start)) / step))
     share = np.arange(1, number)[:, None] / number
     return np.asarray(start + share * (end - start))
 
 
 def _grid(rows: int, columns: int, turned: bool) -> Int:
-    """Two triangles for each cell of a grid of vertices."""
+    """Return two triangles for each cell of a grid of vertices."""
     a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
     b, c, d = a + columns, a + columns + 1, a + 1
     found = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
@@ -130,7 +130,7 @@ def _grid(rows: int, columns: int, turned: bool) -> Int:
 
 
 def _welded(x: Float, faces: Int, near: float) -> tuple[Float, Int]:
-    """Vertices at the same place as one, and triangles that have kept three."""
+    """Merge vertices at the same place, and drop triangles with fewer than three."""
     _, first, which = np.unique(np.rint(x / near).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     sewn = which.reshape(-1)[faces].astype(np.int32)
     return x[first], sewn[(sewn != np.roll(sewn, 1, axis=1)).all(axis=1)]

@@ -54,43 +54,43 @@ LEVELS = (
     Level(1.450, 0.046, -0.060, 0.052, 2.0, "neck"),
     Level(1.500, 0.048, -0.058, 0.052, 2.0),
 )
-"""From the hips up."""
+"""the rings from the hips up"""
 GIRTHS = {"bust": 0.900, "waist": 0.698, "hip": 0.957, "neck": 0.330, "arm": 0.281}
-"""Unless others are asked for [m]."""
+"""the default girths [m]"""
 HEIGHTS = {level.girth: level.height for level in LEVELS if level.girth}
-"""Heights of the girths but the arm's [m]."""
+"""heights of the girths but the arm's [m]"""
 BOTTOM, TOP = 0.780, 1.475
-"""Heights at which hips and neck are cut off [m]."""
+"""heights at which hips and neck are cut off [m]"""
 JOINT = (0.152, 1.312, -0.012)
-"""Of the left shoulder, in the middle of a ball of radius SHOULDER [m]."""
+"""left shoulder joint, in the middle of a ball of radius SHOULDER [m]"""
 SHOULDER, ARM, ALONG = 0.060, 0.220, 0.165
-"""Radius there, length of the stump from the joint, and where along it its girth is taken [m]."""
+"""radius there, length of the stump from the joint, and the place along it where its girth is taken [m]"""
 BREAST, BREAST_RADII = (0.068, 1.192, 0.078), (0.056, 0.062, 0.056)
-"""Middle of the left breast and its radii [m], before it is scaled as the bust is."""
+"""middle of the left breast and its radii [m], before it is scaled with the bust"""
 EDGE = 0.012
-"""Radius of the rounded rims [m]."""
+"""radius of the rounded rims [m]"""
 BLEND_ARM, BLEND_BREAST = 0.050, 0.035
-"""Distances of two parts at which they begin to blend [m]."""
+"""distances of two parts at which they begin to blend [m]"""
 SMOOTH = 15
-"""Standard deviation of the weights by which profiles are smoothed over heights [mm]."""
+"""standard deviation of the weights that smooth profiles over heights [mm]"""
 ROUNDS = 6
-"""Times that rings are scaled until all girths are as asked for."""
+"""times that rings are scaled until all girths are right"""
 TOLERANCE = 5e-3
-"""How far a girth may then be off, as a share; one that can be reached is 1e-4 off."""
+"""error of a girth that is then allowed, as a share; a possible one is 1e-4 off"""
 RAYS, FARTHEST = 180, 0.3
-"""Chords by which a girth is measured, and how far its section may reach [m]."""
+"""chords by which a girth is measured, and the reach of its section [m]"""
 SECANTS = 5
-"""Steps that find where a ray leaves, from 5 mm on."""
+"""steps that find where a ray leaves, from 5 mm on"""
 
 
 def torso_mesh(
     around: int = 96, girths: Mapping[str, float] | None = None, arms: float = 0.25 * np.pi
 ) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3) of a closed torso, about `around` vertices round its waist.
+    """Return vertices (n, 3) [m] and triangles (f, 3) of a closed torso, about `around` vertices round its waist.
 
-    girths: those of GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad].
-    y is up, the floor y = 0 of the body that it is part of, and it faces +z; it is its own mirror image in x.
-    Raises BadInput for girths that leave no room between arms and trunk, or too little for these triangles.
+    girths: those of GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad]. y is up, the floor
+    y = 0 of the body that it is part of, and it faces +z; it is its own mirror image in x. Raises BadInput for girths
+    that leave no room between arms and trunk, or too little for these triangles.
     """
     scale = find_scales(girths or {}, arms)
     reach = JOINT[0] + ARM * np.sin(arms) + 2.0 * SHOULDER
@@ -100,7 +100,7 @@ def torso_mesh(
 
 
 def find_scales(girths: Mapping[str, float], arms: float) -> dict[str, float]:
-    """By how much parts are scaled, by their girths' names. Raises BadInput for girths that leave no room between arms
+    """Return the scales of parts, by their girths' names. Raises BadInput for girths that leave no room between arms
     and trunk.
     """
     wanted = {**GIRTHS, **girths}
@@ -120,13 +120,13 @@ def find_scales(girths: Mapping[str, float], arms: float) -> dict[str, float]:
 
 
 def draw(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3) of a figure that is its own mirror image, within low and high (3,) [m],
-    with sides of about `spacing` [m]. Raises BadInput where two of its limbs are as near to each other.
+    """Return vertices (n, 3) [m] and triangles (f, 3) of a figure that is its own mirror image, within low and high
+    (3,) [m], with sides of about `spacing` [m]. Raises BadInput if two of its limbs are as near to each other.
     """
     half = (np.ceil(high[0] / spacing) + 0.5) * spacing
     x, faces = find_isosurface(field, np.array([-half, *low[1:]]), np.array([half, *high[1:]]), spacing)
     check_closed(x, faces)
-    # Limbs that have grown together make handles, or pass through each other.
+    # Limbs that have merged make handles, or pass through each other.
     if len(x) - len(faces) // 2 != 2 or crossing_notes(x, faces):
         raise BadInput(
             "the mannequin's limbs come too near to each other for triangles of this size", field="resolution",
@@ -136,12 +136,12 @@ def draw(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, 
 
 
 def field_of(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float) -> Float:
-    """About the signed distance [m] at places x, y, z [m] of a torso whose parts are scaled."""
+    """Return about the signed distance [m] at places x, y, z [m] of a torso whose parts are scaled."""
     return cap(cap(upper_body(x, y, z, scale, arms, ARM), BOTTOM - y), y - TOP)
 
 
 def upper_body(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float, length: float = np.inf) -> Float:
-    """The same that is not cut off at hips and neck, with arms of this `length` [m], at most a round end longer than
+    """Return the same, not cut off at hips and neck, with arms of this `length` [m], at most a round end longer than
     ARM.
     """
     x = np.abs(x)
@@ -154,7 +154,7 @@ def upper_body(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: f
 
 
 def _trunk(x: Float, y: Float, z: Float, scale: Mapping[str, float]) -> Float:
-    """The rings' own distance, to first order: off by the slope with which they widen."""
+    """Return the rings' own distance, to first order: off by the slope with which they widen."""
     heights, columns = _columns()
     known = [level for level in LEVELS if level.girth]
     sizes = smooth(np.interp(heights, [level.height for level in known], [scale[level.girth] for level in known]))
@@ -166,7 +166,7 @@ def _trunk(x: Float, y: Float, z: Float, scale: Mapping[str, float]) -> Float:
 
 @cache
 def _columns() -> tuple[Float, Float]:
-    """Heights (h,) a millimetre apart, and front, back, width, power and slope of the width (5, h) there."""
+    """Return heights (h,) a millimetre apart, and front, back, width, power and slope of the width (5, h) there."""
     table = np.array([level[:5] for level in LEVELS])
     heights = np.linspace(table[0, 0], table[-1, 0], round((table[-1, 0] - table[0, 0]) * 1e3) + 1)
     columns = [smooth(monotone(table[:, 0], column, heights)) for column in table[:, 1:].T]
@@ -174,7 +174,7 @@ def _columns() -> tuple[Float, Float]:
 
 
 def smooth(column: Float) -> Float:
-    """Values a millimetre apart, averaged over SMOOTH: light shows where the curvature of cubics jumps."""
+    """Average values a millimetre apart over SMOOTH: light shows where the curvature of cubics jumps."""
     place = np.arange(-3 * SMOOTH, 3 * SMOOTH + 1)
     weight = np.exp(-0.5 * (place / SMOOTH) ** 2)
     padded = np.pad(column, 3 * SMOOTH, mode="edge")
@@ -183,7 +183,7 @@ def smooth(column: Float) -> Float:
 
 
 def _arm(x: Float, y: Float, z: Float, scale: float, arms: float, length: float) -> Float:
-    """A cone from the shoulder's ball down the arm, cut off at its end."""
+    """Return the distance of a cone from the shoulder's ball down the arm, cut off at its end."""
     dx, dy, dz = x - JOINT[0], y - JOINT[1], z - JOINT[2]
     along = dx * np.sin(arms) - dy * np.cos(arms)
     t = np.clip(along / ALONG, 0.0, ARM / ALONG)
@@ -193,19 +193,19 @@ def _arm(x: Float, y: Float, z: Float, scale: float, arms: float, length: float)
 
 
 def join(a: Float, b: Float, blend: float) -> Float:
-    """Either of two parts, rounded where they meet."""
+    """Return the union of two parts, rounded where they meet."""
     h = np.maximum(blend - np.abs(a - b), 0.0)
     return np.asarray(np.minimum(a, b) - h * h / (4.0 * blend))
 
 
 def cap(a: Float, b: Float) -> Float:
-    """What lies in both parts, with the rim between them rounded."""
+    """Return the intersection of two parts, with the rim between them rounded."""
     h = np.maximum(EDGE - np.abs(a - b), 0.0)
     return np.asarray(np.maximum(a, b) + h * h / (4.0 * EDGE))
 
 
 def _measure(scale: Mapping[str, float], arms: float) -> dict[str, float]:
-    """Girths of the torso, by RAYS chords."""
+    """Measure the girths of the torso by RAYS chords."""
     angle = np.linspace(0.0, 2.0 * np.pi, RAYS + 1)
     sine, cosine = np.sin(angle), np.cos(angle)
     found = {}
@@ -220,7 +220,7 @@ def _measure(scale: Mapping[str, float], arms: float) -> dict[str, float]:
 
 
 def _girth(middle: Float, ways: Float, scale: Mapping[str, float], arms: float) -> float:
-    """Length round the section that rays (r, 3) from a place inside of it first leave."""
+    """Return the length round the section that rays (r, 3) from a place inside of it first leave."""
     reach = np.linspace(0.0, FARTHEST, 61)
     value = _at(middle + reach[:, None, None] * ways, scale, arms)
     out = np.argmax(value >= 0.0, axis=0)
@@ -236,5 +236,5 @@ def _girth(middle: Float, ways: Float, scale: Mapping[str, float], arms: float) 
 
 
 def _at(places: Float, scale: Mapping[str, float], arms: float) -> Float:
-    """The field at places (..., 3) [m]."""
+    """Return the field at places (..., 3) [m]."""
     return field_of(places[..., 0], places[..., 1], places[..., 2], scale, arms)

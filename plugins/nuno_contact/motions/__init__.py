@@ -1,1 +1,1 @@
-"""How bodies move in time, each a plugin; no shape stands here."""
+"""Motions of bodies, each a plugin; shapes are in `colliders`."""

@@ -25,18 +25,18 @@ from nuno_schemas.vectors import norm, turn
 
 LARGEST_FILE = 256 * 2**20
 STEPS = (1e-6, 1e4)
-"""Times between two frames that a motion can have [s]."""
+"""range of the time between two frames [s]"""
 SLOWEST = 1.0
-"""No capture has longer between two frames [s]: a file that says so means frames a second."""
+"""longest time between two frames of a capture [s]: a file with a longer one means frames a second"""
 FARTHEST = 1e6
-"""From the origin that a body, or a bone's end from its joint, can be [m]."""
+"""largest distance from the origin of a body, or of a bone's end from its joint [m]"""
 FINEST = 1e-9
-"""No file's unit is shorter [m]: numbers that would need it are none."""
+"""shortest unit of a file [m]: numbers that need a shorter one are wrong"""
 CHANNELS = {axis + what for axis in "XYZ" for what in ("position", "rotation")}
 STILL = 1e-4
-"""Joints move against their parents where they do by more than this share of the longest bone: less is rounding."""
+"""Joints move against their parents if by more than this share of the longest bone: less is rounding."""
 LOOKS = 100
-"""Of so many poses the tallest is found."""
+"""number of poses among which the tallest is found"""
 
 
 class BvhConfig(Config):
@@ -70,7 +70,7 @@ class BvhConfig(Config):
 
 @dataclass(frozen=True)
 class Captured:
-    """What a BVH file says, lengths in its own unit; or a part of it, in metres.
+    """The content of a BVH file, lengths in its own unit; or a part of it, in metres.
 
     joints, parents  of j joints, parents before children; an end site is a joint named after its parent, JOINT_end
     offsets          (j, 3) from the parent: the file's, or the median of a joint's own positions
@@ -91,15 +91,15 @@ class Captured:
         return float(len(self.places) - 1) * self.dt
 
     def pose(self, turns: Float, places: Float) -> tuple[Float, Float]:
-        """World rotation (j, 4) and translation (j, 3) by the joints' own turns (j, 4) and places (1 or j, 3)."""
+        """Return world rotation (j, 4) and translation (j, 3) from the joints' turns (j, 4) and places (1 or j, 3)."""
         return pose_skeleton(self.parents, self.offsets if len(places) == 1 else places, turns, places[0])
 
     def at(self, frames: Int) -> Float:
-        """(k, j, 3) where the joints are in frames (k,)."""
+        """Return the positions of the joints in frames (k,), shape (k, j, 3)."""
         return np.array([self.pose(self.turns[k], self.places[k])[1] for k in frames])
 
     def sample(self, t: float) -> tuple[Float, Float]:
-        """Turns and places of the joints at time t [s], between the two nearest frames."""
+        """Interpolate turns and places of the joints at time t [s] between the two nearest frames."""
         frames = len(self.places)
         at = min(max(t / self.dt, 0.0), frames - 1.0)
         k = min(int(at), max(frames - 2, 0))
@@ -117,19 +117,19 @@ class _Joint(NamedTuple):
 
 
 def read_bvh(path: Path) -> Captured:
-    """Raises BadInput for a file that is empty, truncated, not BVH or not finite."""
+    """Read a BVH file. Raises BadInput for one that is empty, truncated, not BVH or not finite."""
     return read_as(path, "BVH", _read, LARGEST_FILE)
 
 
 def _read(data: bytes) -> Captured:
-    """Raises ValueError."""
+    """Read a file's content. Raises ValueError."""
     from pybvh.rotations import euler_to_quat
 
     if not data:
         raise ValueError("it is empty")
     try:
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:  # names of joints by older programs; every byte is a letter of Latin-1
+    except UnicodeDecodeError:  # joint names of older programs; every byte is a letter of Latin-1
         text = data.decode("latin-1")
     head, *rows = re.split(r"(?m)^\s*MOTION\b", text, maxsplit=1)
     joints = _read_joints(head)
@@ -143,7 +143,7 @@ def _read(data: bytes) -> Captured:
     for j, joint in enumerate(joints):
         own = {channel: next(columns) for channel in joint.channels}
         axes = [channel[0] for channel in own if channel.endswith("rotation")]
-        # About the axes that it does not name a joint does not turn.
+        # A joint does not turn about the axes that it does not name.
         axes += [axis for axis in "XYZ" if axis not in axes]
         angles = np.stack([own.get(f"{axis}rotation", np.zeros(len(frames))) for axis in axes], axis=1)
         turns[:, j] = euler_to_quat(np.deg2rad(angles), axes)
@@ -153,7 +153,7 @@ def _read(data: bytes) -> Captured:
             if column is not None:
                 given[:, axis] = column
                 added[:, axis] += column
-        # Positions stand in the offset's place; programs that count them from it are known by bones as long as that.
+        # Positions replace the offset; programs that count them from it are recognised by bones as long as that.
         far, near = (norm(np.median(place, axis=0) - offsets[j]) for place in (given, added))
         places[:, j] = added if j > 0 and near < far else given
     offsets[1:] = np.median(places[:, 1:], axis=0)
@@ -164,7 +164,7 @@ def _read(data: bytes) -> Captured:
 
 
 def _read_joints(head: str) -> list[_Joint]:
-    """The hierarchy. Raises ValueError."""
+    """Read the hierarchy. Raises ValueError."""
     joints, open_ = list[_Joint](), list[int]()
     for line, words in enumerate(map(str.split, head.splitlines()), 1):
         key, *values = words or ["{"]
@@ -195,7 +195,7 @@ def _read_joints(head: str) -> list[_Joint]:
 
 
 def _read_frames(rows: str, columns: int) -> tuple[Float, float]:
-    """(m, columns) values, and the time between two frames [s]. Raises ValueError."""
+    """Return (m, columns) values, and the time between two frames [s]. Raises ValueError."""
     found = re.match(r"\s*Frames:\s*(\d+)\s*Frame\s+Time:\s*(\S+)", rows, re.IGNORECASE)
     if found is None or not rows[found.end() :].strip():
         raise ValueError("after MOTION come Frames: and Frame Time: and their frames")
@@ -210,7 +210,7 @@ def _read_frames(rows: str, columns: int) -> tuple[Float, float]:
 
 @dataclass(frozen=True)
 class _Clip:
-    """A motion in metres, and how it goes on: see BvhConfig. `drift` (1, 3) is how far each loop carries it [m]."""
+    """A motion in metres with its loop: see BvhConfig. `drift` (1, 3) is how far each loop carries it [m]."""
 
     motion: Captured
     loop: bool
@@ -219,11 +219,10 @@ class _Clip:
     drift: Float
 
     def pose(self, t: float) -> tuple[Float, Float]:
-        """World rotation (j, 4) and translation (j, 3) at simulation time t [s].
+        """Return world rotation (j, 4) and translation (j, 3) at simulation time t [s].
 
-        With a ramp T the clip runs at the rate t/T until t = T: half of T behind from then on.
-        A loop of period D - blend shows the clip's last `blend` seconds while its first ones
-        fade in, and goes on from where it got to.
+        With a ramp T the clip runs at the rate t/T until t = T: half of T behind from then on. A loop of period D -
+        blend shows the clip's last `blend` seconds while its first ones fade in, and goes on from where it got to.
         """
         t = max(t, 0.0)
         if self.ramp > 0.0:
@@ -245,7 +244,7 @@ class _Clip:
 
 
 def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
-    """The frames between `start` and `stop`. Raises BadInput where that is less than one."""
+    """Return the frames between `start` and `stop`. Raises BadInput if that is less than one."""
     first = math.ceil(config.start / dt - 1e-9)
     last = frames - 1 if config.stop is None else min(frames - 1, math.floor(config.stop / dt + 1e-9))
     if first > last:
@@ -257,7 +256,7 @@ def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
 
 
 def place_root(config: BvhConfig, motion: Captured) -> None:
-    """Take the travel out if it is not wanted, then put the motion where it starts, in place."""
+    """Remove the travel if it is not wanted, then move the motion to its start, in place."""
     root = motion.places[:, 0]
     frames = len(root)
     if not config.travel and frames > 1:
@@ -268,12 +267,12 @@ def place_root(config: BvhConfig, motion: Captured) -> None:
 
 
 def _spread(frames: int) -> Int:
-    """Numbers of LOOKS frames at most, from the first to the last."""
+    """Return the numbers of LOOKS frames at most, from the first to the last."""
     return np.unique(np.linspace(0, frames - 1, min(frames, LOOKS)).astype(int))
 
 
 def find_stature(found: Captured, up: int) -> tuple[float, int]:
-    """How high a person stands along the axis `up` (0, 1 or 2), in the file's unit, by the tallest pose or the skeleton
+    """Return a person's height along the axis `up` (0, 1 or 2), in the file's unit, by the tallest pose or the skeleton
     at rest; and the axis along which the head lies from the root in most poses.
     """
     arm = find_arms(found.joints, found.parents)
@@ -292,7 +291,7 @@ class BVH:
     Config: ClassVar[type[BaseModel]] = BvhConfig
 
     def describe_motion(self, path: Path) -> Mapping[str, str]:
-        """What a file says of itself, in words, by name. Raises BadInput for one that cannot be read."""
+        """Describe a file's content, by name. Raises BadInput for one that cannot be read."""
         found = read_bvh(path)
         ends, frames = sum(name.endswith("_end") for name in found.joints), len(found.turns)
         facts = {"joints": f"{len(found.joints) - ends}, and {ends} ends of bones", "frames": f"{frames}"}
@@ -305,7 +304,7 @@ class BVH:
         return facts | {"root": found.joints[0]}
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Raises BadInput for a file that cannot be read, a body that lies, and a part of it that is empty."""
+        """Read the motion. Raises BadInput for a file that cannot be read, a lying body, and an empty part."""
         c = cast(BvhConfig, config)
         path = files.resolve(c.file)
         found = read_bvh(path)
@@ -346,7 +345,7 @@ class BVH:
 
 
 def _size_notes(config: BvhConfig, height: float) -> tuple[str, ...]:
-    """Of a scale by which a body `height` of the file's units high becomes no person."""
+    """Note a scale by which a body `height` of the file's units high is not a person's size."""
     if config.scale is None or fits_person(config.scale * height):
         return ()
     unit = unit_of(height)

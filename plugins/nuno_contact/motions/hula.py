@@ -53,14 +53,13 @@ STILL = np.array([1.0, 0.0, 0.0, 0.0])
 SIDES = (("left", 1.0), ("right", -1.0))
 ANKLE = 0.045
 STANCE = 0.065
-"""Ankles stand this far from the middle (fraction of height)."""
+"""distance of the ankles from the middle (fraction of height)"""
 BEND = 0.022
-"""Hips are held this much lower than with straight legs (fraction of height), so that the knees
-stay bent wherever the hips go."""
+"""lowering of the hips against straight legs (fraction of height), so that the knees stay bent wherever the hips go"""
 
 
 def build_skeleton(height: float) -> tuple[list[str], Int, Float]:
-    """Names, parents and offsets [m] of a dancer's joints; parents come first."""
+    """Return names, parents and offsets [m] of a dancer's joints; parents come first."""
     rows = list(_SPINE)
     for side, sign in SIDES:
         rows += [(f"{side}_{name}", parent.format(side), (sign * x, y, z)) for name, parent, (x, y, z) in _SIDE]
@@ -84,7 +83,7 @@ class HulaConfig(Config):
 
 
 def aim(direction: Float, front: Float) -> Float:
-    """(4,) rotation that turns -y to `direction` and keeps z as near to `front` as that allows."""
+    """Return the rotation (4,) that turns -y to `direction` and keeps z as near to `front` as that allows."""
     y = -direction / norm(direction)
     z = front - dot(front, y) * y
     z /= norm(z)
@@ -92,7 +91,7 @@ def aim(direction: Float, front: Float) -> Float:
 
 
 def bend_leg(hip: Float, ankle: Float, thigh: float, shin: float, front: Float) -> Float:
-    """(3,) the knee between hip and ankle [m], bent towards `front` (law of cosines).
+    """Return the knee (3,) between hip and ankle [m], bent towards `front` (law of cosines).
 
     The leg is stretched towards the ankle if it cannot reach it.
     """
@@ -116,12 +115,12 @@ class _Dancer:
         self.index = {name: j for j, name in enumerate(self.names)}
 
     def circle(self, level: float, phase: float) -> Float:
-        """(3,) where the hips are from their middle [m]; flatter to the front than to the side."""
+        """Return the hips' offset (3,) from their middle [m]; flatter to the front than to the side."""
         place: Float = level * self.config.amplitude * np.array([math.cos(phase), 0.0, 0.75 * math.sin(phase)])
         return place
 
     def turns(self, level: float, phase: float) -> dict[str, Float]:
-        """Rotation of the upper joints against their parents, at a level of the dance in [0, 1].
+        """Return the rotation of the upper joints against their parents, at a level of the dance in [0, 1].
 
         Spine and chest undo most of the hips' tilt and twist, and the spine leans against their
         circle, so that the chest stays calm.
@@ -145,7 +144,7 @@ class _Dancer:
         return found
 
     def legs(self, hips: Float, rotation: Float, place: Float) -> dict[str, Float]:
-        """Rotation of thighs, shins and feet against their parents: ankles stay on the floor.
+        """Return the rotation of thighs, shins and feet against their parents: ankles stay on the floor.
 
         `hips` (3,) and `rotation` (4,) are the hips' place and rotation in the world.
         """
@@ -164,7 +163,7 @@ class _Dancer:
         return found
 
     def stretch(self) -> float:
-        """Largest distance from hip to ankle in a full dance, over the length of the leg."""
+        """Return the largest distance from hip to ankle in a full dance, over the length of the leg."""
         height, most = self.config.height, 0.0
         for phase in np.linspace(0.0, 2.0 * math.pi, 73):
             tilt = rotation_matrices(self.turns(1.0, phase)["hips"][None])[0]
@@ -176,7 +175,7 @@ class _Dancer:
         return most
 
     def pose(self, t: float) -> tuple[Float, Float]:
-        """Rotation (j, 4) and translation (j, 3) [m] in the world."""
+        """Return rotation (j, 4) and translation (j, 3) [m] in the world."""
         c = self.config
         level, phase = ease(max(t, 0.0) / c.ramp) if t < c.ramp else 1.0, 2.0 * math.pi * c.tempo * t
         place = np.array(c.position)
@@ -194,7 +193,7 @@ class Hula:
     Config: ClassVar[type[BaseModel]] = HulaConfig
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Raises BadInput for a circle, sway and twist so wide that the legs cannot reach the floor."""
+        """Raise BadInput for a circle, sway and twist so wide that the legs cannot reach the floor."""
         dancer = _Dancer(cast(HulaConfig, config))
         if dancer.stretch() > 1.0:
             raise BadInput(

@@ -22,7 +22,7 @@ WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 
 
 class KeyframesConfig(Config):
-    """Where a body is at given times.
+    """Poses of a body at given times.
 
     Between keys a body turns the shorter way round: a key at least every half turn.
     """
@@ -46,7 +46,7 @@ class KeyframesConfig(Config):
 
 
 def check_keys(config: KeyframesConfig) -> None:
-    """Raises BadInput for lists that are empty, out of order or of different lengths."""
+    """Raise BadInput for lists that are empty, out of order or of different lengths."""
     times = config.times
     if not times:
         raise BadInput("a motion needs at least one keyframe", field="times", value=times, limit="one time or more")
@@ -65,7 +65,7 @@ def check_keys(config: KeyframesConfig) -> None:
 
 
 def read_rotation(values: list[float], form: str, field: str) -> Float:
-    """(4,) unit quaternion. Raises BadInput for an axis or quaternion of length 0."""
+    """Return a unit quaternion (4,). Raises BadInput for an axis or quaternion of length 0."""
     numbers = np.array(values, np.float64)
     if form == "euler":
         return from_euler(numbers)
@@ -85,7 +85,7 @@ class _Keys:
     loop: bool
 
     def pose(self, t: float) -> tuple[Float, Float]:
-        """Rotation (1, 4) and translation (1, 3) at time t [s]."""
+        """Return rotation (1, 4) and translation (1, 3) at time t [s]."""
         first, last = self.times[0], self.times[-1]
         if self.loop and last > first and t > last:
             t = first + math.fmod(t - first, last - first)
@@ -101,13 +101,13 @@ class _Keys:
 
 
 class Keyframes:
-    """One joint, "body", between keys."""
+    """One joint, "body", interpolated between keys."""
 
     name: ClassVar[str] = "keyframes"
     Config: ClassVar[type[BaseModel]] = KeyframesConfig
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Raises BadInput for keys that make no motion."""
+        """Check the keys. Raises BadInput for keys that define no motion."""
         c = cast(KeyframesConfig, config)
         check_keys(c)
         still = np.tile([1.0, 0.0, 0.0, 0.0], (len(c.times), 1))

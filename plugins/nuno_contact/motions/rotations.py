@@ -15,12 +15,12 @@ AXES = np.eye(3)
 
 
 def ease(s: float) -> float:
-    """From 0 to 1 over s in [0, 1], with first and second derivative 0 at both ends."""
+    """Rise from 0 to 1 over s in [0, 1], with first and second derivative 0 at both ends."""
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
 def multiply(p: Float, q: Float) -> Float:
-    """Product p q: first q turns, then p."""
+    """Return the product p q: first q turns, then p."""
     w0, x0, y0, z0 = (p[..., i] for i in range(4))
     w1, x1, y1, z1 = (q[..., i] for i in range(4))
     return np.stack(
@@ -35,27 +35,27 @@ def multiply(p: Float, q: Float) -> Float:
 
 
 def invert(q: Float) -> Float:
-    """The turn back, of unit quaternions."""
+    """Return the inverse of unit quaternions."""
     inverse: Float = q * np.array([1.0, -1.0, -1.0, -1.0])
     return inverse
 
 
 def from_axis_angle(axis: Float, angle: float) -> Float:
-    """(4,) turn by `angle` [rad] about `axis` (3,), which may have any length but 0."""
+    """Return the rotation (4,) by `angle` [rad] about `axis` (3,), which may have any length but 0."""
     half = 0.5 * angle
     return np.concatenate([[np.cos(half)], np.sin(half) * axis / norm(axis)])
 
 
 def from_euler(angles: Float) -> Float:
-    """(4,) turn by angles[0] about world x, then angles[1] about world y, then angles[2] about
-    world z [rad]: R = Rz Ry Rx.
+    """Return the rotation (4,) by angles[0] about world x, then angles[1] about world y, then angles[2] about world z
+    [rad]: R = Rz Ry Rx.
     """
     x, y, z = (from_axis_angle(axis, float(angle)) for axis, angle in zip(AXES, angles, strict=True))
     return multiply(z, multiply(y, x))
 
 
 def from_matrices(m: Float) -> Float:
-    """(..., 4) unit quaternions q of rotation matrices (..., 3, 3).
+    """Return the unit quaternions q (..., 4) of rotation matrices (..., 3, 3).
 
     4 q q^T is linear in the matrix; its row with the largest diagonal, normalised, is q (Shepperd).
     """
@@ -74,7 +74,7 @@ def from_matrices(m: Float) -> Float:
 
 
 def slerp(p: Float, q: Float, s: float) -> Float:
-    """Between unit quaternions p (s = 0) and q (s = 1), (..., 4), the shorter way."""
+    """Interpolate between unit quaternions p (s = 0) and q (s = 1), (..., 4), the shorter way."""
     cosine = dot(p, q)[..., None]
     q = np.where(cosine < 0.0, -q, q)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
@@ -89,7 +89,7 @@ def slerp(p: Float, q: Float, s: float) -> Float:
 
 
 def rest_positions(parents: Int, offsets: Float) -> Float:
-    """(j, 3) joints with all rotations zero [m], the first at its own offset; parents come before their children."""
+    """Return joints' positions (j, 3) with all rotations zero [m], the first at its own offset; parents come first."""
     position = offsets.copy()
     for j, parent in enumerate(parents):
         if parent >= 0:
@@ -98,7 +98,7 @@ def rest_positions(parents: Int, offsets: Float) -> Float:
 
 
 def pose_skeleton(parents: Int, offsets: Float, local: Float, root: Float) -> tuple[Float, Float]:
-    """World rotation (j, 4) and translation (j, 3) of joints with `local` rotations (j, 4).
+    """Return world rotation (j, 4) and translation (j, 3) of joints with `local` rotations (j, 4).
 
     Parents come before their children; `root` (3,) [m] is where the first joint is.
     """

@@ -1,4 +1,4 @@
-"""A body that is told where to be while the run goes on: by a tracker, a robot or a game engine, on the bus."""
+"""A body whose poses arrive on the bus during the run: from a tracker, a robot or a game engine."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from nuno_schemas.live import Live
 from nuno_schemas.plugin import Config, Files, Mover
 
 KEY = re.compile(r"[^/*$?#\s]+(/[^/*$?#\s]+)*")
-"""A key of zenoh without wildcards."""
+"""a zenoh key without wildcards"""
 
 
 class TopicConfig(Config):
-    """Where poses come from, and what happens where they are late, stay out, or jump."""
+    """The source of poses, and the response to late, missing or jumping ones."""
 
     key: str | None = Field(
         default=None,
@@ -61,7 +61,7 @@ class TopicConfig(Config):
 
 
 class Topic:
-    """One joint, "body", or those of a skeleton, at the poses that come by a topic."""
+    """One joint, "body", or those of a skeleton, at the poses that arrive on a topic."""
 
     name: ClassVar[str] = "topic"
     Config: ClassVar[type[BaseModel]] = TopicConfig
@@ -71,7 +71,7 @@ class Topic:
         return cast(TopicConfig, config).frames == "clock"
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Raises BadInput for a skeleton that cannot be read, and a rotation of length 0."""
+        """Prepare the motion. Raises BadInput for a skeleton that cannot be read, and a rotation of length 0."""
         c = cast(TopicConfig, config)
         if c.skeleton is None:
             names: tuple[str, ...] = ("body",)

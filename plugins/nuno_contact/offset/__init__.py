@@ -1,3 +1,3 @@
-"""Cloth that meets itself and other cloth: pairs of primitives that come near, what pushes them apart, and what keeps
-them from ever passing through each other. Bodies are in penalty and sliding.
+"""Contact of cloth with itself and other cloth: near pairs of primitives, the forces between them, and shortened steps,
+so that none ever pass through each other. Contact with bodies is in penalty and sliding.
 """

@@ -1,4 +1,4 @@
-"""How an interval begins: cloth contact goes on with its lists, or anew where cloth is not where it was left."""
+"""The start of an interval: contact continues with its lists, or makes new ones if cloth was moved meanwhile."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from nuno_schemas.fabric import Float
 
 
 @kernel
-def begin_apart(m: ContactState, x: Float, span: float, threads: int | None) -> None:
-    """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
+def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) -> None:
+    """Before an interval's first step from x (3, n), keep the lists, or begin anew if x is another state."""
     n, goal = x.shape[1], x
     if m.local.shape[0] > 0:
         goal, m.still[0] = m.goal, min(m.still[0], STANDS)
@@ -40,9 +40,9 @@ def begin_apart(m: ContactState, x: Float, span: float, threads: int | None) -> 
 
 @block_kernel
 def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
-    """The same of cloth and bodies, whose cloth is where it was left or not."""
+    """Do so for cloth and bodies together; `goes_on`: the cloth is where it was left."""
     clock, m.span[0] = m.clock, span
-    m.share[:] = 1.0  # a run that is resumed does not know it
+    m.share[:] = 1.0  # a resumed run lacks it
     clock[LIST_BEGUN] -= clock[NOW]
     clock[NEAR_BEGUN] -= clock[NOW]
     clock[NOW] = 0.0

@@ -1,12 +1,12 @@
-"""Bodies of triangles that cloth meets as it meets cloth: vertices without mass behind the cloth's own.
+"""Bodies of triangles that cloth meets as it meets cloth: massless vertices after the cloth's own.
 
 They go where their body's frame carries them, each in a straight line within a step, and have a part in lists, planes
-and forces like any other vertex. Those of a skin are where its frames have them at both ends of an interval, and go
-in a straight line between. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is
-held between bodies or pins, is cut short as cloth is: it stays behind its body, follows by CATCH_UP faster than that at
-most, and is where its body is again as soon as cloth lets it. To catch up at once would throw cloth about. So what is
-promised of cloth and the vertices in here holds whatever bodies do, and of the bodies themselves wherever none of their
-vertices is behind, which is counted.
+and forces like any other vertex. Those of a skin are where its frames have them at both ends of an interval, and go in
+a straight line between. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is held
+between bodies or pins, is cut short as cloth is: it stays behind its body, follows by CATCH_UP faster than that at
+most, and is where its body is again as soon as cloth lets it. To catch up at once would throw cloth about. So the
+guarantee for cloth and the vertices in here holds whatever bodies do, and for the bodies themselves wherever none of
+their vertices is behind, which is counted.
 
 A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see size_of.
 
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
     from nuno_contact.offset.contact_state import ContactState
 
 CATCH_UP = 1.0
-"""A vertex that is behind its body follows by so much faster than that at most [m/s]."""
+"""largest speed by which a vertex behind its body catches up [m/s]"""
 SAME = 1e-9
-"""A vertex is behind its body if it is farther from where that has it [m] than rounding explains."""
+"""A vertex is behind its body if it is farther from its place on that [m] than rounding explains."""
 
 
 MOVES, STANDS, PLACED = range(3)
-"""What bodies do in an interval; of those that stand, whether m.goal has them and none of their vertices is behind."""
+"""motion of bodies in an interval; of those that stand, whether m.goal has them and none of their vertices is behind"""
 OF_SKIN = -1
-"""Stands for the frame of a vertex that goes with several."""
+"""stands for the frame of a vertex that several frames carry"""
 
 
 class Solids(NamedTuple):
@@ -65,11 +65,11 @@ class Solids(NamedTuple):
 
 
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
-    """Of bodies as they are at the start, if any. Raises BadInput for one that is not of triangles."""
+    """Return bodies' solids as they are at the start. Raises BadInput for one that is not of triangles."""
     if geometry is None or poses is None:
-        none = np.zeros((0, 3))
+        empty = np.zeros((0, 3))
         number, faces = np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
-        return Solids((), none, none, number, number, faces, np.zeros((0, 2)), 0, NO_SKIN, number)
+        return Solids((), empty, empty, number, number, faces, np.zeros((0, 2)), 0, NO_SKIN, number)
     parts: list[tuple[Float, Float, Int, Int, Int]] = []
     count = 0
     for primitive, kind in enumerate(geometry.kind.tolist()):
@@ -94,14 +94,14 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
 
 
 def size_of(x: Float, faces: Int) -> Float:
-    """(n,) width of a square of what each vertex x (n, 3) stands for, a third of its triangles faces (f, 3) [m]."""
+    """Return the width (n,) [m] of a square of the area of each vertex x (n, 3), a third of its faces (f, 3)."""
     a, b, c = (x[faces[:, k]] for k in range(3))
     area = norm(np.cross(b - a, c - a)) / 6.0
     return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
 
 
 def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
-    """Of the arrays of bodies, those of all vertices `wide`, which is 0 where there are none."""
+    """Return ContactState's arrays of bodies, those of all vertices `wide`, which is 0 without bodies."""
     return {
         "local": np.array(solids.local, np.float64, order="C"),
         "frame": np.array(solids.frame, np.int32),
@@ -128,7 +128,7 @@ def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
 
 
 def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
-    """Write the interval into a meeting that has bodies."""
+    """Write the interval into the state of a contact with bodies."""
     if not len(m.local):
         return
     write_interval(m, start, end)
@@ -142,7 +142,7 @@ def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
 
 @block_kernel
 def pose_solids(m: ContactState, s: float) -> None:
-    """Put the bodies' vertices in m.goal, m.whole_velocity where they are at fraction s of the interval."""
+    """Write the bodies' vertices at fraction s of the interval to m.goal and m.whole_velocity."""
     if m.still[0] == PLACED:
         return
     frames, local, of_frame, begin, end = m.frames, m.local, m.frame, m.skin_begin, m.skin_end
@@ -169,8 +169,8 @@ def copy_part(x: Float, to: Float, start: int, stop: int) -> None:
 
 @kernel
 def place_solids(m: ContactState, x: Float, v: Float, s: float) -> None:
-    """Have the bodies' vertices for forces at fraction s: those that are not behind where their bodies are. In an
-    implicit step they are where the iterate has them.
+    """Place the bodies' vertices for forces at fraction s: on their bodies unless they are behind, and in an implicit
+    step where the iterate has them.
     """
     if m.local.shape[0] == 0 or m.still[0] == PLACED:
         return
@@ -191,7 +191,7 @@ def is_waiting(m: ContactState) -> bool:
 
 @kernel
 def limit_ways(m: ContactState, n: int, dt: float) -> None:
-    """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""
+    """Limit the ways of bodies' vertices from `last` to m.goal in a step of dt [s] to their largest speed."""
     goal, last, v = m.goal, m.last, m.whole_velocity
     for i in range(n, goal.shape[1] if m.still[0] != PLACED else n):
         a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
@@ -204,7 +204,7 @@ def limit_ways(m: ContactState, n: int, dt: float) -> None:
 
 @kernel
 def catch_up(m: ContactState, n: int, dt: float) -> None:
-    """Velocities at which those that are behind will follow in a step of dt [s]."""
+    """Set the velocities at which vertices behind their bodies will follow in a step of dt [s]."""
     goal, last, v = m.goal, m.last, m.whole_velocity
     for b in range(m.local.shape[0]):
         if not m.behind[b] or dt == 0.0:
@@ -221,7 +221,7 @@ def catch_up(m: ContactState, n: int, dt: float) -> None:
 
 @kernel
 def find_behind(m: ContactState, n: int) -> None:
-    """Which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
+    """Find which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
     goal, last, whole = m.goal, m.last, m.whole
     late = False
     for b in range(m.local.shape[0]):

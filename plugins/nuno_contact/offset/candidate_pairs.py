@@ -1,4 +1,4 @@
-"""The list of pairs made from what the tree finds, and those of it that are near: what forces and steps look at."""
+"""The list of candidate pairs that the tree finds, and the near ones among them, which forces and steps examine."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
-"""Weights of the way between the middles of two edges, and of a vertex and a triangle."""
+"""weights of the way between the middles of two edges, and of a vertex and a triangle"""
 SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
-"""The golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)."""
+"""the golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)"""
 EMPTY = -(1 << 63)
 
 
 @forced_inline
 def share_of(m: ContactState, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
-    """The share of the stiffness that a pair of cloth and a body has, by the first of each primitive's vertices: a
-    piece of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
+    """Return the share of the stiffness of a pair of cloth and a body, by the first vertex of each primitive: a piece
+    of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
     """
     first = m.size.shape[0] - m.local.shape[0]
     cloth, body = (m.size[i], m.size[l]) if i < first else (m.size[l], m.size[i])
@@ -38,7 +38,7 @@ def share_of(m: ContactState, i: int, l: int, of_edges: bool) -> float:  # noqa:
 
 @forced_inline
 def begun_apart(m: ContactState, p: int) -> float:
-    """How far apart a listed pair starts [m]."""
+    """Return how far apart a listed pair starts [m]."""
     s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
     distance: float = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))[1]
@@ -47,7 +47,7 @@ def begun_apart(m: ContactState, p: int) -> float:
 
 @block_kernel
 def measure(m: ContactState, p: int) -> None:
-    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held.
+    """Set a listed pair's reach, stiffness, damping and friction; stiffness is 0 if the whole pair is held.
 
     Cloth that starts nearer to itself than the thickness, as beside the tip of a dart, is as thin as that there.
     """
@@ -69,7 +69,7 @@ def measure(m: ContactState, p: int) -> None:
 
 @block_kernel
 def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
-    """Into ways (n, 8), for each vertex in one line of the cache: where it is, where it goes, and its spread."""
+    """Write into ways (n, 8), one cache line for each vertex: its position, its way, and its spread."""
     for i in range(x.shape[1]):
         for row in range(3):
             ways[i, row], ways[i, 3 + row] = x[row, i], x[row, i] + u[row, i]
@@ -78,19 +78,19 @@ def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
 
 @forced_inline
 def begin_of(ways: Float, i: Index) -> Vector:
-    """Where vertex i is."""
+    """Return vertex i's position at the start of the way."""
     return ways[i, 0], ways[i, 1], ways[i, 2]
 
 
 @forced_inline
 def end_of(ways: Float, i: Index) -> Vector:
-    """Where it goes."""
+    """Return its position at the end."""
     return ways[i, 3], ways[i, 4], ways[i, 5]
 
 
 @forced_inline
 def gap_along(of_edges: bool, n: Vector, ways: Float, i: Index, j: Index, k: Index, l: Index) -> float:  # noqa: E741
-    """How far apart a plane across n keeps a pair all along its way, strays included."""
+    """Return how far apart a plane across n keeps a pair all along its way, strays included."""
     r = (ways[i, 6], ways[j, 6], ways[k, 6], ways[l, 6])
     begin = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
     end = (end_of(ways, i), end_of(ways, j), end_of(ways, k), end_of(ways, l))
@@ -100,7 +100,7 @@ def gap_along(of_edges: bool, n: Vector, ways: Float, i: Index, j: Index, k: Ind
 @forced_inline
 def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, l: Index, thickness: float) -> bool:  # noqa: E741
     """Whether the plane across the line between their middles keeps a pair apart, as it does most neighbours in the
-    cloth. Not the plane that the pair had last: a resumed run has no other than those across closest points.
+    cloth. Not the plane that the pair had last: a resumed run has only those across closest points.
     """
     here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
     n, _ = unit(weigh(MIDDLES[0] if of_edges else MIDDLES[1], here))
@@ -109,7 +109,7 @@ def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, 
 
 @forced_inline
 def vertices_of(m: ContactState, e: int, f: int) -> tuple[int, int, int, int]:
-    """Of a vertex e and a triangle f, or of edges -1 - e and f."""
+    """Return the vertices of a vertex e and a triangle f, or of edges -1 - e and f."""
     if e < 0:
         return m.edges[-1 - e, 0], m.edges[-1 - e, 1], m.edges[f, 0], m.edges[f, 1]
     return e, m.faces[f, 0], m.faces[f, 1], m.faces[f, 2]
@@ -117,19 +117,19 @@ def vertices_of(m: ContactState, e: int, f: int) -> tuple[int, int, int, int]:
 
 @block_kernel
 def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
-    """Of `count` primitives found (c, 2) keep those that do not stay apart, in place and in their order, with the
-    planes (c, 3) across their closest points; how many.
+    """Keep those of `count` primitives found (c, 2) that do not stay apart, in place and in order, with the planes
+    (c, 3) across their closest points; return their number.
     """
     ways, thickness = m.ways, m.law[0]
-    kept, number = 0, 0
-    # All are looked at without asking, since to guess wrongly takes longer.
+    candidates, number = 0, 0
+    # All are evaluated without a branch, since a wrong prediction takes longer.
     for c in range(count):
         of_edges = found[c, 0] < 0
         i, j, k, l = vertices_of(m, found[c, 0], found[c, 1])  # noqa: E741
         apart = apart_at_middles(of_edges, ways, i, j, k, l, thickness)
-        found[kept, 0], found[kept, 1] = found[c, 0], found[c, 1]
-        kept += 0 if apart or not m.meets[m.piece[i], m.piece[l]] else 1
-    for c in range(kept):
+        found[candidates, 0], found[candidates, 1] = found[c, 0], found[c, 1]
+        candidates += 0 if apart or not m.meets[m.piece[i], m.piece[l]] else 1
+    for c in range(candidates):
         e, f = found[c, 0], found[c, 1]
         i, j, k, l = vertices_of(m, e, f)  # noqa: E741
         here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
@@ -146,7 +146,7 @@ def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
 def search_part(part: int, m: ContactState, leaves: Long, found: Long, normal: Float, number: Long) -> None:
     """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
 
-    Into number (PARTS, 2) how many, or, below 0, for how many more there is no room, and how many of them are of a
+    Writes into number (PARTS, 2) their number, or, if negative, the number without room, and the number of pairs of a
     vertex and a triangle.
     """
     room, count = found.shape[0] // PARTS, leaves.shape[0]
@@ -160,17 +160,17 @@ def search_part(part: int, m: ContactState, leaves: Long, found: Long, normal: F
 
 @block_kernel
 def enlist_part(part: int, m: ContactState, found: Long, normal: Float, number: Long) -> None:
-    """Put what a part has found into the list, as far as there are places: all pairs of a vertex and a triangle, then
-    all of edges, part by part. Pairs of a list then stand in the next one in the same order, wherever parts begin:
-    forces are summed, and constraints solved, in that order, in which what rests is to stay at rest.
+    """Write a part's pairs to the list, as far as there is room: all pairs of a vertex and a triangle, then all of
+    edges, part by part. Pairs of a list then have the same order in the next one, wherever parts begin: forces are
+    summed, and constraints solved, in that order, in which cloth at rest is to stay at rest.
     """
     room, edges, faces = found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
-    first, own = [0, number[:, 1].sum()], number[part, 1]
+    first, own_faces = [0, number[:, 1].sum()], number[part, 1]
     for before in range(part):
         first[0] += number[before, 1]
         first[1] += number[before, 0] - number[before, 1]
     for c in range(number[part, 0]):
-        at, of = (first[0] + c if c < own else first[1] + c - own), part * room + c
+        at, of = (first[0] + c if c < own_faces else first[1] + c - own_faces), part * room + c
         if at < m.pair.shape[0]:
             e, f = found[of, 0], found[of, 1]
             m.pair[at, 0], m.pair[at, 1], m.pair[at, 2], m.pair[at, 3] = vertices_of(m, e, f)
@@ -186,7 +186,7 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TUR
 
 @block_kernel
 def search(m: ContactState, threads: int | None) -> None:
-    """List the pairs by the tree, which is fitted already, as m.ways are."""
+    """List the pairs by the tree, which is already fitted to m.ways."""
     leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
     number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
@@ -206,19 +206,19 @@ def search(m: ContactState, threads: int | None) -> None:
 
 @block_kernel
 def choose_part(part: int, m: ContactState, number: Long) -> None:
-    """Choose of a part of the listed pairs; their numbers into m.near from the part's first on, and how many."""
+    """Choose near pairs among a part of the listed ones; write them into m.near from the part's first place on."""
     pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
     first, end = part * m.number[LISTED] // PARTS, (part + 1) * m.number[LISTED] // PARTS
-    kept = first
-    # Without asking for each, since to guess wrongly takes longer than to look.
+    candidates_end = first
+    # Without a branch for each, since a wrong prediction takes longer than the evaluation.
     for p in range(first, end):
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         apart = apart_at_middles(of[p] < 0, ways, i, j, k, l, thickness)
         anchored[p] &= not apart
-        near[kept] = p
-        kept += 0 if apart else 1
+        near[candidates_end] = p
+        candidates_end += 0 if apart else 1
     chosen = first
-    for q in range(first, kept):
+    for q in range(first, candidates_end):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
@@ -239,7 +239,7 @@ choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
 
 @block_kernel
 def choose_near(m: ContactState, threads: int | None) -> None:
-    """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
+    """Choose the listed pairs that may come near in the near plan; the others do not touch, and lose their anchors."""
     lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
     number = np.empty(PARTS, np.int64)
     choose_parts(m, number, PARTS, threads)
@@ -251,7 +251,7 @@ def choose_near(m: ContactState, threads: int | None) -> None:
 
 @block_kernel
 def make_list(m: ContactState, threads: int | None) -> None:
-    """List the pairs for the present plan; anchors are left alone."""
+    """List the pairs for the present plan, without moving anchors."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
     fit_tree(tree_of(m), x, u, spread)
     lay_out(x, u, spread, m.ways)
@@ -264,7 +264,7 @@ def make_list(m: ContactState, threads: int | None) -> None:
 
 @forced_inline
 def slot(key: int, table: Long) -> int:
-    """Where a key stands in a table of keys, a power of two long, or would (Knuth, vol. 3, 6.4: linear probing)."""
+    """Return a key's place in a table of keys, a power of two long (Knuth, vol. 3, 6.4: linear probing)."""
     at = (key * SCATTER >> 32) & (table.shape[0] - 1)
     while table[at] != EMPTY and table[at] != key:
         at = (at + 1) & (table.shape[0] - 1)
@@ -273,7 +273,7 @@ def slot(key: int, table: Long) -> int:
 
 @block_kernel
 def renew_list(m: ContactState, threads: int | None) -> None:
-    """The same, anchors going with their pairs, and the shares of friction that an xpbd step has just given them."""
+    """List the pairs; anchors move with them, and so do the shares of friction of the present xpbd step."""
     held, size = 0, 64
     for p in range(m.number[LISTED]):
         held += 1 if m.anchored[p] else 0

@@ -1,4 +1,4 @@
-"""What keeps cloth from ever passing through itself: every step is looked at before it counts.
+"""Collision detection: every step is checked before it counts, so that cloth never passes through itself.
 
 A step takes vertices from `last`, where no primitives meet, to x, in straight lines. Each listed pair has a plane that
 keeps its primitives apart at `last`; where the plane does so at x as well, it has done so all the while (see
@@ -22,7 +22,7 @@ import numpy as np
 from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
 from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.impulse import BRAKED, SWEEPS, brake, farthest_way, push_on
+from nuno_contact.offset.impulse import IMPULSE_RANGE, SWEEPS, apply_impulses, farthest_way, push_cloth_ahead
 from nuno_contact.offset.places import (
     CHOICES,
     CLOSE,
@@ -38,7 +38,7 @@ from nuno_contact.offset.places import (
 )
 from nuno_contact.offset.plan import CHOSEN, LIST, holds, plan, set_out
 from nuno_contact.offset.proximity import between, closest, unit, weigh
-from nuno_contact.offset.separating_plane import give_way, on_the_way, plane_along
+from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_along
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
@@ -50,26 +50,26 @@ from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 CLOSEST, FLOOR = 0.02, 0.001
-"""A pair may come as near as the first share of its thickness; from there on, at most half as near in a step; from the
-second share on not any nearer."""
+"""A pair may come as near as the first share of its thickness; below it, half as near in a step; below the second
+share, no nearer."""
 
 
 @forced_inline
 def nearest(reach: float, distance: float) -> float:
-    """How near a pair may come in a step that begins at a distance [m]."""
+    """Return how near a pair may come in a step that begins at a distance [m]."""
     return min(CLOSEST * reach, max(0.5 * distance, min(FLOOR * reach, distance)))
 
 
 @forced_inline
 def is_thorough(m: ContactState) -> bool:
-    """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
+    """Whether all planes are tried before a step is cut short: for long steps, and for bodies, which go far in one."""
     return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
 
 
 @block_kernel
-def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, lost: Long) -> None:
-    """Of a part of the near pairs: see pass_by. How many are close, into m.close from the part's first on, and how many
-    no plane keeps apart.
+def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, failed: Long) -> None:
+    """Do pass_by for a part of the near pairs: write the close ones into m.close from the part's first place on, their
+    number, and the number of pairs that no plane keeps apart.
     """
     pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
     thorough, fails = is_thorough(m), 0
@@ -80,7 +80,7 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, lo
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
         low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
-        if low - high > more(reach[p], BRAKED * reach[p] + 2.0 * way):
+        if low - high > more(reach[p], IMPULSE_RANGE * reach[p] + 2.0 * way):
             m.anchored[p] = False
             continue
         close[at] = p
@@ -97,7 +97,7 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, lo
             if gap >= nearest(reach[p], distance):
                 normal[p, 0], normal[p, 1], normal[p, 2] = n
         fails += 0 if gap >= nearest(reach[p], distance) else 1
-    number[part], lost[part] = at - first, fails
+    number[part], failed[part] = at - first, fails
 
 
 pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
@@ -105,20 +105,20 @@ pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
 
 @block_kernel
 def pass_by(m: ContactState, x: Float, way: float, threads: int | None) -> int:
-    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
+    """Return the number of pairs that no plane keeps apart from `last` to x; each gets its best plane at `last`.
 
-    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
+    Pairs that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
     m.close.
     """
-    number, lost = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
-    pass_parts(m, x, way, number, lost, PARTS, m.number[NEAR], threads)
+    number, failed = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
+    pass_parts(m, x, way, number, failed, PARTS, m.number[NEAR], threads)
     m.number[CLOSE] = close_up(m.close, m.number[NEAR], number)
-    return int(lost.sum())
+    return int(failed.sum())
 
 
 @block_kernel
 def all_close(m: ContactState) -> None:
-    """Note all that is near as close."""
+    """Note all near pairs as close."""
     m.number[CLOSE] = m.number[NEAR]
     for q in range(m.number[NEAR]):
         m.close[q] = m.near[q]
@@ -126,7 +126,7 @@ def all_close(m: ContactState) -> None:
 
 @forced_inline
 def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float) -> float:
-    """How much of its way a vertex goes that may not go below `least` along n; `share` at most."""
+    """Return the share of its way that a vertex goes if it may not go below `least` along n; `share` at most."""
     start, down = dot(n, here), dot(n, here) - dot(n, there)
     if share * down <= start - least:
         return share
@@ -136,7 +136,7 @@ def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float
 
 @block_kernel
 def shorten(m: ContactState, x: Float) -> None:
-    """Into m.share how much of its way from `last` to x each vertex can go."""
+    """Find the share of the way from `last` to x that each vertex can go, m.share."""
     pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
     share[:] = 1.0
     again = True
@@ -169,12 +169,12 @@ def shorten(m: ContactState, x: Float) -> None:
 
 
 @kernel
-def hold_apart(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
-    """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+def limit_step(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Shorten a step from `last` to x, v (3, n), which ends at fraction s of the interval, to where cloth meets."""
     dt = (s - m.clock[NOW]) * m.span[0]
     if m.local.shape[0] == 0:
-        if hold_whole(m, x, v, s, threads) and m.swept[0] == 0:
-            brake(m, v, dt, SWEEPS[0], threads)
+        if limit_whole_step(m, x, v, s, threads) and m.swept[0] == 0:
+            apply_impulses(m, v, dt, SWEEPS[0], threads)
         m.swept[0] = 0
         return
     n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
@@ -182,22 +182,22 @@ def hold_apart(m: ContactState, x: Float, v: Float, s: float, threads: int | Non
     limit_ways(m, n, dt)
     copy_part(x, goal, 0, n)
     copy_part(v, velocity, 0, n)
-    if hold_whole(m, goal, velocity, s, threads):
+    if limit_whole_step(m, goal, velocity, s, threads):
         copy_part(goal, x, 0, n)
         if m.still[0] != PLACED:
             pose_solids(m, s)
             find_behind(m, n)
             catch_up(m, n, dt)
-        brake(m, velocity, dt, SWEEPS[1], threads)
+        apply_impulses(m, velocity, dt, SWEEPS[1], threads)
         copy_part(velocity, v, 0, n)
     m.swept[0] = 0
 
 
 @block_kernel
 def list_for(m: ContactState, x: Float, s: float, threads: int | None) -> bool:
-    """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
+    """Make lists for a step from `last` to x (3, n), which ends at fraction s; return False if x is not finite.
 
-    Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
+    Those of bodies hold for a step more: an obstacle must be seen before, for a body cannot be slowed down then.
     """
     way = s - m.clock[NOW]
     ahead = way if m.local.shape[0] > 0 else 0.0
@@ -210,18 +210,18 @@ def list_for(m: ContactState, x: Float, s: float, threads: int | None) -> bool:
 
 
 @block_kernel
-def hold_whole(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> bool:
-    """The same of cloth and bodies; False, and nothing done, where something is lost."""
+def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> bool:
+    """Do so for cloth and bodies together; return False, with nothing done, if x is not finite."""
     if m.leave[0] != 0:
         return False
     m.so_far[STEPS] += 1
     dt = (s - m.clock[NOW]) * m.span[0]
-    # Bodies push on with the lists that there are, and where others find more to be met, with those.
+    # Bodies push on with the present lists, and if new ones show more contacts, with those.
     passes = False
     for _ in range(3 if m.local.shape[0] > 0 else 0):
         passes = m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
         if m.number[LACKING] == 0 and not passes:
-            push_on(m, x, v, dt, threads)
+            push_cloth_ahead(m, x, v, dt, threads)
         lists = m.number[CHOICES]
         if not list_for(m, x, s, threads):
             return False
@@ -256,40 +256,40 @@ def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None
             # A pair that is not listed stays apart as long as vertices are where the plans allow. Where shortened ways
             # end there, they lead there: all that could be met is listed.
             to, at, counts = x.copy(), v.copy(), m.so_far.copy()
-            fit(m, x, v, threads)
+            shorten_to_near(m, x, v, threads)
             if holds(m, LIST, x, s, 0.0) and holds(m, CHOSEN, x, s, 0.0):
                 return
             copy_rows(to, x)
             copy_rows(at, v)
             m.so_far[:] = counts
-        # One that stays behind strays by its way: whatever could be met by that is listed.
+        # A vertex that stays behind strays by its way: whatever it could meet thereby is listed.
         for i in range(x.shape[1]):
             a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
             spread[i] = max(spread[i], np.sqrt(a * a + b * b + c * c))
         set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], True, threads)
     if m.number[LACKING] > 0:
-        # What is not listed might be met: nothing moves.
+        # Unlisted pairs might meet: nothing moves.
         m.so_far[STILL] += 1
         share[:] = 0.0
-        go_partly(m, x, v)
+        apply_shares(m, x, v)
         return
-    fit(m, x, v, threads)
+    shorten_to_near(m, x, v, threads)
 
 
 @block_kernel
-def fit(m: ContactState, x: Float, v: Float, threads: int | None) -> None:
-    """Shorten ways to x and velocities v (3, n) in place, by the pairs that are near."""
-    if is_thorough(m) and give_way(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
-        go_partly(m, x, v)
+def shorten_to_near(m: ContactState, x: Float, v: Float, threads: int | None) -> None:
+    """Shorten ways to x and velocities v (3, n) in place, by the near pairs."""
+    if is_thorough(m) and find_shares(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
+        apply_shares(m, x, v)
         if pass_by(m, x, 0.0, threads) == 0:
             return
     shorten(m, x)
-    go_partly(m, x, v)
+    apply_shares(m, x, v)
 
 
 @block_kernel
-def go_partly(m: ContactState, x: Float, v: Float) -> None:
-    """Take the shares of ways to x and, but for bodies, of velocities v (3, n), in place, and count them."""
+def apply_shares(m: ContactState, x: Float, v: Float) -> None:
+    """Apply the shares of ways to x and, but for bodies, to velocities v (3, n), in place, and count them."""
     last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:

@@ -1,4 +1,4 @@
-"""What cloth contact works on: the mesh, the pairs of primitives that may come near, and what has been of them."""
+"""The state of cloth contact: the mesh, the pairs of primitives that may come near, and their history."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import Solids, parts_of_bodies, size_of
-from nuno_contact.offset.tree import Tree, beside, make_tree, rings
+from nuno_contact.offset.tree import Tree, adjacent_faces, make_tree, rings
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import Long, block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
 PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
-"""Most pairs that are listed for each vertex of cloth, of bodies, and besides."""
+"""most pairs that are listed for each vertex of cloth, of bodies, and in addition"""
 EDGES = 0.25
-"""Share of the stiffness that two edges have: see nuno_contact.offset.force."""
+"""share of the stiffness that two edges have: see nuno_contact.offset.force"""
 ROWS = 4
 PARTS = ROWS * ROWS
-"""Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
+"""parts in which threads share pairs: a fixed number, so that results keep their order"""
 WORTH = 256
-"""Pairs from which on that is worth it."""
+"""number of pairs from which on threads pay"""
 IN_TURN = f"block % {ROWS} * {ROWS} + block // {ROWS}"
-"""The order in which threads take parts, each some from everywhere: pairs of vertices and triangles, which stand first,
-take longer than those of edges.
-"""
+"""The order in which threads take parts, each from everywhere: pairs of vertices and triangles, which stand first, take
+longer than those of edges."""
 
 
 class ContactState(NamedTuple):
@@ -48,7 +47,7 @@ class ContactState(NamedTuple):
     edge_boxes: Float
     vertex_boxes: Float
     beside: Int
-    """(f, 3) number of the triangle on the other side of the edges a-b, b-c, c-a; -1 where there is none"""
+    """(f, 3) number of the triangle across the edges a-b, b-c, c-a; -1 if there is none"""
     ring_start: Int
     """(n + 1,) bounds of each vertex' neighbours in ring"""
     ring: Int
@@ -57,7 +56,7 @@ class ContactState(NamedTuple):
     start: Float
     """(3, n) vertices at the start [m]: what is nearer than the thickness there keeps the distance that it has"""
     piece: Int
-    """(n,) the object that a vertex is of"""
+    """(n,) the object of each vertex"""
     meets: Bool
     """(o, o) which objects and bodies meet each other"""
     stiffness: Float
@@ -73,7 +72,7 @@ class ContactState(NamedTuple):
     key: NDArray[np.int64]
     """(P,) a number of the pair, the same in every list"""
     reach: Float
-    """(P,) distance within which a pair pushes [m]; negative where it was not near so far, and nothing is known"""
+    """(P,) distance within which a pair pushes [m]; negative if it was not near so far, and the rest is unset"""
     pair_stiffness: Float
     """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
     pair_damping: Float
@@ -85,15 +84,15 @@ class ContactState(NamedTuple):
     normal: Float
     """(P, 3) of a plane that keeps the pair apart at `last`"""
     near: Int
-    """(P,) which of them are near"""
+    """(P,) the near ones among them"""
     number: NDArray[np.int64]
     """(8,) counts: see LISTED"""
     block_start: Int
-    """(B + 1,) bounds of the pairs of each block of cloth, of those near, in"""
+    """(B + 1,) bounds of the near pairs of each block of cloth in"""
     block_pair: Int
     """(4 P,)"""
     close: Int
-    """(P,) those of them that may touch after the last step, or come too near in the next"""
+    """(P,) near pairs that may touch after the last step, or come too near in the next"""
     touching: Int
     """(P,) pairs that touch at `last`; touch_start (B + 1,) and touch_pair (4 P,) share them out as above"""
     touch_start: Int
@@ -109,14 +108,13 @@ class ContactState(NamedTuple):
     anchored: Bool
     """(P,) which pairs have an anchor: part of the state"""
     reference: Float
-    """(6, n) vertices where the list was made, and where what is near was chosen [m]; NaN before: part of the state"""
+    """(6, n) vertices when the list was made, and when near pairs were chosen [m]; NaN before: part of the state"""
     motion: Float
-    """(6, n) how far they are taken to go from there over the windows [m]: part of the state"""
+    """(6, n) their expected way from there over the windows [m]: part of the state"""
     spread: Float
-    """(2, n) how far they may be from there, in the list's plan and in that of what is near [m]: part of the state"""
+    """(2, n) how far they may be from there, in the list's plan and in that of near pairs [m]: part of the state"""
     unrest: Float
-    """(2, n) how much they strayed in the last plans, over the square of the time that they lasted [m]: part of the
-    state"""
+    """(2, n) how much they strayed in the last plans, over the square of the plans' time [m]: part of the state"""
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
@@ -124,7 +122,7 @@ class ContactState(NamedTuple):
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
-    """(14, n) references, motions and spreads that the lists were made for"""
+    """(14, n) references, motions and spreads of the present lists"""
     nothing: Float
     """(3, n) zeros"""
     ways: Float
@@ -134,11 +132,11 @@ class ContactState(NamedTuple):
     velocity: Float
     """(3, n) scratch of an implicit method: where forces were found last [m/s]"""
     expected: Bool
-    """(P,) scratch of an implicit method: which pairs are taken to touch after its next Newton step"""
+    """(P,) scratch of an implicit method: which pairs are expected to touch after its next Newton step"""
     calm: NDArray[np.int64]
     """(1,) scratch of an implicit method: Newton steps since one was shortened"""
     frozen: Bool
-    """(1,) scratch of an implicit method: whether pairs touch as it is kept in"""
+    """(1,) scratch of an implicit method: whether the contacts of kept_weights are frozen"""
     kept_weights: Float
     """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
     kept_normal: Float
@@ -149,7 +147,7 @@ class ContactState(NamedTuple):
     swept: NDArray[np.int64]
     """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
     share: Float
-    """(n,) scratch: of a step, how much of it each vertex makes"""
+    """(n,) scratch: the share of a step that each vertex makes"""
     rate: Float
     """(n,) scratch: of damping, see nuno_contact.offset.touching.ease_part [1/s]"""
     local: Float
@@ -177,16 +175,16 @@ class ContactState(NamedTuple):
     skin_end: Float
     skin_pace: Float
     whole: Float
-    """Of a meeting with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
+    """For contact with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
     whole_velocity: Float
     goal: Float
-    """(3, n) scratch: where a step leads to, bodies' vertices where their bodies are"""
+    """(3, n) scratch: the end of a step, bodies' vertices where their bodies are"""
     way: Float
     """(3, n) scratch of an implicit method: the way to its next iterate"""
     behind: Bool
     """(b,) which of the bodies' vertices are behind their bodies at `last`"""
     still: NDArray[np.int64]
-    """(1,) what bodies do in the interval: see nuno_contact.offset.bodies.MOVES"""
+    """(1,) motion of bodies in the interval: see nuno_contact.offset.bodies.MOVES"""
     so_far: NDArray[np.int64]
     """(5,) counts of the whole run: see CUT; part of the state"""
     leave: Long
@@ -195,7 +193,7 @@ class ContactState(NamedTuple):
 
 @forced_inline
 def tree_of(m: ContactState) -> Tree:
-    """The tree."""
+    """Return the tree."""
     return Tree(
         m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
         m.face_boxes, m.edge_boxes, m.vertex_boxes,
@@ -204,7 +202,7 @@ def tree_of(m: ContactState) -> Tree:
 
 @block_kernel
 def close_up(found: Int, count: int, number: Long) -> int:
-    """Bring together what was found in each part of `count`, number (PARTS,) from the part's first on; how many."""
+    """Join the results of `count` parts, number (PARTS,) from each part's first place on; return their sum."""
     at = 0
     for part in range(PARTS):
         first = part * count // PARTS
@@ -215,7 +213,7 @@ def close_up(found: Int, count: int, number: Long) -> int:
 
 
 def room_for_pairs(places: int) -> dict[str, Any]:
-    """Of the arrays of P places."""
+    """Allocate the arrays of P places."""
     return {
         "pair": np.zeros((places, 4), np.int32),
         "of": np.zeros(places, np.int32),
@@ -246,7 +244,7 @@ def room_for_pairs(places: int) -> dict[str, Any]:
 def make_contact_state(
     fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids
 ) -> ContactState:
-    """Of a fabric with triangles and bodies, without a list; the pieces (n,) are of both."""
+    """Return the contact state of a fabric with triangles and bodies, without a list; the pieces (n,) are of both."""
     b = len(solids.x)
     n, places = fabric.number + b, PER_VERTEX * fabric.number + OF_BODIES * b + FEWEST
     x = np.concatenate([fabric.position, solids.x])
@@ -261,7 +259,7 @@ def make_contact_state(
         **tree._asdict(),
         **room_for_pairs(places),
         **parts_of_bodies(solids, wide),
-        beside=beside(faces),
+        beside=adjacent_faces(faces),
         ring_start=ring_start,
         ring=ring,
         first_face=first_face,

@@ -1,4 +1,4 @@
-"""The energy of contacts, of which nuno_contact.offset.force has the forces."""
+"""The energy of contacts whose forces are in nuno_contact.offset.force."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nuno_schemas.fabric import Float
 
 @forced_inline
 def stored(k: float, h: float, distance: float) -> float:
-    """The energy [J] of nuno_contact.offset.force.push."""
+    """Return the energy [J] of nuno_contact.offset.force.push."""
     if distance >= 0.5 * h:
         return 0.5 * k * (h - distance) * (h - distance)
     d = max(distance, STEEPEST * h)
@@ -26,7 +26,7 @@ def stored(k: float, h: float, distance: float) -> float:
 
 @kernel
 def measure_pairs(m: ContactState, x: Float) -> float:
-    """Energy [J] of all contacts at x (3, n), that of friction's springs included, with bodies as they are."""
+    """Return the energy [J] of all contacts at x (3, n), with that of friction's springs, and bodies as they are."""
     if m.local.shape[0] > 0:
         copy_part(x, m.whole, 0, x.shape[1])
         x = m.whole

@@ -1,4 +1,4 @@
-"""What pushes and rubs where two primitives are nearer than the thickness h.
+"""Normal force and friction of two primitives that are nearer than the thickness h.
 
 Along the line between their closest points, at a distance d,
 
@@ -56,9 +56,9 @@ from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float, Int
 
 STEEPEST = 0.25
-"""Share of the thickness below which N grows no more steeply: four times as stiff as at the surface."""
+"""share of the thickness below which N grows no more steeply: four times as stiff as at the surface"""
 RAMP = 0.25
-"""Share of the thickness over which the dashpot takes hold: at once it would jump at the surface."""
+"""share of the thickness over which the dashpot rises: at once it would jump at the surface"""
 
 
 class Faces(NamedTuple):
@@ -72,8 +72,8 @@ class Faces(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """Where two primitives touch: weights of their vertices, the direction from the second to the first, and the
-    distance [m]; infinite where another pair stands for the place.
+    """Contact of two primitives: weights of their vertices, the direction from the second to the first, and the
+    distance [m]; infinite if another pair counts for the place.
     """
 
     weights: Four
@@ -83,7 +83,7 @@ class Touch(NamedTuple):
 
 @forced_inline
 def faces_of(m: ContactState) -> Faces:
-    """What tells features of the mesh apart."""
+    """Return the arrays that identify features of the mesh."""
     return Faces(m.faces, m.beside, m.ring_start, m.ring, m.first_face)
 
 
@@ -118,7 +118,7 @@ def stands_for_vertex(x: Float, v: int, f: int, w: int, mesh: Faces) -> bool:
 
 @forced_inline
 def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> Touch:
-    """How a pair touches that does so within h: of vertex i and triangle f, or of two edges where f is negative."""
+    """Return the contact of a pair within h: of vertex i and triangle f, or of two edges if f is negative."""
     found = closest(f < 0, corners)
     n, distance = unit(weigh(found.weights, corners))
     if distance >= h:
@@ -132,8 +132,8 @@ def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> 
 
 
 @forced_inline
-def kept_touch(m: ContactState, p: int, corners: Corners) -> Touch:
-    """How a pair touches whose features are kept; see nuno_contact.offset.iterate.freeze."""
+def frozen_touch(m: ContactState, p: int, corners: Corners) -> Touch:
+    """Return the contact of a pair whose features are frozen; see nuno_contact.offset.iterate.freeze."""
     w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
     n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
     return Touch(w, n, dot(n, weigh(w, corners)) if m.kept[p] else math.inf)
@@ -141,7 +141,7 @@ def kept_touch(m: ContactState, p: int, corners: Corners) -> Touch:
 
 @forced_inline
 def push(k: float, h: float, distance: float) -> float:
-    """The force [N] at a distance below h."""
+    """Return the force [N] at a distance below h."""
     if distance >= 0.5 * h:
         return k * (h - distance)
     d = max(distance, STEEPEST * h)
@@ -150,7 +150,7 @@ def push(k: float, h: float, distance: float) -> float:
 
 @forced_inline
 def press(k: float, c: float, h: float, at: Touch, u: Vector) -> float:
-    """The normal force N [N], of primitives that move at u [m/s] relative to each other."""
+    """Return the normal force N [N] of primitives that move at u [m/s] relative to each other."""
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
     pressed: float = max(0.0, push(k, h, at.distance) - c * ramp * dot(u, at.normal))
     return pressed
@@ -158,20 +158,20 @@ def press(k: float, c: float, h: float, at: Touch, u: Vector) -> float:
 
 @forced_inline
 def across(v: Vector, n: Vector) -> Vector:
-    """The part of v across the unit vector n."""
+    """Return the part of v across the unit vector n."""
     along = dot(v, n)
     return v[0] - along * n[0], v[1] - along * n[1], v[2] - along * n[2]
 
 
 @forced_inline
 def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E741
-    """The four vertices of a pair."""
+    """Return the four vertices of a pair."""
     return point(x, i), point(x, j), point(x, k), point(x, l)
 
 
 @block_kernel
 def in_place(x: Float, last: Float, mass: Float) -> bool:
-    """Whether x (3, n) are as in `last`, but for those without mass."""
+    """Whether x (3, n) are as in `last`, but for massless vertices."""
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
         a, b, c = minus(read_triple(x, 0, i, count), read_triple(last, 0, i, count))
@@ -184,9 +184,8 @@ def in_place(x: Float, last: Float, mass: Float) -> bool:
 
 @kernel
 def is_fresh(m: ContactState, x: Float, v: Float) -> None:
-    """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
-    carried, which have gone ahead by a step; share out to blocks what is near where they are not, and where a matrix is
-    made of it. Put bodies behind them, where there are any.
+    """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for carried ones, which
+    are a step ahead. If not, and if a matrix is made, assign near pairs to blocks. Append bodies, if any.
     """
     m.fresh[0] = m.number[NEAR] == 0 or in_place(x, m.last, m.mass)
     if m.local.shape[0] > 0:
@@ -221,7 +220,7 @@ def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, forc
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
                 continue
-            at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
+            at = frozen_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
             if not at.distance < h:
                 continue
         c = damping[p] * (eased[p] if step == 0.0 and (fresh or anchored[p]) else 1.0)
@@ -241,9 +240,9 @@ def rub(
     x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four,
     step: float,
 ) -> Vector:  # fmt: skip
-    """The force [N] on the first of two primitives that touch.
+    """Return the force [N] of friction on the first of two primitives that touch.
 
-    What touches for the first time at the end of an implicit step is rubbed for its way in that step.
+    A contact that is new at the end of an implicit step has friction for its way in that step.
     """
     u = weigh(at.weights, v)
     n = press(k, c, h, at, u)

@@ -1,4 +1,4 @@
-"""What slows cloth down that comes too fast for forces to stop it.
+"""Impulses that slow cloth down that comes too fast for forces to stop it.
 
 A method whose step is long sees what arrives at 3 m/s for the first time when it has gone through the thickness. What
 would be nearer than a quarter of it after the next step gets an impulse along the line between the closest points, as
@@ -26,26 +26,24 @@ from nuno_kernels.step.rows import sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int
 
-BRAKED, SWEEPS = 0.25, (4, 32)
-"""What would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps; in the
-second number where there are bodies, which do not give way, and have many vertices below a triangle of cloth.
-"""
+IMPULSE_RANGE, SWEEPS = 0.25, (4, 32)
+"""A pair that would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps;
+the second number is for bodies, which do not give way, and have many vertices below a triangle of cloth."""
 
 LEVER = 0.25
-"""Beside what is held an impulse at the closest point would need a long lever: a vertex whose share of that point is w
+"""Beside a held vertex an impulse at the closest point would need a long lever: a vertex whose share of that point is w
 would get the speed over w, without bound. A pair moves at least as easily as a point of this share, in the square, of
-its heaviest vertex: in all sweeps together no vertex is made more than eight times as fast as what comes. Triangles
-and edges that are free have a third and more: for them nothing changes.
-"""
+its heaviest vertex: in all sweeps together no vertex is made more than eight times as fast as what comes. Triangles and
+edges that are free have a third and more: for them nothing changes."""
 
 
 @block_kernel
 def farthest_way(v: Float, dt: float) -> float:
-    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
+    """Return how far the fastest vertex goes in dt [s] at v (3, n) [m]."""
     fastest, most = splat(0.0), 0.0
     for i in range(0, v.shape[1], WIDTH):
-        own = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
-        fastest = higher(dot(own, own), fastest)
+        lanes = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
+        fastest = higher(dot(lanes, lanes), fastest)
     for k in range(WIDTH):
         most = max(most, lane(fastest, k))
     return dt * math.sqrt(most)
@@ -53,7 +51,7 @@ def farthest_way(v: Float, dt: float) -> float:
 
 @block_kernel
 def fast_part(part: int, m: ContactState, v: Float, dt: float, fast: Int, number: Long) -> None:
-    """Which of a part of the close pairs would come too near: into `fast` from the part's first on, and how many."""
+    """Find which of a part of the close pairs would come too near: into `fast` from the part's first place on."""
     pair, of, reach, normal, last, close = m.pair, m.of, m.reach, m.normal, m.last, m.close
     first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
     at = first
@@ -62,7 +60,7 @@ def fast_part(part: int, m: ContactState, v: Float, dt: float, fast: Int, number
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         here, go = corners_of(last, i, j, k, l), corners_of(v, i, j, k, l)
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ahead(here, go, dt))
-        if low - high < BRAKED * reach[p]:
+        if low - high < IMPULSE_RANGE * reach[p]:
             fast[at] = p
             at += 1
     number[part] = at - first
@@ -72,12 +70,12 @@ fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
 
 
 @block_kernel
-def brake(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
-    """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
+def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
+    """Slow down, in v (3, n), pairs that would come nearer in the next step, of dt [s], than forces can answer."""
     pair, of, reach, mass, last = m.pair, m.of, m.reach, m.mass, m.last
-    fast, found = np.empty(m.number[CLOSE], np.int32), np.empty(PARTS, np.int64)
-    fast_parts(m, v, dt, fast, found, PARTS, m.number[CLOSE], threads)
-    number = close_up(fast, m.number[CLOSE], found)
+    fast, counts = np.empty(m.number[CLOSE], np.int32), np.empty(PARTS, np.int64)
+    fast_parts(m, v, dt, fast, counts, PARTS, m.number[CLOSE], threads)
+    number = close_up(fast, m.number[CLOSE], counts)
     weights, normal, lacks, mobility = np.empty((number, 4)), np.empty((number, 3)), np.empty(number), np.zeros(number)
     for q in range(number):
         p = fast[q]
@@ -86,7 +84,7 @@ def brake(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None
         n, distance = unit(weigh(w, here))
         weights[q, 0], weights[q, 1], weights[q, 2], weights[q, 3] = w
         normal[q, 0], normal[q, 1], normal[q, 2] = n
-        lacks[q] = min(0.0, BRAKED * reach[p] - distance)
+        lacks[q] = min(0.0, IMPULSE_RANGE * reach[p] - distance)
         heaviest = 0.0
         for corner in range(4):
             i = pair[p, corner]
@@ -113,16 +111,16 @@ def brake(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None
 
 
 @block_kernel
-def push_on(m: ContactState, x: Float, v: Float, dt: float, threads: int | None) -> None:
-    """Have bodies push cloth before them in a step of dt [s] from `last` to x (3, n), in place, that they would meet it
-    in all the same: what forces have done to it in the step is known now.
+def push_cloth_ahead(m: ContactState, x: Float, v: Float, dt: float, threads: int | None) -> None:
+    """Let bodies push cloth that they would meet in a step of dt [s] from `last` to x (3, n), in place: the effect of
+    forces in the step is known by now.
     """
     mean = sum_rows(x, -1.0, m.last)
     for row in range(3):
         for i in range(x.shape[1]):
             mean[row, i] /= dt
     before = mean.copy()
-    brake(m, mean, dt, SWEEPS[1], threads)
+    apply_impulses(m, mean, dt, SWEEPS[1], threads)
     for i in range(x.shape[1] - m.local.shape[0]):
         for row in range(3):
             if mean[row, i] != before[row, i]:
@@ -132,7 +130,7 @@ def push_on(m: ContactState, x: Float, v: Float, dt: float, threads: int | None)
 
 @forced_inline
 def ahead(x: Corners, v: Corners, dt: float) -> Corners:
-    """Four vertices after dt."""
+    """Return four vertices after dt."""
     a, b, c, d = x
     e, f, g, h = v
     return (

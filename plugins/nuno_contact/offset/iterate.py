@@ -1,4 +1,4 @@
-"""How far a step of Newton's method may go, so that no iterate of cloth has passed through cloth.
+"""Limits on a step of Newton's method, so that no iterate of cloth has passed through cloth.
 
 An iterate that has gone through cloth would be pushed on by it. From iterate y the step d is shortened vertex by
 vertex, until each pair has a plane that keeps its primitives apart at y and at y + d
@@ -19,25 +19,25 @@ from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_WINDOW, NOW
 from nuno_contact.offset.plan import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
-from nuno_contact.offset.separating_plane import give_way
+from nuno_contact.offset.separating_plane import find_shares
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 
 FREEZE, REFREEZE = 4, 10
-"""After so many iterates that nothing stopped, and again after so many more, features are kept; see freeze."""
-KEPT = 2.0
-"""Features are kept of what is nearer than so many times the thickness."""
+"""Features are frozen after so many iterates that nothing shortened, and again after so many more; see freeze."""
+FROZEN_WITHIN = 2.0
+"""features of pairs nearer than so many times the thickness are frozen"""
 SHORTER = 40
-"""A step so long that what it may meet has no room in the lists is taken to a quarter, so often."""
+"""A step so long that its contacts exceed the lists is taken to a quarter, at most so often."""
 STOP = 0.25
-"""An iterate's pairs come as near as this share of their thickness, and half as near as they were at most."""
+"""An iterate's pairs come as near as this share of their thickness, and at most half as near as they were."""
 
 
 @block_kernel
 def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None) -> bool:
-    """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was.
-    Bodies go on to where they are at that time, as far as cloth lets them.
+    """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; return whether it
+    was. Bodies go on to their places at that time, as far as cloth lets them.
     """
     if not all_finite(d):
         return False
@@ -62,7 +62,7 @@ def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None)
 
 @block_kernel
 def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int | None) -> bool:
-    """The same of cloth and bodies."""
+    """Do so for cloth and bodies together."""
     lists = m.number[CHOICES]
     cover(m, sum_rows(y, 1.0, d), s, threads)
     shortened = m.number[LACKING] > 0
@@ -72,7 +72,7 @@ def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int |
         d *= 0.25
         cover(m, sum_rows(y, 1.0, d), s, threads)
     m.expected[:] = False
-    if not give_way(m, y, d, STOP) and not shortened:
+    if not find_shares(m, y, d, STOP) and not shortened:
         m.calm[0] += 1
         if m.calm[0] % REFREEZE == FREEZE or (m.frozen[0] and m.number[CHOICES] > lists):
             freeze(m, y)
@@ -86,18 +86,18 @@ def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int |
 
 @block_kernel
 def freeze(m: ContactState, y: Float) -> None:
-    """From here on keep which features meet, where and across what, as at y (3, n).
+    """Keep from here on the features that meet, with their closest points and directions, as at y (3, n).
 
-    That pairs touch in other features, and count or do not, changes forces by jumps, between which Newton's method
-    may go to and fro. Kept, they are as smooth as springs.
+    Changes of features, and of which pairs count, change forces by jumps, between which Newton's method may alternate.
+    Frozen contacts are as smooth as springs.
     """
     mesh = faces_of(m)
     m.kept[: m.number[LISTED]] = False
     for q in range(m.number[NEAR]):
         p = m.near[q]
         i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
-        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), KEPT * m.reach[p], mesh)
-        m.kept[p] = at.distance < KEPT * m.reach[p]
+        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), FROZEN_WITHIN * m.reach[p], mesh)
+        m.kept[p] = at.distance < FROZEN_WITHIN * m.reach[p]
         m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2] = at.normal
         for corner in range(4):
             m.kept_weights[p, corner] = at.weights[corner]
@@ -106,7 +106,7 @@ def freeze(m: ContactState, y: Float) -> None:
 
 @block_kernel
 def cover(m: ContactState, end: Float, s: float, threads: int | None) -> None:
-    """Have lists for a step from `last` to `end` (3, n) and what is around that."""
+    """Make lists for a step from `last` to `end` (3, n) and its surroundings."""
     clock, last, spread = m.clock, m.last, m.spread[1]
     renew = not holds(m, LIST, end, s, 0.0)
     if not renew and holds(m, CHOSEN, end, s, 0.0):
@@ -121,4 +121,4 @@ def cover(m: ContactState, end: Float, s: float, threads: int | None) -> None:
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
     left_out = m.so_far[LEFT_OUT]
     set_out(m, sum_rows(end, -1.0, last), way, window, renew, threads)
-    m.so_far[LEFT_OUT] = left_out  # which counts those of steps that count
+    m.so_far[LEFT_OUT] = left_out  # The number of steps counts only committed ones.

@@ -5,10 +5,10 @@ vertices, and S is the derivative of that by the closest points' way,
 
     S = (dN/dd + c / g) n n^T + K (I - n n^T),    K = k + c / g,
 
-1 / g being the method's dv/dx. Of what slides, whose friction keeps its size mu N and turns with the way, K is left
-only across the direction in which it slides, as mu N / |t| of it. What is left out has no sign or is negative: that
-the weights and n change, and that friction grows with N. Which vertices are touched changes from step to step, so that
-no order of elimination is planned for it: where a factorisation solves, it is the preconditioner of what these add
+1 / g being the method's dv/dx. A sliding pair, whose friction keeps its size mu N and turns with the way, has K only
+across the direction in which it slides, as mu N / |t| of it. Terms without sign or negative ones are left out: the
+changes of weights and n, and the growth of friction with N. Which vertices are touched changes from step to step, so
+that no order of elimination is planned for it: where a factorisation solves, it is the preconditioner of what these add
 (nuno_integrators.implicit.linear_solve).
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.contact_state import ContactState
-from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
+from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, frozen_touch, press, touch
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
@@ -32,12 +32,12 @@ from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
 
 Six = tuple[float, float, float, float, float, float]
-"""xx, yy, zz, xy, xz, yz of a symmetric matrix."""
+"""xx, yy, zz, xy, xz, yz of a symmetric matrix"""
 
 
 @by_reference
 class Touching(NamedTuple):
-    """The matrix of each block's pairs that touch, from the block's first place in ContactState.block_pair on.
+    """The matrix of each block's touching pairs, from the block's first place in ContactState.block_pair on.
 
     number (B,) how many they are
     which  (4 P,) their numbers in the list
@@ -52,7 +52,7 @@ class Touching(NamedTuple):
 
 
 def make_touching(m: ContactState) -> Touching:
-    """Room for the matrix of a meeting; of memory it takes what is used of it."""
+    """Allocate the matrix of a contact state; it takes memory as it is used."""
     places, blocks = m.block_pair.shape[0], m.block_start.shape[0] - 1
     return Touching(
         np.zeros(blocks, np.int64), np.zeros(places, np.int32), np.zeros((places, 4)), np.zeros((places, 6))
@@ -61,7 +61,7 @@ def make_touching(m: ContactState) -> Touching:
 
 @forced_inline
 def slope(k: float, h: float, distance: float) -> float:
-    """- dN/dd of nuno_contact.offset.force.push [N/m]."""
+    """Return - dN/dd of nuno_contact.offset.force.push [N/m]."""
     if distance >= 0.5 * h:
         return k
     d = max(distance, STEEPEST * h)
@@ -70,7 +70,7 @@ def slope(k: float, h: float, distance: float) -> float:
 
 @forced_inline
 def spread_out(normal: float, tangent: float, slid: float, n: Vector, t: Vector) -> Six:
-    """normal n n^T + tangent (I - n n^T) - slid t t^T."""
+    """Return normal n n^T + tangent (I - n n^T) - slid t t^T."""
     a = normal - tangent
     return (
         tangent + a * n[0] * n[0] - slid * t[0] * t[0],
@@ -84,7 +84,7 @@ def spread_out(normal: float, tangent: float, slid: float, n: Vector, t: Vector)
 
 @forced_inline
 def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
-    """Put a pair in its place."""
+    """Write a pair to its place."""
     rows.which[at] = p
     for corner in range(4):
         rows.weight[at, corner] = w[corner]
@@ -94,8 +94,8 @@ def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
 
 @block_kernel
 def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
-    """Which near pairs, apart at x (3, n), touch after d (3, n) where they keep their closest points: into m.expected,
-    and what they pull with in out (3, n), as if they had touched; whether they are others than before.
+    """Mark in m.expected the near pairs, apart at x (3, n), that touch after d (3, n) with their present closest
+    points, and add to out (3, n) their pull as if they had touched; return whether they are others than before.
     """
     pair, of, reach, stiffness, expected, mesh, changed = (
         m.pair, m.of, m.reach, m.pair_stiffness, m.expected, faces_of(m), False
@@ -112,7 +112,7 @@ def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False
-        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         closing = dot(here.normal, weigh(here.weights, ways))
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
@@ -128,7 +128,7 @@ def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
 def fill_pairs(
     m: ContactState, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
-    """Linearise the block's pairs at x (3, n), whose forces were found last, with dv/dx = `rate` [1/s]."""
+    """Linearise the block's pairs at x (3, n), where forces were found last, with dv/dx = `rate` [1/s]."""
     if m.local.shape[0] > 0:
         x = m.whole
     pair, of, reach, normal, mesh, v = m.pair, m.of, m.reach, m.normal, faces_of(m), m.velocity
@@ -143,7 +143,7 @@ def fill_pairs(
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h and not expected[p]:
             continue
-        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         if expected[p] or not here.distance < h:
             if expected[p]:
                 write_row(rows, at, p, here.weights, spread_out(stiffness[p], 0.0, 0.0, here.normal, here.normal))
@@ -170,7 +170,7 @@ def fill_pairs(
 
 @kernel
 def add_diagonal(m: ContactState, rows: Touching, block: int, origin: int, out: Float) -> None:
-    """Add the diagonal blocks to out (6, w), whose last columns take what is of other blocks."""
+    """Add the diagonal blocks to out (6, w), whose last columns take those of other blocks."""
     pair, which, weight, stiff = m.pair, rows.which, rows.weight, rows.stiff
     width = out.shape[1] - PADDING
     for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
@@ -184,13 +184,13 @@ def add_diagonal(m: ContactState, rows: Touching, block: int, origin: int, out: 
 
 @forced_inline
 def way_of(u: Float, i: int, n: int) -> Vector:
-    """Column i of u (3, n), 0 of those behind it."""
+    """Return column i of u (3, n), 0 for columns after it."""
     return (u[0, i], u[1, i], u[2, i]) if i < n else (0.0, 0.0, 0.0)
 
 
 @kernel
 def multiply_pairs(m: ContactState, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
-    """Add the product with u (3, n) to out (3, w), whose last columns take what is of other blocks. Bodies stay."""
+    """Add the product with u (3, n) to out (3, w), whose last columns take those of other blocks. Bodies stay."""
     pair, which, weight, s = m.pair, rows.which, rows.weight, rows.stiff
     width, n = out.shape[1] - PADDING, u.shape[1]
     for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):

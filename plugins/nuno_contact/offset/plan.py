@@ -1,4 +1,4 @@
-"""Where vertices are taken to go, for how long and how precisely: what lists of pairs are made for.
+"""The expected ways of vertices, their duration and accuracy, for which lists of pairs are made.
 
 There are two plans. That of the list is looked for in the tree, which is dear, and lasts up to an interval or more;
 that of what is near is chosen from the list, often, so that each step looks at few pairs. Each holds until its time is
@@ -32,41 +32,40 @@ from nuno_kernels.lanes.triples import dot, minus, read_triple, times
 from nuno_schemas.fabric import Float
 
 LIST, CHOSEN = range(2)
-"""The plan of the list, and that of what is near."""
+"""the plan of the list, and that of near pairs"""
 BEGUN, LASTS = (LIST_BEGUN, NEAR_BEGUN), (LIST_WINDOW, NEAR_WINDOW)
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 96.0, 4.0
-"""Of an interval: for how long what is near is chosen at first, at least and at most."""
+"""shares of an interval for which near pairs are chosen at first, at least and at most"""
 CHOICE = 4.0
-"""To look at a pair of the list when what is near is chosen takes as long as to look so often at one that is near."""
+"""To examine a listed pair when near pairs are chosen takes as long as so many examinations of a near one."""
 LISTS, RESTLESS = 1.0, 0.05
-"""Of an interval: for how long the list is made at least; else for two windows of what is near, or for longer and
-longer, up to LONGEST, while no more than this share of the vertices need more room for it.
-"""
+"""share of an interval for which the list is made at least; else it is made for two windows of near pairs, or for
+longer and longer, up to LONGEST, while no more than the second share of the vertices need more room for it"""
 CROWDED = 24.0, 36.0
 """Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near
 to each other, if each may stray by more than they are apart. Up to the second it is made for more where vertices
 strayed from it EARLY.
 """
 EARLY = 0.25
-"""In so small a share of its window."""
+"""a share of its window so small that the plan was exceeded early"""
 LEAST, MOST = (2.0, 0.1), (3.0, 1.0)
-"""How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
+"""least and greatest stray of vertices over the thickness, in the list's plan and in that of near pairs"""
 GROWTH = 1.25
-"""By so much the window of what is near gets longer or shorter."""
+"""factor by which the window of near pairs gets longer or shorter"""
 AHEAD = 3.0
-"""They may stray by so many times what is expected of them."""
+"""factor on the expected stray that is allowed"""
 
 
 @forced_inline
 def off_plan(m: ContactState, which: int, x: Float, share: float, i: int, count: int) -> Triple:
-    """How far `count` vertices of x (3, n) from number i on are from where they are in a plan after a share of it."""
+    """Return how far `count` vertices of x (3, n) from number i on are off a plan after a share of it."""
     way = minus(read_triple(x, 0, i, count), read_triple(m.reference, 3 * which, i, count))
     return minus(way, times(splat(share), read_triple(m.motion, 3 * which, i, count)))
 
 
 @block_kernel
 def strays(m: ContactState, which: int, x: Float, share: float) -> bool:
-    """Whether a vertex of x (3, n) is farther from where it is in a plan after a share of that than it may be."""
+    """Whether a vertex of x (3, n) is farther from its place in a plan after a share of that than allowed."""
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
         off, room = off_plan(m, which, x, share, i, count), read(m.spread, which, i, count)
@@ -84,20 +83,20 @@ def holds(m: ContactState, which: int, x: Float, s: float, ahead: float) -> bool
 
 @block_kernel
 def learn(m: ContactState, which: int, x: Float, gone: float, share: float) -> None:
-    """Into m.unrest how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval ago,
-    and of which a share is over.
+    """Update m.unrest by how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
+    ago, of which a share is over.
     """
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
         off = off_plan(m, which, x, share, i, count)
-        # In this order: before the first plan the reference is NaN, of which nothing is learnt.
+        # In this order: before the first plan the reference is NaN, which must not enter.
         before = 0.7 * read(m.unrest, which, i, count)
         write(m.unrest, which, i, count, higher(root(dot(off, off)) / (gone * gone), before))
 
 
 @block_kernel
 def allow(m: ContactState, spread: Float, unrest: Float, window: float, least: float, most: float) -> None:
-    """Into spread (n,) how far each vertex may stray in a plan of so long a window: thicknesses at least and most."""
+    """Set spread (n,), how far each vertex may stray in a plan for a window, between `least` and `most` thicknesses."""
     h = m.law[0]
     for i in range(spread.shape[0]):
         spread[i] = min(max(AHEAD * window * window * unrest[i], least * h), most * h)
@@ -105,7 +104,7 @@ def allow(m: ContactState, spread: Float, unrest: Float, window: float, least: f
 
 @block_kernel
 def tighter(spread: Float) -> bool:
-    """Halve the room that the list's plan has beyond that of what is near; False if there was hardly any."""
+    """Halve the room that the list's plan has beyond that of near pairs; return False if there was hardly any."""
     roomy = False
     for i in range(spread.shape[1]):
         room = spread[0, i] - spread[1, i]
@@ -116,8 +115,8 @@ def tighter(spread: Float) -> bool:
 
 @block_kernel
 def is_quiet(unrest: Float, window: float, least: float) -> bool:
-    """Whether nearly all vertices are expected to stray by less than `least` [m] in so long a window: a plan for that
-    long has hardly more pairs.
+    """Whether nearly all vertices are expected to stray by less than `least` [m] in a window: a plan that long has
+    hardly more pairs.
     """
     restless = 0
     for i in range(unrest.shape[0]):
@@ -127,10 +126,10 @@ def is_quiet(unrest: Float, window: float, least: float) -> bool:
 
 @block_kernel
 def plan(m: ContactState, u: Float, way: float, ahead: float, renew: bool, threads: int | None) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in a step of `way`: for shorter than before where to look at
-    what is near and does not touch is dearer than to choose it, or where the last plan came to half of its time; for
-    longer where that was lived out. One that is to hold for a step `ahead` is used up where another goes beyond its
-    end. With a list that is made anew, or the one that there is.
+    """Plan from `last` on, for vertices that go u (3, n) in a step of `way`: for a shorter time than before if
+    examining near pairs that do not touch is dearer than choosing them, or if the last plan ended before half of its
+    time; for a longer time if that was used up. A plan that is to hold for a step `ahead` is used up where another goes
+    beyond its end. The list is made anew if `renew`.
     """
     clock = m.clock
     gone = clock[NOW] - clock[NEAR_BEGUN]
@@ -146,14 +145,14 @@ def plan(m: ContactState, u: Float, way: float, ahead: float, renew: bool, threa
 
 @block_kernel
 def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, threads: int | None) -> None:
-    """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says, of a list that is made
-    anew or the one that there is.
+    """Choose near pairs for a window, in which vertices may stray as far as m.spread[1], from a list made anew if
+    `renew`.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
     s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.step[0] == 0.0
     for row in range(3):
         for i in range(last.shape[1]):
-            # What was cut short is pinched, and comes no farther in the steps to come.
+            # A shortened vertex is pinched, and comes no farther in the steps to come.
             near[row, i] = scale * u[row, i] * (pinched[i] if explicit else 1.0)
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
@@ -178,7 +177,7 @@ def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, t
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
         while m.number[LACKING] > 0 and whole > window and m.leave[0] == 0:
-            # What will be pushed back is taken to go through: for less time it is less.
+            # Vertices that will be pushed back are expected to go through: over a shorter time by less.
             shorter = max(0.5, window / whole)
             whole *= shorter
             clock[LIST_WINDOW] = whole

@@ -1,4 +1,4 @@
-"""Offset contact: cloth keeps off itself and other cloth by a thickness, rubs, and never passes through."""
+"""Offset contact: cloth keeps a distance from itself and other cloth, with friction, and never passes through."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.offset.begin import begin_apart
+from nuno_contact.offset.begin import begin_interval
 from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
-from nuno_contact.offset.ccd import hold_apart
+from nuno_contact.offset.ccd import limit_step
 from nuno_contact.offset.contact_state import ContactState, make_contact_state, tree_of
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
@@ -32,20 +32,20 @@ from nuno_schemas.units import quantity
 from nuno_schemas.vectors import norm
 
 THINNEST = 1e-6
-"""Below a micrometre [m], what keeps cloth apart comes near to the last digits of where it is."""
+"""least thickness [m]: below a micrometre, distances come near to the last digits of positions"""
 Thickness = Annotated[float, quantity("m", ge=THINNEST)]
 REST_SHARE = 0.1
-"""A vertex under its own weight stays off by all but this share of the thickness."""
+"""share of the thickness that a vertex sinks in under its own weight"""
 STOP_SPEED = 1.0
 """A vertex that arrives at this speed [m/s] is stopped within the thickness, if its stiffness is no more than SHARE
 allows."""
 SHARE, AT_ONCE = 0.4, 4
-"""The stiffness of all contacts of a vertex, of which layers that lie on each other have about AT_ONCE, is at most this
-share of that of the vertex' springs together: see nuno_contact.penalty.plugin.auto_stiffness."""
+"""The stiffness of all contacts of a vertex, of which stacked layers have about AT_ONCE, is at most this share of that
+of the vertex' springs together: see nuno_contact.penalty.plugin.auto_stiffness."""
 
 
 class OffsetConfig(Config):
-    """How cloth meets cloth."""
+    """The contact of cloth with cloth."""
 
     thickness: Thickness = Field(default=1e-3, description="distance from which on cloth pushes cloth away [m]")
     friction: float = Field(default=0.3, ge=0, le=100, description="Coulomb coefficient of cloth on cloth")
@@ -53,24 +53,24 @@ class OffsetConfig(Config):
 
 
 def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
-    """(n,) what each vertex can bear [N/m]: k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
+    """Return the stiffness (n,) [N/m] k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
     weight = fabric.mass * float(norm(gravity)) / (REST_SHARE * thickness)
     stop = fabric.mass * (STOP_SPEED / thickness) ** 2
     return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * elastic_stiffness(fabric)))
 
 
 def take_step(m: ContactState, rate: float) -> None:
-    """Have forces act as at the end of steps of 1 / rate [s]; see ContactState.step."""
+    """Let forces act as at the end of steps of 1 / rate [s]; see ContactState.step."""
     m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
 
 
-def no_batches(m: ContactState, vertices: int) -> tuple[()]:
-    """Its constraints are none that could be laid out beforehand; see nuno_contact.offset.projection."""
+def make_no_batches(m: ContactState, vertices: int) -> tuple[()]:
+    """Return no batches: contacts cannot be laid out beforehand; see nuno_contact.offset.projection."""
     return ()
 
 
-def count_meetings(m: ContactState) -> dict[str, int]:
-    """Counts for a step's report."""
+def count_contacts(m: ContactState) -> dict[str, int]:
+    """Return the counts for a step's report."""
     behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
     return behind | {
         "cloth_contacts": int(m.number[TOUCHING]),
@@ -82,13 +82,13 @@ def count_meetings(m: ContactState) -> dict[str, int]:
 
 
 def find_pinched(m: ContactState) -> tuple[Int, Float]:
-    """Pieces (k,) and places (k, 3) [m] of vertices that the last step has cut short, or left behind their bodies, or
-    where nothing moves, and bodies pass through each other, of those there.
+    """Return pieces (k,) and places (k, 3) [m] of vertices that the last step has shortened, or left behind their
+    bodies; and if nothing moves, while bodies pass through each other, of those there.
     """
     if not m.share.any():
         meets, cloth, x = np.zeros_like(m.meets), len(m.meets) - len(m.body_law), np.ascontiguousarray(m.last.T)
         meets[cloth:, cloth:] = ~np.eye(len(m.body_law), dtype=bool)
-        # In boxes of its own: whoever asks may do so while the tree is in use.
+        # In separate boxes: callers may ask while the tree is in use.
         own = {name: getattr(m, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
         edge, face = find_crossings(tree_of(m)._replace(**own), x, m.piece, meets)
         if len(edge):
@@ -107,7 +107,7 @@ def count_cut(m: ContactState, held: Bool) -> None:
 
 
 def act_alone(m: ContactState, body: int) -> ContactState:
-    """The same meeting in which cloth meets one of the bodies alone: all other pairs neither push nor rub."""
+    """Return the contact state in which cloth meets one of the bodies alone: all other pairs have no force."""
     near = m.near[: m.number[NEAR]]
     own = (m.piece[m.pair[near]] == len(m.meets) - len(m.body_law) + body).any(axis=1)
     stiffness, damping = np.zeros_like(m.pair_stiffness), np.zeros_like(m.pair_damping)
@@ -133,8 +133,8 @@ register(
     interval=set_solid_poses,
     look=is_fresh,
     block=add_pairs,
-    hold=hold_apart,
-    begin=begin_apart,
+    hold=limit_step,
+    begin=begin_interval,
     approach=take_step,
     bound=restrain,
     waits=is_waiting,
@@ -144,17 +144,17 @@ register(
     fill=fill_pairs,
     diagonal=add_diagonal,
     multiply=multiply_pairs,
-    constraints=no_batches,
+    constraints=make_no_batches,
     project=project,
     energy=measure_pairs,
-    counts=count_meetings,
+    counts=count_contacts,
     pinched=find_pinched,
     alone=act_alone,
 )
 
 
 class Offset:
-    """Repulsion and friction within a thickness, and steps that go only as far as nothing meets."""
+    """Repulsion and friction within a thickness, and steps that end where cloth meets."""
 
     name: ClassVar[str] = "offset"
     any_numbering: ClassVar[bool] = True
@@ -164,8 +164,8 @@ class Offset:
         self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float,
         bodies: Geometry | None = None, poses: Poses | None = None,
     ) -> Term:  # fmt: skip
-        """The term. Raises BadInput for a start in which cloth meets cloth or a body, for cloth thicker than its edges,
-        and for bodies that are not of triangles.
+        """Return the term. Raises BadInput for a start in which cloth meets cloth or a body, for cloth thicker than its
+        edges, and for bodies that are not of triangles.
         """
         settings, solids = cast(OffsetConfig, config), make_solids(bodies, poses)
         h, piece = float(settings.thickness), np.zeros(fabric.number, np.int32)

@@ -12,13 +12,13 @@ against bodies (nuno_contact.penalty.projection): F' = F / (1 + (k + c / h) W), 
 inequality constraint of XPBD (Macklin, Mueller & Chentanez 2016) with the compliance of the force law, so that the
 limit of short steps is what explicit and implicit methods have.
 
-What would still be nearer than a quarter of the thickness, and nearer than before the step, is stopped there without
-compliance, as in an inelastic encounter: what nuno_contact.offset.impulse is to other methods.
+Pairs that would still be nearer than a quarter of the thickness, and nearer than before the step, are stopped there
+without compliance, as in an inelastic encounter: other methods have nuno_contact.offset.impulse for that.
 
 Each pair's force is kept and taken back before it is found anew, so that the limit of repeated sweeps is the step
-itself. It acts where the pair is closest at the end of the way without it; of a pair that has passed through itself
-by then, where it first comes near on that way: each step of conservative advancement (Mirtich 1996) goes as far as a
-plane across the closest points allows.
+itself. It acts where the pair is closest at the end of the way without it; of a pair that has passed through itself by
+then, where it first comes near on that way: each step of conservative advancement (Mirtich 1996) goes as far as a plane
+across the closest points allows.
 
 How much of its anchor's way a pair that slides keeps follows from the force that it asked for and the one that it got,
 not from the law's at the step's end: sweeps that have not converged leave them a little apart, and what sticks crept.
@@ -37,7 +37,7 @@ import numpy as np
 from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
 from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
-from nuno_contact.offset.impulse import BRAKED, LEVER
+from nuno_contact.offset.impulse import IMPULSE_RANGE, LEVER
 from nuno_contact.offset.iterate import cover
 from nuno_contact.offset.places import CLOSE, NEAR
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
@@ -49,16 +49,16 @@ from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float
 
 SWEEPS = 8
-"""Over all pairs that may touch, at most, for each sweep over the springs."""
+"""sweeps over all pairs that may touch, at most, for each sweep over the springs"""
 SETTLED = 1e-4
-"""Share of the thickness; they end with one in which no pair moves what it is of by more, over that before."""
+"""share of the thickness; sweeps end after one in which no pair moves its vertices by more, over that before"""
 TURNS = 32
-"""Steps of conservative advancement at most."""
+"""steps of conservative advancement at most"""
 
 
 @block_kernel
 def project(m: ContactState, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
-    """Solve all contacts of cloth for a step that ends at fraction s, in place in `moved`."""
+    """Solve all cloth contacts for a step that ends at fraction s, in place in `moved`."""
     if m.local.shape[0] == 0:
         project_whole(m, moved, s, threads)
         return
@@ -79,7 +79,7 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
 
 @block_kernel
 def project_whole(m: ContactState, moved: Displaced, s: float, threads: int | None) -> None:
-    """The same of cloth and bodies, which go their way."""
+    """Do so for cloth and bodies, which go their way."""
     x, u, y, near = moved.x, moved.u, moved.y, m.near
     for row in range(3):
         for i in range(x.shape[1]):
@@ -102,7 +102,7 @@ def project_whole(m: ContactState, moved: Displaced, s: float, threads: int | No
 
 @block_kernel
 def gather(m: ContactState, y: Float) -> None:
-    """Note as close the near pairs that touch at y (3, n), or may while others are solved for."""
+    """Note as close the near pairs that touch at y (3, n), or may during the solution."""
     pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
     for q in range(m.number[NEAR]):
         p = near[q]
@@ -115,16 +115,16 @@ def gather(m: ContactState, y: Float) -> None:
 
 @block_kernel
 def solve_pair(m: ContactState, p: int, moved: Displaced) -> float:
-    """Find a pair's force anew, and move its vertices by it; how much farther or less than before [m]."""
-    had, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
-    if had:
+    """Compute a pair's force anew, and move its vertices by it; return the change of their way [m]."""
+    former, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
+    if former:
         x, y, z = m.pulled[p, 0], m.pulled[p, 1], m.pulled[p, 2]
         add(m, p, moved, -1.0)
     m.kept[p] = find_force(m, p, moved)
     if m.kept[p]:
         x, y, z = x - m.pulled[p, 0], y - m.pulled[p, 1], z - m.pulled[p, 2]
         add(m, p, moved, 1.0)
-    elif not had:
+    elif not former:
         return 0.0
     both = 0.0
     for corner in range(4):
@@ -135,7 +135,7 @@ def solve_pair(m: ContactState, p: int, moved: Displaced) -> float:
 
 @block_kernel
 def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
-    """The force of a pair that has none, into m.pulled and m.kept_weights; whether it has any."""
+    """Compute the force of a pair that has none, m.pulled and m.kept_weights; return whether there is any."""
     x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
     h, there, n = m.reach[p], corners_of(y, i, j, k, l), (m.normal[p, 0], m.normal[p, 1], m.normal[p, 2])
@@ -146,7 +146,7 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
     at = touch(y, i, m.of[p], there, h, faces_of(m))
     low, high = between(m.of[p] < 0, at.normal, here)
     if not low > high:
-        met = encounter(m.of[p] < 0, here, there, BRAKED * h)
+        met = encounter(m.of[p] < 0, here, there, IMPULSE_RANGE * h)
         at = met if met.distance < math.inf else at
     w, n = at.weights, at.normal
     both = (
@@ -158,9 +158,9 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
     stiff, rate, gone = m.pair_stiffness[p], m.pair_damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
     pressed = press_back(stiff, ramp * rate, h, at.distance, dot(n, gone), both)
-    if at.distance + both * pressed < BRAKED * h:
+    if at.distance + both * pressed < IMPULSE_RANGE * h:
         before = weigh(closest(m.of[p] < 0, here).weights, here)
-        floor = min(BRAKED * h, math.sqrt(dot(before, before)))
+        floor = min(IMPULSE_RANGE * h, math.sqrt(dot(before, before)))
         least = math.inf
         for corner in (i, j, k, l):
             least = min(least, mobility[0, corner] if mobility[0, corner] > 0.0 else math.inf)
@@ -198,7 +198,7 @@ def add(m: ContactState, p: int, moved: Displaced, sign: float) -> None:
 
 @forced_inline
 def press_back(k: float, c: float, h: float, d: float, s: float, both: float) -> float:
-    """N' [N] for a distance d and a way s [m] without it, k and c / h [N/m], and W [m/N]."""
+    """Return N' [N] for a distance d and a way s [m] without it, k and c / h [N/m], and W [m/N]."""
     damped = 1.0 + c * both
     pressed = (k * (h - d) - c * s) / (damped + k * both)
     if d + both * pressed < 0.5 * h:
@@ -213,9 +213,9 @@ def press_back(k: float, c: float, h: float, d: float, s: float, both: float) ->
 
 @block_kernel
 def encounter(of_edges: bool, here: Corners, there: Corners, stop: float) -> Touch:
-    """How a pair touches that goes straight from one place to another and comes as near as `stop` [m] on its way, or
-    half as near as it was; its distance is that at the end across the plane of contact, negative beyond it, and
-    infinite where it never comes so near.
+    """Return the contact of a pair that goes straight from one place to another and comes as near as `stop` [m] on its
+    way, or half as near as it was; its distance is that at the end across the plane of contact, negative beyond it, and
+    infinite if it never comes so near.
     """
     go = (minus(there[0], here[0]), minus(there[1], here[1]), minus(there[2], here[2]), minus(there[3], here[3]))
     share = 0.0

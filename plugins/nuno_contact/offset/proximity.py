@@ -18,15 +18,15 @@ from nuno_kernels.lanes.triples import dot, minus
 from nuno_schemas.fabric import Float
 
 INSIDE, ON_AB, ON_BC, ON_CA, AT_A, AT_B, AT_C = 0, 1, 2, 3, 4, 5, 6
-"""Where on a triangle the point closest to a vertex lies."""
+"""feature of a triangle on which the point closest to a vertex lies"""
 
 Four = tuple[float, float, float, float]
 Corners = tuple[Vector, Vector, Vector, Vector]
 
 
 class Closest(NamedTuple):
-    """Weights of four vertices at the closest points, and where they are: of a vertex and a triangle one of the names
-    above, of two edges 0 where both are inside of their edges and 1 where one of them is an end.
+    """Weights of four vertices at the closest points, and their feature: of a vertex and a triangle one of the names
+    above, of two edges 0 if both are inside of their edges and 1 if one of them is an end.
     """
 
     weights: Four
@@ -35,13 +35,13 @@ class Closest(NamedTuple):
 
 @forced_inline
 def point(x: Float, i: Index) -> Vector:
-    """Column i of x (3, n)."""
+    """Return column i of x (3, n)."""
     return x[0, i], x[1, i], x[2, i]
 
 
 @forced_inline
 def weigh(w: Four, p: Corners) -> Vector:
-    """Sum of w_i p_i."""
+    """Return the sum of w_i p_i."""
     a, b, c, d = p
     return (
         w[0] * a[0] + w[1] * b[0] + w[2] * c[0] + w[3] * d[0],
@@ -52,7 +52,7 @@ def weigh(w: Four, p: Corners) -> Vector:
 
 @forced_inline
 def to_triangle(p: Vector, a: Vector, b: Vector, c: Vector) -> Closest:
-    """A vertex p and a triangle a b c."""
+    """Return the closest points of a vertex p and a triangle a b c."""
     ab, ac, ap = minus(b, a), minus(c, a), minus(p, a)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -84,19 +84,19 @@ def to_triangle(p: Vector, a: Vector, b: Vector, c: Vector) -> Closest:
 
 @forced_inline
 def clamped(a: float) -> float:
-    """The number from 0 to 1 nearest to a."""
+    """Clamp a number to [0, 1]."""
     a = a if a > 0.0 else 0.0
     return a if a < 1.0 else 1.0
 
 
 @forced_inline
 def to_edge(p: Vector, q: Vector, a: Vector, b: Vector) -> Closest:
-    """Two edges p q and a b of some length."""
+    """Return the closest points of two edges p q and a b of nonzero length."""
     d1, d2, r = minus(q, p), minus(b, a), minus(p, a)
     aa, ee, f = dot(d1, d1), dot(d2, d2), dot(d2, r)
     c, bb = dot(d1, r), dot(d1, d2)
     det = aa * ee - bb * bb
-    # Without branches: which region it is cannot be guessed, and a wrong guess takes as long as all of this.
+    # Without branches: the region cannot be predicted, and a wrong prediction takes as long as all of this.
     s = clamped((bb * f - c * ee) / det) if det > 1e-14 * aa * ee else 0.0
     along = (bb * s + f) / ee
     t = clamped(along)
@@ -108,7 +108,7 @@ def to_edge(p: Vector, q: Vector, a: Vector, b: Vector) -> Closest:
 
 @forced_inline
 def closest(of_edges: bool, p: Corners) -> Closest:
-    """Of two edges, or of a vertex and a triangle."""
+    """Return the closest points of two edges, or of a vertex and a triangle."""
     if of_edges:
         return to_edge(p[0], p[1], p[2], p[3])
     return to_triangle(p[0], p[1], p[2], p[3])
@@ -116,8 +116,8 @@ def closest(of_edges: bool, p: Corners) -> Closest:
 
 @forced_inline
 def between(of_edges: bool, n: Vector, p: Corners) -> tuple[float, float]:
-    """Along n: the lowest of the first primitive, and the highest of the second. Where the first is the larger, a plane
-    across n keeps them apart.
+    """Return, along n, the lowest of the first primitive, and the highest of the second. If the first is larger, a
+    plane across n keeps them apart.
     """
     a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
     if of_edges:
@@ -127,7 +127,7 @@ def between(of_edges: bool, n: Vector, p: Corners) -> tuple[float, float]:
 
 @forced_inline
 def spread_between(of_edges: bool, n: Vector, p: Corners, r: Four) -> float:
-    """How far apart a plane across n keeps a pair whose vertices may be r from where they are."""
+    """Return how far apart a plane across n keeps a pair whose vertices may be r from their places."""
     a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
     gap: float = a - r[0] - max(max(b + r[1], c + r[2]), d + r[3])
     if of_edges:
@@ -137,7 +137,7 @@ def spread_between(of_edges: bool, n: Vector, p: Corners, r: Four) -> float:
 
 @forced_inline
 def unit(v: Vector) -> tuple[Vector, float]:
-    """v at length 1, and its length; of none, v."""
+    """Return v at length 1, and its length; v itself if that is 0."""
     length = math.sqrt(dot(v, v))
     if length <= 0.0:
         return v, 0.0

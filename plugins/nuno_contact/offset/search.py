@@ -1,10 +1,10 @@
 """The list of pairs that may come near: all that could be within a radius of each other over a window of time.
 
-At a reference, at which no primitives meet, each vertex is taken to go on by its `motion` over the window. A pair is
-left out only where a plane keeps it apart by more than the radius R at the start and at the end of that: distances
-from a plane are linear in time, their least and greatest over a primitive concave and convex, so that it does so all
-the while. With R = h + 2 b a pair that is left out stays farther apart than h while no vertex is more than b away
-from where it is taken to be. Cloth that moves along together needs no new list, however fast it moves.
+At a reference, at which no primitives meet, each vertex is expected to move by its `motion` over the window. A pair is
+left out only where a plane keeps it apart by more than the radius R at the start and at the end of that: distances from
+a plane are linear in time, their least and greatest over a primitive concave and convex, so that it does so all the
+while. With R = h + 2 b a pair that is left out stays farther apart than h while no vertex is more than b away from its
+expected place. Cloth that moves along together needs no new list, however fast it moves.
 
 Most lists in the field (Verlet 1967) are made for points at rest, and used up by common motion.
 """
@@ -22,11 +22,11 @@ from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 
 Box = tuple[Vector, Vector, Vector, Vector]
-"""Lowest and highest place, lowest and highest motion."""
+"""lowest and highest place, lowest and highest motion"""
 DEPTH = 512
-"""Pairs of nodes that wait to be looked at."""
+"""capacity of the stack of pairs of nodes"""
 HITS = (3 * LEAF) * (3 * LEAF // WIDTH + 1)
-"""Edges of a leaf by eights of edges of another, at most."""
+"""most edges of a leaf times eights of edges of another"""
 
 
 @forced_inline
@@ -41,11 +41,11 @@ def nodes_apart(boxes: Float, a: int, b: int, radius: float) -> bool:
 
 
 @forced_inline
-def near_lanes(own: Box, boxes: Float, g: Index, radius: float) -> int:
-    """Bits of those of an eight of boxes (eights, 96) that may come within `radius` of a box."""
+def near_lanes(box: Box, boxes: Float, g: Index, radius: float) -> int:
+    """Return the bits of those of an eight of boxes (eights, 96) that may come within `radius` of a box."""
     gap, none = splat(-np.inf), splat(0.0)
     for k in range(3):
-        low, high, back, on = own[0][k], own[1][k], own[2][k], own[3][k]
+        low, high, back, on = box[0][k], box[1][k], box[2][k], box[3][k]
         gap = higher(load(boxes, g, k * WIDTH) - high + lower(load(boxes, g, (k + 6) * WIDTH) - on, none), gap)
         gap = higher(low - load(boxes, g, (k + 3) * WIDTH) + lower(back - load(boxes, g, (k + 9) * WIDTH), none), gap)
     return int(lanes_up_to(gap, radius))
@@ -53,21 +53,21 @@ def near_lanes(own: Box, boxes: Float, g: Index, radius: float) -> int:
 
 @forced_inline
 def box_of(boxes: Float, g: Index, lane: int) -> Box:
-    """One of an eight of boxes."""
+    """Return one of an eight of boxes."""
     return _three(boxes, g, lane, 0), _three(boxes, g, lane, 3), _three(boxes, g, lane, 6), _three(boxes, g, lane, 9)
 
 
 @forced_inline
 def _three(boxes: Float, g: Index, lane: int, number: int) -> Vector:
-    """Three of its numbers."""
+    """Return three of its numbers."""
     p = np.uint64(lane + number * WIDTH)
     return boxes[g, p], boxes[g, p + np.uint64(WIDTH)], boxes[g, p + np.uint64(2 * WIDTH)]
 
 
 @block_kernel
 def find_leaves(boxes: Float, radius: float, bodies: bool, found: Long) -> int:
-    """Pairs (p, 2) of leaves that may come near, as far as there is room; how many there are. Of a tree with `bodies`
-    none are both of those.
+    """Write pairs (p, 2) of leaves that may come near, as far as there is room; return their number. Of a tree with
+    `bodies` no pair is of two bodies.
     """
     waiting = np.empty((DEPTH, 2), np.int64)
     inner = boxes.shape[0] // 2
@@ -100,7 +100,7 @@ def find_leaves(boxes: Float, radius: float, bodies: bool, found: Long) -> int:
 
 @block_kernel
 def near_leaves(boxes: Float, radius: float, bodies: bool) -> Long:
-    """(p, 2) pairs of leaves that may come near; see find_leaves."""
+    """Return pairs (p, 2) of leaves that may come near; see find_leaves."""
     found = np.empty((4 * boxes.shape[0], 2), np.int64)
     number = find_leaves(boxes, radius, bodies, found)
     if number > found.shape[0]:
@@ -111,7 +111,7 @@ def near_leaves(boxes: Float, radius: float, bodies: bool) -> Long:
 
 @forced_inline
 def node_box(nodes: Float, node: Index) -> Box:
-    """The box of a node."""
+    """Return the box of a node."""
     return (
         (nodes[node, 0], nodes[node, 1], nodes[node, 2]), (nodes[node, 3], nodes[node, 4], nodes[node, 5]),
         (nodes[node, 6], nodes[node, 7], nodes[node, 8]), (nodes[node, 9], nodes[node, 10], nodes[node, 11]),
@@ -120,20 +120,20 @@ def node_box(nodes: Float, node: Index) -> Box:
 
 @forced_inline
 def meet_eights(
-    node: Box, own: Float, own_start: Int, boxes: Float, start: Int, a: Index, b: Index, radius: float, hits: Long
+    node: Box, boxes_a: Float, start_a: Int, boxes: Float, start: Int, a: Index, b: Index, radius: float, hits: Long
 ) -> int:
-    """Into hits (c, 4): eight and lane of each primitive of leaf a that comes near the box `node` of leaf b, an eight
-    of b, and which of that its box comes near; how many there are.
+    """Write into hits (c, 4): eight and lane of each primitive of leaf a that comes near the box `node` of leaf b, an
+    eight of b, and the bits of its primitives whose boxes come near; return their number.
 
-    Written without asking whether any does, since to guess that wrongly takes as long as ten tests.
+    Written without a branch on whether any does, since a wrong prediction takes as long as ten tests.
     """
     number = np.uint64(0)
-    for g in range(np.uint64(own_start[a]), np.uint64(own_start[a + 1])):
-        ours = near_lanes(node, own, g, radius)
+    for g in range(np.uint64(start_a[a]), np.uint64(start_a[a + 1])):
+        ours = near_lanes(node, boxes_a, g, radius)
         while ours != 0:
             lane = first_lane(ours)
             ours &= ours - 1
-            box = box_of(own, g, lane)
+            box = box_of(boxes_a, g, lane)
             for q in range(np.uint64(start[b]), np.uint64(start[b + 1])):
                 bits = near_lanes(box, boxes, q, radius)
                 hits[number, 0], hits[number, 1], hits[number, 2], hits[number, 3] = g, lane, q, bits
@@ -143,7 +143,7 @@ def meet_eights(
 
 @forced_inline
 def find_faces(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
-    """Vertices of leaf a and triangles of leaf b whose boxes come near, into found (c, 2) from `number` on."""
+    """Write vertices of leaf a and triangles of leaf b whose boxes come near into found (c, 2) from `number` on."""
     faces, face, vertex, node = tree.faces, tree.face, tree.vertex, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
     met = meet_eights(node, tree.vertex_boxes, tree.vertex_start, tree.face_boxes, tree.face_start, a, b, radius, hits)
     for h in range(met):
@@ -159,7 +159,7 @@ def find_faces(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Lon
 
 @forced_inline
 def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
-    """The same of edges e < o of two leaves, as -1 - e and o."""
+    """Write edges e < o of two leaves likewise, as -1 - e and o."""
     edges, edge, node = tree.edges, tree.edge, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
     met = meet_eights(node, tree.edge_boxes, tree.edge_start, tree.edge_boxes, tree.edge_start, a, b, radius, hits)
     for h in range(met):
@@ -177,8 +177,8 @@ def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Lon
 
 @block_kernel
 def find_near(tree: Tree, radius: float, leaves: Long, found: Long) -> int:
-    """Primitives of pairs (p, 2) of leaves whose boxes come near: see find_faces and find_edges. One kind after the
-    other, which whoever goes through them need not guess.
+    """Write primitives of pairs (p, 2) of leaves whose boxes come near: see find_faces and find_edges. One kind after
+    the other, so that loops over them are predictable.
     """
     number, hits = 0, np.empty((HITS, 4), np.int64)
     for g in range(leaves.shape[0]):

@@ -20,15 +20,15 @@ from nuno_kernels.lanes.triples import dot, plus
 from nuno_schemas.fabric import Float
 
 MOST = 1000
-"""Turns of Gilbert's algorithm, which takes few where there is room, and many past the ends of long edges."""
+"""iterations of Gilbert's algorithm, which takes few where there is room, and many past the ends of long edges"""
 SWEEPS = 16
-"""Over all pairs, after which what still has no plane is left so."""
+"""sweeps over all pairs, after which pairs without a plane are left so"""
 
 
 @block_kernel
 def plane_along(of_edges: bool, here: Corners, there: Corners, enough: float) -> tuple[Vector, float]:
-    """A plane's direction, and the gap between the primitives along it [m], the smaller of both ends: `enough` or more
-    if such a plane was found.
+    """Return a plane's direction, and the gap between the primitives along it [m], the smaller of both ends: `enough`
+    or more if such a plane was found.
     """
     ways, number = np.empty((8, 3)), 0
     for i in range(2 if of_edges else 1):
@@ -59,29 +59,29 @@ def plane_along(of_edges: bool, here: Corners, there: Corners, enough: float) ->
 
 @forced_inline
 def on_the_way(here: Corners, there: Corners, share: Four) -> Corners:
-    """Four vertices, each after a share of its way."""
+    """Return four vertices, each after a share of its way."""
     return partly(here[0], there[0], share[0]), partly(here[1], there[1], share[1]), partly(
         here[2], there[2], share[2]), partly(here[3], there[3], share[3])  # fmt: skip
 
 
 @forced_inline
 def partly(a: Vector, b: Vector, share: float) -> Vector:
-    """A share of the way from a to b, b itself where that is all."""
+    """Return the point after a share of the way from a to b, b itself where that is 1."""
     if share == 1.0:
         return b
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
 
 @block_kernel
-def give_way(m: ContactState, y: Float, d: Float, stop: float) -> bool:
-    """Into m.share how much of d (3, n) each vertex can go from y (3, n) so that pairs come as near as `stop` of their
-    thickness, and half as near as they were at most; whether that is less than all for any.
+def find_shares(m: ContactState, y: Float, d: Float, stop: float) -> bool:
+    """Find the shares m.share of d (3, n) that vertices can go from y (3, n) so that pairs come as near as `stop` of
+    their thickness, and half as near as they were at most; return whether any is less than 1.
 
-    Each pair is to have a plane that keeps it apart at y and at the end. Of one that has none, what comes nearer stops
-    at the other's end, or, where both come nearer, between them in proportion. A side that goes away does not stop the
-    other where it is now, so that layers that fall together go on together; and as shares only get smaller, each
-    pair's demand can be met whatever the others do. After SWEEPS over all pairs what is left is left, and so is
-    cloth that is held; bodies are not.
+    Each pair is to have a plane that keeps it apart at y and at the end. If it has none, a side that comes nearer stops
+    at the other's end, or, if both come nearer, between them in proportion. A side that goes away does not stop the
+    other where it is now, so that layers that fall together go on together; and as shares only get smaller, each pair's
+    demand can be met whatever the others do. Pairs left after SWEEPS over all pairs stay as they are, and so does held
+    cloth; bodies do not.
     """
     pair, of, reach, normal, share, near = m.pair, m.of, m.reach, m.normal, m.share, m.near
     cloth = share.shape[0] - m.local.shape[0]
@@ -120,7 +120,7 @@ def give_way(m: ContactState, y: Float, d: Float, stop: float) -> bool:
                     continue
                 upper = corner == 0 or (of_edges and corner == 1)
                 least = level if upper else room - level
-                allowed = reached(dot(n, here[corner]), dot(n, go[corner]), 1.0 if upper else -1.0, least, share[v])
+                allowed = share_above(dot(n, here[corner]), dot(n, go[corner]), 1.0 if upper else -1.0, least, share[v])
                 if allowed < share[v]:
                     share[v], again = allowed, True
         hindered = hindered or again
@@ -131,13 +131,13 @@ def give_way(m: ContactState, y: Float, d: Float, stop: float) -> bool:
 
 @forced_inline
 def moved_by(x: Corners, d: Corners) -> Corners:
-    """Four vertices moved."""
+    """Return four vertices moved."""
     return plus(x[0], d[0]), plus(x[1], d[1]), plus(x[2], d[2]), plus(x[3], d[3])
 
 
 @forced_inline
-def reached(start: float, way: float, side: float, least: float, share: float) -> float:
-    """How much of its way a vertex goes whose height is side times start + share times way and not below `least`."""
+def share_above(start: float, way: float, side: float, least: float, share: float) -> float:
+    """Return the share of its way that a vertex goes: side times start + share times way is not below `least`."""
     height, down = side * start, -side * way
     if height - share * down >= least or down <= 0.0:
         return share

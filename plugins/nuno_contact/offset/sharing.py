@@ -1,4 +1,4 @@
-"""Which pairs each block of cloth's vertices has a part in: blocks add forces to their own vertices, on any thread."""
+"""The pairs of each block of cloth's vertices: blocks add forces to their own vertices, on any thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nuno_schemas.fabric import Int
 
 @forced_inline
 def block_of(pair: Int, p: int, corner: int, cloth: int) -> int:
-    """The block of a pair's corner, -1 where that of one before is the same, and of bodies, behind the cloth."""
+    """Return the block of a pair's corner, -1 if an earlier corner has the same, and for bodies, after the cloth."""
     block = pair[p, corner] // BLOCK if pair[p, corner] < cloth else -1
     for other in range(corner):
         if pair[p, other] < cloth and pair[p, other] // BLOCK == block:
@@ -24,7 +24,7 @@ def block_of(pair: Int, p: int, corner: int, cloth: int) -> int:
 
 @block_kernel
 def count_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64]) -> None:
-    """Into at[part] how many of a part of the chosen pairs each block has."""
+    """Count how many of a part of the chosen pairs each block has, at[part]."""
     for q in range(part * number // PARTS, (part + 1) * number // PARTS):
         for corner in range(4):
             block = block_of(pair, chosen[q], corner, cloth)
@@ -34,7 +34,7 @@ def count_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: N
 
 @block_kernel
 def fill_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64], shared: Int) -> None:
-    """A part of the chosen pairs to where at[part] says for each block, and on."""
+    """Write a part of the chosen pairs to the places from at[part] on, for each block."""
     for q in range(part * number // PARTS, (part + 1) * number // PARTS):
         for corner in range(4):
             block = block_of(pair, chosen[q], corner, cloth)
@@ -49,8 +49,8 @@ fill_parts = over_blocks(fill_part, "pair, chosen, number, cloth, at, shared", W
 
 @block_kernel
 def share_out(m: ContactState, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
-    """Which of `number` chosen pairs each block of cloth has a part in, in their order: bounds of each block's, and
-    the pairs.
+    """Assign `number` chosen pairs to the blocks of cloth of their vertices, in order: bounds of each block's, and the
+    pairs.
     """
     pair, cloth, blocks = m.pair, m.mass.shape[0] - m.local.shape[0], start.shape[0] - 1
     at = np.zeros((PARTS, blocks), np.int64)

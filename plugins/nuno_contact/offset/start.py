@@ -1,4 +1,4 @@
-"""What cloth contact refuses: starts in which cloth meets cloth or bodies, and cloth that is too thick for its mesh."""
+"""Checks of cloth contact's start: cloth that meets cloth or bodies, and cloth that is too thick for its mesh."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.vectors import norm
 
 NEAREST = 1e-8
-"""Cloth that starts nearer to cloth or a body than this [m] touches it: in the digits that there are no plane is known
-to keep it apart, and layers in one plane pass for apart where edges are looked for that go through triangles."""
+"""Cloth that starts nearer to cloth or a body than this [m] touches it: within rounding no plane can be shown to keep
+it apart, and layers in one plane seem apart in the search for edges that go through triangles."""
 
 
 def check_thickness(fabric: Fabric, thickness: float) -> None:
-    """Raises BadInput for cloth that is thicker than its edges are long: as they are cut, where that is known."""
+    """Raise BadInput for cloth that is thicker than its edges are long: as they are cut, if that is known."""
     x, faces, cut = fabric.position, fabric.faces, fabric.membrane
     lengths = norm(x[faces] - x[np.roll(faces, -1, axis=1)])
     if cut is not None and len(cut.faces) == len(faces):
@@ -40,8 +40,8 @@ def check_thickness(fabric: Fabric, thickness: float) -> None:
 
 
 def check_start(m: ContactState, fabric: Fabric, pieces: Sequence[str], objects: int) -> None:
-    """Raises BadInput for cloth that passes through cloth or a body as it starts, of which pieces after so many objects
-    are; pieces that do not meet may.
+    """Raise BadInput for cloth that passes through cloth or a body as it starts; bodies are the pieces after so many
+    objects; pieces that do not meet may.
     """
     x = np.ascontiguousarray(m.start.T)
     edge, face = find_crossings(tree_of(m), x, m.piece, m.meets, objects < len(pieces))
@@ -63,7 +63,7 @@ def check_start(m: ContactState, fabric: Fabric, pieces: Sequence[str], objects:
         )  # fmt: skip
     cloth, body = (pieces[i] for i in sorted((int(both[0][first]), int(both[1][first]))))
     remedy = f"add operations: [{{plugin: untangle}}], place or size {cloth}, or move the body, otherwise, or "
-    # An edge that goes in and out again has both ends outside: it is a chord across what is round.
+    # An edge that goes in and out again has both ends outside: it is a chord across a round body.
     of_edge = np.unique(edge[both[0] < objects], return_counts=True)[1]
     if len(of_edge) and not (of_edge % 2).any():
         remedy = "give the cloth shorter edges, which go round what these go through; or "
@@ -74,20 +74,20 @@ def check_start(m: ContactState, fabric: Fabric, pieces: Sequence[str], objects:
 
 
 def _without(body: str) -> str:
-    """How a body is met that no start is clear of, as a scan that passes through itself: neither by its triangles, nor
-    by vertices that slide on them.
+    """Suggest contact for a body that no start avoids, such as a scan that passes through itself: neither by its
+    triangles, nor by vertices that slide on them.
     """
     field = "collider: {plugin: sdf, ...} and contact: {plugin: penalty}"
     return f"leave {body} out here and give it, if it is no skin, {field}"
 
 
 def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
-    """Raises BadInput for cloth that starts inside of a closed mesh."""
+    """Raise BadInput for cloth that starts inside of a closed mesh."""
     count = 0
     for primitive, kind in enumerate(geometry.kind.tolist()):
-        own, faces = geometry.mesh(primitive)
-        x = solids.x[count : count + len(own)]
-        count += len(own)
+        starts, faces = geometry.mesh(primitive)
+        x = solids.x[count : count + len(starts)]
+        count += len(starts)
         if kind not in (MESH, SKIN):
             continue
         distance = np.asarray(closest_points(build_tree(x, faces), fabric.position).distance)
@@ -103,13 +103,13 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
 
 @block_kernel
 def gaps_at_start(m: ContactState, gap: Float) -> None:
-    """How far apart each of the listed pairs starts (p,) [m]."""
+    """Write how far apart each of the listed pairs starts, gap (p,) [m]."""
     for p in range(gap.shape[0]):
         gap[p] = begun_apart(m, p)
 
 
 def check_gaps(m: ContactState, pieces: Sequence[str]) -> None:
-    """Raises BadInput for cloth that touches itself, other cloth or a body as it starts."""
+    """Raise BadInput for cloth that touches itself, other cloth or a body as it starts."""
     m.reference[:3] = m.start
     make_list(m, None)
     gap = np.empty(int(m.number[LISTED]))

@@ -1,4 +1,4 @@
-"""Which pairs touch after a step, how much of their damping a step can follow, and what friction holds together."""
+"""Touching pairs after a step, the damping that a step can follow, and the anchors of friction."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 MOST = 1.5
-"""Rate of damping by contact times the step, at most."""
+"""greatest rate of damping by contact times the step"""
 
 
 @block_kernel
 def touch_part(part: int, m: ContactState, number: Long) -> None:
-    """Which of a part of the close pairs touch at `last`: into m.touching from the part's first on, and how many."""
+    """Find which of a part of the close pairs touch at `last`: into m.touching from the part's first place on."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
     close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
     first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
@@ -47,7 +47,7 @@ def touch_part(part: int, m: ContactState, number: Long) -> None:
 
 @block_kernel
 def rate_block(block: int, m: ContactState) -> None:
-    """Into m.rate, of the block's vertices, how fast their dashpots slow them down at most [1/s]; see ease_part."""
+    """Find the greatest rate at which dashpots slow the block's vertices down, m.rate [1/s]; see ease_part."""
     rate, mass, first, end = m.rate, m.mass, block * BLOCK, min((block + 1) * BLOCK, m.rate.shape[0])
     for i in range(first, end):
         rate[i] = 0.0
@@ -61,7 +61,7 @@ def rate_block(block: int, m: ContactState) -> None:
 
 @block_kernel
 def ease_part(part: int, m: ContactState, dt: float) -> None:
-    """How much of its damping each pair that touches has in a step of dt [s]: no more than the step can follow.
+    """Limit the damping of each touching pair in a step of dt [s] to what the step can follow.
 
     A vertex amid twenty contacts would be thrown to and fro by all their dashpots, each of which alone is slow enough.
     The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
@@ -81,7 +81,7 @@ ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
 
 @block_kernel
 def find_touching(m: ContactState, threads: int | None) -> None:
-    """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
+    """Find which close pairs touch at `last`, where, and the planes across them; others lose their anchors."""
     number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
     touch_parts(m, number, PARTS, m.number[CLOSE], threads)
     m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
@@ -124,5 +124,5 @@ drag_parts = over_blocks(drag_part, "m, v", WORTH, IN_TURN)
 
 @block_kernel
 def drag_anchors(m: ContactState, v: Float, threads: int | None) -> None:
-    """The same of all pairs that touch."""
+    """Do so for all touching pairs."""
     drag_parts(m, v, PARTS, m.number[TOUCHING], threads)

@@ -21,7 +21,7 @@ from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.fabric import Float, Int
 
 LEAF = 8
-"""Triangles of a leaf at most."""
+"""triangles of a leaf at most"""
 
 
 class Tree(NamedTuple):
@@ -52,7 +52,7 @@ class Tree(NamedTuple):
 
 
 def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
-    """The tree of triangles faces (f, 3) between vertices x (n, 3); those after the first `of_cloth` are of bodies."""
+    """Return the tree of faces (f, 3) between vertices x (n, 3); those after the first `of_cloth` are of bodies."""
     numbers, edges = edge_numbers(faces)
     centre = x[faces].mean(axis=1)
     parts: list[Any] = [np.arange(len(faces))]
@@ -73,21 +73,21 @@ def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
     return Tree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
 
 
-def beside(faces: Int) -> Int:
-    """(f, 3) number of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
+def adjacent_faces(faces: Int) -> Int:
+    """Return the number (f, 3) of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
     span = int(faces.max(initial=0)) + 1
     keys = (ends[..., 0] * span + ends[..., 1]).ravel()
     order = np.argsort(keys, kind="stable")
     same = keys[order][1:] == keys[order][:-1]
-    found = np.full(keys.shape, -1, np.int32)
-    found[order[:-1][same]] = order[1:][same] // 3
-    found[order[1:][same]] = order[:-1][same] // 3
-    return found.reshape(-1, 3)
+    adjacent = np.full(keys.shape, -1, np.int32)
+    adjacent[order[:-1][same]] = order[1:][same] // 3
+    adjacent[order[1:][same]] = order[:-1][same] // 3
+    return adjacent.reshape(-1, 3)
 
 
 def rings(edges: Int, n: int) -> tuple[Int, Int]:
-    """(n + 1,) bounds of each vertex' neighbours, and the neighbours, of edges (e, 2)."""
+    """Return the bounds (n + 1,) of each vertex' neighbours, and the neighbours, of edges (e, 2)."""
     both = np.concatenate([edges, edges[:, ::-1]])
     order = np.lexsort((both[:, 1], both[:, 0]))
     start = np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32)
@@ -95,7 +95,7 @@ def rings(edges: Int, n: int) -> tuple[Int, Int]:
 
 
 def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
-    """A set of triangles cut at the median along the widest axis."""
+    """Cut a set of triangles at the median along the widest axis."""
     if len(part) < 2:
         return part, part[:0]
     axis = int(np.ptp(centre[part], axis=0).argmax())
@@ -104,7 +104,7 @@ def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
 
 
 def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
-    """(M + 1,) bounds and the numbers that each leaf is the first to have."""
+    """Return the bounds (M + 1,) and numbers of the primitives that each leaf is the first to have."""
     order = np.lexsort((leaf, number))
     kept, first = np.unique(number[order], return_index=True)
     owner = leaf[order][first]
@@ -114,7 +114,7 @@ def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
 
 
 def _in_eights(start: Int, number: Int) -> tuple[Int, Int]:
-    """The same in vectors, each leaf's numbers filled up with -1 to a whole number of them."""
+    """Pad each leaf's numbers with -1 to whole eights."""
     count = np.diff(start)
     eights = np.concatenate([[0], np.cumsum(-(-count // WIDTH))])
     filled = np.full((eights[-1], WIDTH), -1, np.int32)
@@ -124,19 +124,19 @@ def _in_eights(start: Int, number: Int) -> tuple[Int, Int]:
 
 @forced_inline
 def less(a: float, b: float) -> float:
-    """The lower of two numbers; min() also looks for NaN."""
+    """Return the lower of two numbers; min() also tests for NaN."""
     return a if a < b else b
 
 
 @forced_inline
 def more(a: float, b: float) -> float:
-    """The higher of two numbers."""
+    """Return the higher of two numbers."""
     return a if a > b else b
 
 
 @block_kernel
 def fit_boxes(eights: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
-    """Boxes (g, 96) of eights (g, 8) of primitives of vertices of[number]; -1 is nowhere."""
+    """Fit boxes (g, 96) to eights (g, 8) of primitives of vertices of[number]; -1 is nowhere."""
     for g in range(eights.shape[0]):
         for axis in range(3):
             at, along, box = x[axis], motion[axis], boxes[g, axis * WIDTH :]

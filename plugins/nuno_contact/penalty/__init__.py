@@ -1,3 +1,3 @@
-"""Contact by penalty forces with friction that sticks, against primitives and distance fields; also as a constraint
-for XPBD.
+"""Contact by penalty forces with static friction, against primitives and distance fields; also as a constraint for
+XPBD.
 """

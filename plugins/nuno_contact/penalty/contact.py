@@ -55,12 +55,12 @@ from nuno_schemas.layout import Bounds
 __all__ = ["Contact", "add_contact", "commit_contact", "count_contacts", "make_contact", "set_poses"]
 
 BLOCK = 256
-"""Vertices handled together, about a ring or two of a skirt: 64 have tighter bounds, but what a
-block costs apart from its vertices then takes a third of the time."""
+"""vertices handled together, about a ring or two of a skirt: 64 have tighter bounds, but a block's overhead then takes
+a third of the time"""
 
 
 AT_ONCE = 1e300
-"""A rate that nothing reaches, and that times a depth of 0 is 0."""
+"""a rate that nothing reaches, and that times a depth of 0 is 0"""
 
 
 class Contact(NamedTuple):
@@ -86,9 +86,9 @@ class Contact(NamedTuple):
     friction: Float
     """(b,) Coulomb coefficient"""
     rate: Float
-    """(1,) [1/s] most of the depth that a vertex is taken to have come in over a second: the dashpot's impulse
-    over a step of h is c times the way inside of the body, so that a method whose force is the mean over
-    its step sets 1 / h. A dashpot that acts at once jumps at the surface, where such a step has no end."""
+    """(1,) [1/s] most of the depth that a vertex can have come in over a second: the dashpot's impulse over a step of h
+    is c times the way inside of the body, so that a method whose force is the mean over its step sets 1 / h. A dashpot
+    that acts at once jumps at the surface, where such a step has no end."""
     rotation0: Float
     """(f, 9) rotation matrix by rows at the start of the interval"""
     origin0: Float
@@ -124,7 +124,7 @@ class Contact(NamedTuple):
 
 
 def count_contacts(contact: Contact) -> dict[str, int]:
-    """Counts for a step report: contacts after the last step, evaluations without a normal so far."""
+    """Return the counts for a step report: contacts after the last step, evaluations without a normal so far."""
     touching, on_axis = (int(total) for total in contact.tally.sum(axis=0))
     return {"touching": touching, "on_capsule_axis": on_axis}
 
@@ -173,19 +173,19 @@ def add_contact(contact: Contact, x: Float, v: Float, s: float, force: Float, th
 def commit_contact(contact: Contact, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Update the friction anchors after a completed step that ends at fraction s.
 
-    Goes by what touched at the last `add_contact`, which every step calls before.
+    Uses the contacts of the last `add_contact`, which every step calls before.
     """
     pose_bodies(s, contact)
     commit_blocks(x, v, contact, contact.bounds.shape[0], threads)
 
 
 def limit_approach(contact: Contact, rate: float) -> None:
-    """Let dashpots see no more of a depth than can be gone through at `rate` [1/s]; see Contact.rate."""
+    """Limit the depth that dashpots see to the way at `rate` [1/s]; see Contact.rate."""
     contact.rate[0] = min(rate, AT_ONCE)
 
 
 def act_alone(contact: Contact, body: int) -> Contact:
-    """The same contact with one of its bodies: the others neither push nor rub."""
+    """Return the contact with one of its bodies: the others have no force."""
     own = (np.arange(len(contact.friction)) == body)[:, None]
     return contact._replace(stiffness=contact.stiffness * own, damping=contact.damping * own)
 
@@ -206,7 +206,7 @@ register(
 
 
 def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contact:
-    """A Contact standing still, without anchors, for n vertices.
+    """Return a contact with bodies at rest, without anchors, for n vertices.
 
     `stiffness` (b, n) [N/m] and `damping` (b, n) [N s/m] are those of each vertex on each body;
     the geometry's own are not looked at. Primitives are put in the order of their bodies,
@@ -259,7 +259,7 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
 
 
 def pack_fields(fields: Sequence[DistanceField]) -> dict[str, NDArray[Any]]:
-    """The arrays of distance fields, read only: solvers share them."""
+    """Return the arrays of distance fields, read-only: solvers share them."""
     joined = join_fields(fields)
     for array in joined:
         array.setflags(write=False)

@@ -39,12 +39,12 @@ Reading = tuple[float, float, float, float, int]
 
 
 class Deepest(NamedTuple):
-    """What n vertices are deepest inside of, of the primitives of one body that were looked at so far."""
+    """The deepest of the examined primitives of one body for each of n vertices."""
 
     distance: Float
-    """(n,) the least of the distances [m], 0 where none is negative"""
+    """(n,) the least of the distances [m], 0 if none is negative"""
     primitive: NDArray[np.int64]
-    """(n,) which it is, -1 where none is"""
+    """(n,) its number, -1 if there is none"""
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
@@ -55,14 +55,14 @@ ON_AXIS = 1e-12
 """A point nearer to a capsule's axis than this fraction of its radius has no direction of its own."""
 
 SLACK = 1e-13
-"""Relative rounding allowance of the bounds test, about 500 ulp: a primitive is only skipped
-where its computed distance cannot be negative, so that skipping changes no bit."""
+"""Relative rounding allowance of the bounds test, about 500 ulp: a primitive is only skipped if its computed distance
+cannot be negative, so that skipping changes no bit."""
 
 
 @kernel
 def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """A unit vector perpendicular to (dx, dy, dz): its cross product with the coordinate axis
-    that it leans on least; +y for a null vector, so that a point at a sphere's centre goes up.
+    """Return a unit vector perpendicular to (dx, dy, dz): its cross product with the coordinate axis that it leans on
+    least; +y for a null vector, so that a point at a sphere's centre goes up.
     """
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     longest = max(ax, ay, az)
@@ -81,7 +81,7 @@ def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
 
 @forced_inline
 def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) -> Reading:
-    """(distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
+    """Return (distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
     ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
     s = min(max((ex * dx + ey * dy + ez * dz) * posed[p, 6], 0.0), 1.0)
@@ -96,7 +96,7 @@ def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) ->
 
 @forced_inline
 def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
-    """(distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
+    """Return (distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
     lx, ly, lz = turn_in((px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]), frames, f)
     qx, qy, qz = abs(lx) - posed[p, 3], abs(ly) - posed[p, 4], abs(lz) - posed[p, 5]
     distance = max(qx, qy, qz)
@@ -117,7 +117,7 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames
 
 @kernel
 def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
-    """Lower the distances of vertices [low, high) of x (3, n) to those to capsule p, where they are less.
+    """Lower the distances of vertices [low, high) of x (3, n) to those to capsule p, if they are less.
 
     Most vertices near a capsule are outside of it: eight at a time are looked at without a root,
     against the squared radius and 16 ulp, more than the rounding of the root and of r^2. Only
@@ -146,7 +146,7 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
 
 @kernel
 def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
-    """Lower the distances of vertices [low, high) of x (3, n) to those to plane p, where they are less."""
+    """Lower the distances of vertices [low, high) of x (3, n) to those to plane p, if they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
@@ -159,7 +159,7 @@ def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: De
 
 @kernel
 def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest) -> None:
-    """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, where they are less."""
+    """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, if they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
         d = box_distance(x[0, i], x[1, i], x[2, i], posed, p, frames, f)[0]
@@ -170,7 +170,7 @@ def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float
 
 @kernel
 def find_bounds(x: Float, low: int, high: int, bounds: Float, block: int) -> None:
-    """bounds[block] (6,) = lowest x, y, z, then highest x, y, z of vertices [low, high).
+    """Set bounds[block] (6,) to the lowest x, y, z, then the highest x, y, z of vertices [low, high).
 
     A vertex that is NaN takes no part: it is inside of nothing.
     """
@@ -191,7 +191,7 @@ def find_bounds(x: Float, low: int, high: int, bounds: Float, block: int) -> Non
 
 @kernel
 def are_apart(kind: int, posed: Float, p: int, bounds: Float, block: int) -> bool:
-    """True only where no vertex within bounds[block] can be inside primitive p.
+    """Return True only if no vertex within bounds[block] can be inside primitive p.
 
     A capsule or box is tested by its own bounds, a plane at the lowest corner along its normal.
     """

@@ -40,7 +40,7 @@ class Bodies(NamedTuple):
 
 @forced_inline
 def field_reading(at: Vector, number: int, frames: Float, f: Index, fields: Fields) -> Reading:
-    """(distance, normal x, y, z, 1 where the gradient vanishes else 0)."""
+    """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
     distance, gx, gy, gz = sample(x, y, z, number, fields)
     size = math.sqrt(gx * gx + gy * gy + gz * gz)
@@ -53,7 +53,7 @@ def field_reading(at: Vector, number: int, frames: Float, f: Index, fields: Fiel
 
 @forced_inline
 def primitive_distance(at: Vector, p: Index, f: Index, bodies: Bodies, fields: Fields | None) -> Reading:
-    """(distance, normal x, y, z, mark where there is none of its own) of any posed primitive p, in frame f."""
+    """Return (distance, normal x, y, z, 1 if it has no normal else 0) of any posed primitive p, in frame f."""
     kind, posed = bodies.kind[p], bodies.posed
     if kind == CAPSULE:
         return capsule_distance(at[0], at[1], at[2], posed, p)

@@ -18,27 +18,26 @@ from nuno_schemas.system import Term
 from nuno_schemas.vectors import norm
 
 REST_DEPTH = 5e-4
-"""A vertex at rest under its own weight sinks no deeper than this [m]."""
+"""depth to which a vertex at rest sinks under its own weight at most [m]"""
 STOP_SPEED, STOP_DEPTH = 1.0, 1e-3
 """A vertex that arrives at this speed [m/s] is stopped within about this depth [m], if its stiffness is no more than
 SHARE allows."""
 SHARE = 0.25
-"""The stiffness that stops a vertex is at most this share of that of the vertex's springs together."""
+"""share of the stiffness of the vertex's springs together that the stiffness to stop it has at most"""
 
 
 class PenaltyConfig(Config):
-    """Nothing: stiffness, damping and friction belong to each body of the scene."""
+    """No configuration: stiffness, damping and friction belong to each body of the scene."""
 
 
 def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
-    """(n,) stiffness of each vertex [N/m]: k = m max(g / REST_DEPTH, min(w0^2, SHARE sum_j k_j / m)).
+    """Return the stiffness (n,) of each vertex [N/m]: k = m max(g / REST_DEPTH, min(w0^2, SHARE sum_j k_j / m)).
 
-    w0 = STOP_SPEED / STOP_DEPTH stops an arriving vertex, and m g / w0^2 is only 10 um at rest.
-    The rows of the spring matrix bound its largest eigenvalue by w^2 <= 2 max_i sum_j k_j / m_i
-    (Gershgorin), so contact at a quarter of a row's sum raises the bound by an eighth and shortens
-    the stable step by at most about 6 %. Where springs are that soft, the rest depth still holds;
-    gravity may be zero, since the other two terms do not need it. A vertex without springs is
-    stopped at w0.
+    w0 = STOP_SPEED / STOP_DEPTH stops an arriving vertex, and m g / w0^2 is only 10 um at rest. The rows of the spring
+    matrix bound its largest eigenvalue by w^2 <= 2 max_i sum_j k_j / m_i (Gershgorin), so contact at a quarter of a
+    row's sum raises the bound by an eighth and shortens the stable step by at most about 6 %. Where springs are that
+    soft, the rest depth still holds; gravity may be zero, since the other two terms do not need it. A vertex without
+    springs is stopped at w0.
     """
     weight = fabric.mass * float(norm(gravity)) / REST_DEPTH
     stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
@@ -46,9 +45,9 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
 
 
 def slip_speed(damping: float) -> float:
-    """How much faster than by Coulomb's law what starts to slide is at most, in mu g sqrt(m / k) [m/s].
+    """Return by how much a vertex that starts to slide is faster than by Coulomb's law, in mu g sqrt(m / k) [m/s].
 
-    What is pulled off from rest by mu N or a little more has the friction f = x + 2 zeta x' in units of mu N,
+    A vertex that is pulled off from rest by mu N or a little more has the friction f = x + 2 zeta x' in units of mu N,
     x'' = 1 - f, until f is 1, and gains what is missing of it until then: the largest speed of a damped oscillator's
     answer to a step, exp(-zeta arccos(zeta) / sqrt(1 - zeta^2)). A stronger pull loads the friction spring sooner, and
     gains less.
@@ -61,7 +60,7 @@ def slip_speed(damping: float) -> float:
 
 
 def check(geometry: Geometry) -> None:
-    """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
+    """Raise BadInput for a body that is a mesh, or whose contact constants make no sense."""
     for primitive in np.flatnonzero(np.isin(geometry.kind, (MESH, SKIN))).tolist():
         body = geometry.bodies[geometry.body[primitive]]
         if geometry.kind[primitive] == SKIN:
@@ -95,10 +94,10 @@ class Penalty:
     Config: ClassVar[type[BaseModel]] = PenaltyConfig
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
-        """The term. Raises BadInput for constants that make no sense.
+        """Return the term. Raises BadInput for constants that make no sense.
 
-        All bodies may touch a vertex at once, so their k/m and c/m add up; within a body one
-        primitive acts, and its normal and its friction spring are orthogonal, so k counts once.
+        All bodies may touch a vertex at once, so their k/m and c/m add up; within a body one primitive acts, and its
+        normal and its friction spring are orthogonal, so k counts once.
         """
         check(geometry)
         own = auto_stiffness(fabric, gravity)

@@ -1,4 +1,4 @@
-"""Primitives of bodies as they lie at a moment of a frame, from the poses of the frames that carry them."""
+"""Primitives of bodies posed at a moment of a frame, by the frames that carry them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nuno_contact.penalty.contact import Contact
 
 SHORTEST = 1e-300
-"""A capsule whose squared length [m^2] is no more is a sphere: the reciprocal would overflow."""
+"""A capsule with at most this squared length [m^2] is a sphere: the reciprocal would overflow."""
 
 
 def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:

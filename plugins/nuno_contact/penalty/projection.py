@@ -31,7 +31,7 @@ from nuno_contact.penalty.response import (
     bodies_of,
     fields_of,
     find_deepest,
-    hold_back,
+    limit_friction,
     respond,
     rub,
     touch_of,
@@ -43,7 +43,7 @@ from nuno_schemas.fabric import Float
 
 @block_kernel
 def place_block(low: int, high: int, moved: Displaced, held: Float | None) -> None:
-    """y = x + u and w = u / h on vertices [low, high), what contact did taken back from u first."""
+    """Compute y = x + u and w = u / h on vertices [low, high), contact's part taken back from u first."""
     x, u, y, w = moved.x, moved.u, moved.y, moved.w
     for row in range(3):
         for i in range(np.uint64(low), np.uint64(high)):
@@ -58,7 +58,7 @@ def place_block(low: int, high: int, moved: Displaced, held: Float | None) -> No
 def push_body(
     low: int, high: int, moved: Displaced, held: Float | None, touch: Touch, bodies: Bodies, fields: Fields | None
 ) -> int:
-    """Solve one body's contact with vertices [low, high); returns how many lay on a capsule's axis."""
+    """Solve one body's contact with vertices [low, high); return how many lay on a capsule's axis."""
     u, y, w, mobility, inverse_step = moved.u, moved.y, moved.w, moved.mobility, moved.inverse_step
     on_axis, deepest, stiffness, damping, anchor_frame = (
         0, touch.deepest, touch.stiffness, touch.damping, touch.anchor_frame
@@ -74,7 +74,7 @@ def push_body(
         across = k if anchor_frame[i] >= 0 else 0.0
         share = 1.0 / (1.0 + (across + c * inverse_step) * mobility[0, i])
         fx, fy, fz = rub(k, c, found)
-        force = hold_back(found, (share * fx, share * fy, share * fz), push, touch.friction * push)
+        force = limit_friction(found, (share * fx, share * fy, share * fz), push, touch.friction * push)
         for row in range(3):
             step = mobility[0, i] * force[row]
             u[row, i] += step
@@ -105,8 +105,8 @@ push_blocks = over_blocks(push_block, "contact, moved, held")
 def project(contact: Contact, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
     """Solve all contact with the bodies as they are at fraction s, in place in `moved`.
 
-    The same bits with any number of threads; None is for one. `held` (3, n) keeps what contact moved vertices by [m]
-    where sweeps are repeated, and is None where they are not.
+    The same bits with any number of threads; None is for one. `held` (3, n) keeps contact's displacements [m] if sweeps
+    are repeated, and is None if not.
     """
     pose_bodies(s, contact)
     push_blocks(contact, moved, held, contact.bounds.shape[0], threads)

@@ -1,4 +1,4 @@
-"""What a vertex meets and how the body answers: the deepest primitive, forces, anchors.
+"""Contact of a vertex with a body: the deepest primitive, forces, anchors.
 
 Indices that address arrays per vertex are unsigned, as in nuno_contact.penalty.distance: numba then leaves the
 test for negative indices out. Loops over vertices read the arrays of tuples before they begin: reading a field of a
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Touch(NamedTuple):
-    """What n vertices are to one body: the rows of Contact's arrays of these names for it."""
+    """Contact data of n vertices and one body: the rows of Contact's arrays of these names for it."""
 
     stiffness: Float
     damping: Float
@@ -47,30 +47,30 @@ class Touch(NamedTuple):
 
 
 class Response(NamedTuple):
-    """How a primitive answers a vertex."""
+    """Response of a primitive to a vertex."""
 
     distance: float
-    """Signed distance from the primitive [m]."""
+    """signed distance from the primitive [m]"""
     push: float
-    """N, the force along the normal [N]."""
+    """N, the force along the normal [N]"""
     stretch: Vector
-    """Elongation of the friction spring in the tangent plane [m]."""
+    """elongation of the friction spring in the tangent plane [m]"""
     normal: Vector
     slip: Vector
-    """Tangential velocity relative to the body [m/s]."""
+    """tangential velocity relative to the body [m/s]"""
     mark: int
-    """1 where the point has no normal of its own, else 0."""
+    """1 if the point has no normal of its own, else 0"""
 
 
 @forced_inline
 def fields_of(contact: Contact) -> Fields | None:
-    """The distance fields of bodies, None where none is one: what reads them is then not compiled."""
+    """Return the distance fields of bodies, None without any: the code that reads them is then not compiled."""
     return join_parts(contact.field_head, contact.field_child, contact.field_corners)
 
 
 @forced_inline
 def join_parts(head: Float | None, child: Int | None, corners: NDArray[np.float32] | None) -> Fields | None:
-    """Fields of three arrays, None of three None: numba prunes by what is an argument."""
+    """Return fields of three arrays, None of three None: numba prunes by arguments."""
     if head is None or child is None or corners is None:
         return None
     return Fields(head, child, corners)
@@ -78,7 +78,7 @@ def join_parts(head: Float | None, child: Int | None, corners: NDArray[np.float3
 
 @forced_inline
 def touch_of(contact: Contact, body: int, rate: float) -> Touch:
-    """What the vertices are to one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
+    """Return the contact data of one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
     return Touch(
         contact.stiffness[body], contact.damping[body], contact.friction[body], rate, contact.deepest[body],
         contact.anchor[body], contact.anchor_frame[body],
@@ -87,14 +87,14 @@ def touch_of(contact: Contact, body: int, rate: float) -> Touch:
 
 @forced_inline
 def bodies_of(contact: Contact) -> Bodies:
-    """The posed bodies."""
+    """Return the posed bodies."""
     return Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
 
 
 @kernel
 def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: Contact, fields: Fields | None) -> bool:
-    """Find the body's deepest primitive for vertices [low, high), into contact.deepest[body] (-1 where a vertex is
-    inside of none), and into contact.near[body, block] whether any can be inside, which is returned.
+    """Find the body's deepest primitive for vertices [low, high), contact.deepest[body] (-1 for a vertex outside), and
+    whether any can be inside, contact.near[body, block], which is returned.
 
     A block that stays out of reach is not written again.
     """
@@ -125,7 +125,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
 
 @forced_inline
 def respond(x: Float, v: Float, i: Index, touch: Touch, bodies: Bodies, fields: Fields | None) -> Response:
-    """Contact of vertex i, of positions and velocities x, v (3, n), with the primitive that it is deepest in.
+    """Return the contact of vertex i, of positions and velocities x, v (3, n), with its deepest primitive.
 
     The dashpot sees an approach of depth times `rate` [1/s] at most: see Contact.rate.
     """
@@ -153,29 +153,29 @@ def respond(x: Float, v: Float, i: Index, touch: Touch, bodies: Bodies, fields: 
 
 
 @forced_inline
-def rub(k: float, c: float, found: Response) -> Vector:
-    """Force [N] of the friction spring k [N/m] and its dashpot c [N s/m], before Coulomb's limit."""
-    e, t = found.stretch, found.slip
+def rub(k: float, c: float, response: Response) -> Vector:
+    """Return the force [N] of the friction spring k [N/m] and its dashpot c [N s/m], before Coulomb's limit."""
+    e, t = response.stretch, response.slip
     return -k * e[0] - c * t[0], -k * e[1] - c * t[1], -k * e[2] - c * t[2]
 
 
 @forced_inline
-def hold_back(found: Response, friction: Vector, push: float, limit: float) -> Vector:
-    """Force [N] of `push` along the normal and of friction, no longer than `limit`."""
-    n = found.normal
+def limit_friction(response: Response, friction: Vector, push: float, limit: float) -> Vector:
+    """Return the force [N] of `push` along the normal and of friction, no longer than `limit`."""
+    n = response.normal
     size = math.sqrt(friction[0] * friction[0] + friction[1] * friction[1] + friction[2] * friction[2])
     share = limit / size if size > limit else 1.0
     return push * n[0] + share * friction[0], push * n[1] + share * friction[1], push * n[2] + share * friction[2]
 
 
 @forced_inline
-def place_anchor(x: Float, i: Index, found: Response, limit: float, touch: Touch, bodies: Bodies) -> None:
-    """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along until the spring's
-    force is `limit` [N].
+def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: Touch, bodies: Bodies) -> None:
+    """Place the anchor of a touching vertex after a step: unchanged while it sticks, else dragged along until the
+    spring's force is `limit` [N].
     """
     anchor, anchor_frame, frames = touch.anchor, touch.anchor_frame, bodies.frames
     f = np.uint64(bodies.frame[np.uint64(touch.deepest[i])])
-    ex, ey, ez = found.stretch
+    ex, ey, ez = response.stretch
     stretch = touch.stiffness[i] * math.sqrt(ex * ex + ey * ey + ez * ez)
     if anchor_frame[i] == f and stretch <= limit:
         return
@@ -192,35 +192,35 @@ def place_anchor(x: Float, i: Index, found: Response, limit: float, touch: Touch
 def add_body(
     x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None, force: Float
 ) -> int:
-    """Add one body's force [N] on vertices [low, high); returns how many lay on a capsule's axis."""
+    """Add one body's force [N] on vertices [low, high); return how many lay on a capsule's axis."""
     on_axis, deepest, stiffness, damping = 0, touch.deepest, touch.stiffness, touch.damping
     for i in range(np.uint64(low), np.uint64(high)):
         if deepest[i] < 0:
             continue
-        found = respond(x, v, i, touch, bodies, fields)
-        friction = rub(stiffness[i], damping[i], found)
-        fx, fy, fz = hold_back(found, friction, found.push, touch.friction * found.push)
+        response = respond(x, v, i, touch, bodies, fields)
+        friction = rub(stiffness[i], damping[i], response)
+        fx, fy, fz = limit_friction(response, friction, response.push, touch.friction * response.push)
         force[0, i] += fx
         force[1, i] += fy
         force[2, i] += fz
-        on_axis += found.mark
+        on_axis += response.mark
     return on_axis
 
 
 @kernel
 def commit_body(x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None) -> int:
-    """Set, drag along or drop the anchors of vertices [low, high); returns how many touch."""
+    """Set, drag along or drop the anchors of vertices [low, high); return how many touch."""
     touching, deepest, anchor_frame = 0, touch.deepest, touch.anchor_frame
     for i in range(np.uint64(low), np.uint64(high)):
-        kept = anchor_frame[i]
-        anchor_frame[i] = kept if deepest[i] >= 0 else np.int32(-1)
+        anchored_to = anchor_frame[i]
+        anchor_frame[i] = anchored_to if deepest[i] >= 0 else np.int32(-1)
     for i in range(np.uint64(low), np.uint64(high)):
         if deepest[i] < 0:
             continue
-        found = respond(x, v, i, touch, bodies, fields)
-        if found.distance >= 0.0:
+        response = respond(x, v, i, touch, bodies, fields)
+        if response.distance >= 0.0:
             anchor_frame[i] = -1
             continue
         touching += 1
-        place_anchor(x, i, found, touch.friction * found.push, touch, bodies)
+        place_anchor(x, i, response, touch.friction * response.push, touch, bodies)
     return touching

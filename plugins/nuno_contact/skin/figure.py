@@ -1,4 +1,4 @@
-"""Where the joints of a standing person lie, found from the mesh alone.
+"""The joints of a standing person, found from the mesh alone.
 
 The person stands upright, y up, and faces +z, with feet and arms apart as in a T-pose or an A-pose. Legs are found by
 level sections, arms by the way over the surface from the neck: their tips are the farthest for how little lower they
@@ -21,20 +21,20 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm
 
 TRUNK = {"spine": 0.63, "chest": 0.73, "neck": 0.825, "head": 0.88}
-"""Heights of joints, as shares of the body's, of which the hip joints have HIP."""
+"""heights of joints, as shares of the body's; the hip joints have HIP"""
 HIP, KNEE, ANKLE = 0.52, 0.505, 0.045
-"""Shares of the height; the knee's of the way from the ankle to the hip joint."""
+"""shares of the height; the knee's is of the way from the ankle to the hip joint"""
 OVER_CROTCH = 0.04
-"""So much of the height the hip joints lie above where the thighs meet."""
+"""share of the height by which the hip joints lie above where the thighs meet"""
 HAND, FOREARM, UPPER_ARM = 0.108, 0.146, 0.186
 ARM = HAND + FOREARM + UPPER_ARM
 BEYOND_PIT = 0.03
-"""The shoulder joint lies so much of the height beyond the section through the armpit, along the arm."""
+"""share of the height by which the shoulder joint lies beyond the section through the armpit, along the arm"""
 CROTCH = (0.38, 0.56)
-"""Between these shares of the height thighs meet."""
+"""shares of the height between which thighs meet"""
 LOWEST_HAND = 0.3
 WIDENS = 1.5
-"""An arm ends where its girth is so many times the least of the upper arm."""
+"""factor on the least girth of the upper arm at which an arm ends"""
 STANDS = "a person who stands upright (y up), faces +z, feet and arms apart"
 TURN = "turn it by `up: z` or in the program that it comes from"
 
@@ -55,7 +55,7 @@ class Figure:
 
 
 def find_figure(x: Float, faces: Int) -> Figure:
-    """Of a closed mesh x (n, 3) [m], faces (f, 3). Raises BadInput for one that does not stand so."""
+    """Find the figure of a closed mesh x (n, 3) [m], faces (f, 3). Raises BadInput for one that does not stand so."""
     size = np.ptp(x, axis=0)
     height = float(size[1])
     if height < 0.7 * float(size.max()):
@@ -90,7 +90,7 @@ def _refused(problem: str, value: str | None = None) -> BadInput:
 
 
 def _leg_loops(x: Float, faces: Int, y: float) -> list[Loop]:
-    """The two longest loops of a level section, if they lie side by side; else those there are."""
+    """Return the two longest loops of a level section, if they lie side by side; else all of them."""
     loops = sorted(cut_mesh(x, faces, x[:, 1] - y), key=lambda loop: -loop.girth)
     if len(loops) < 2:
         return loops
@@ -100,7 +100,7 @@ def _leg_loops(x: Float, faces: Int, y: float) -> list[Loop]:
 
 
 def _find_crotch(x: Float, faces: Int, floor: float, height: float, middle: float) -> float:
-    """Height of the lowest section [m] with a loop about the middle."""
+    """Return the height of the lowest section [m] with a loop about the middle."""
     for share in np.arange(0.26, CROTCH[1], 0.005):
         y = floor + float(share) * height
         for loop in cut_mesh(x, faces, x[:, 1] - y):
@@ -115,7 +115,7 @@ def _find_crotch(x: Float, faces: Int, floor: float, height: float, middle: floa
 def _find_leg(
     x: Float, faces: Int, floor: float, height: float, crotch: float, middle: float, sign: float
 ) -> dict[str, Float]:
-    """Joints of a leg. Raises BadInput for a foot that does not point to +z."""
+    """Return the joints of a leg. Raises BadInput for a foot that does not point to +z."""
     hip_y, ankle_y = crotch + OVER_CROTCH * height, floor + ANKLE * height
     which = 0 if sign > 0.0 else 1
 
@@ -142,7 +142,7 @@ def _find_leg(
 
 
 def _trunk_middle(x: Float, faces: Int, y: float, middle: float) -> Float:
-    """The middle of the loop about the plane of symmetry (3,)."""
+    """Return the middle of the loop about the plane of symmetry (3,)."""
     loops = cut_mesh(x, faces, x[:, 1] - y)
     about = [loop for loop in loops if loop.points[:, 0].min() < middle < loop.points[:, 0].max()]
     if not about:
@@ -154,7 +154,7 @@ def _trunk_middle(x: Float, faces: Int, y: float, middle: float) -> Float:
 def _find_arm(
     x: Float, faces: Int, way: Float, floor: float, height: float, middle: float, sign: float, neck: float
 ) -> dict[str, Float]:
-    """Joints of an arm; `way` (n,) [m] is that from the neck over the surface."""
+    """Return the joints of an arm; `way` (n,) [m] is the way from the neck over the surface."""
     side = (sign * (x[:, 0] - middle) > 0.0) & (x[:, 1] > floor + LOWEST_HAND * height) & np.isfinite(way)
     tip = int(np.argmax(np.where(side, way - 0.7 * np.abs(neck - x[:, 1]), -np.inf)))
     back = way_from(x, faces, x[tip])

@@ -1,4 +1,4 @@
-"""A motion of one skeleton, carried over to a body that has its own.
+"""A motion of one skeleton, retargeted to a body of other proportions.
 
 Of every part the motion gives the rotation R(t) against the skeleton at rest, whose bones lie otherwise than the
 body's: a T-pose and an A-pose. So a part turns by R(t) A, where A is fixed and lays the body's bone along the
@@ -34,9 +34,9 @@ from nuno_schemas.plugin import Mover
 from nuno_schemas.vectors import compose, dot, norm, turn
 
 ALONG = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
-"""The ends of bones whose directions are laid upon each other."""
+"""joints at the ends of bones whose directions are aligned"""
 LOOKED = np.arange(0.0, 2.05, 0.1)
-"""Times [s] at which the height over the floor is looked at."""
+"""times [s] at which the height over the floor is measured"""
 STILL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -69,8 +69,8 @@ class Gait:
     blend: float
 
     def pose(self, t: float) -> tuple[Float, Float]:
-        """World rotation (j, 4) and translation (j, 3) [m] of the motion's joints at time t [s]: for `stand` the body's
-        own, from there on over `blend` into the motion.
+        """Return world rotation (j, 4) and translation (j, 3) [m] of the motion's joints at time t [s]: for `stand` the
+        body's own, from there on over `blend` into the motion.
         """
         since = t - self.stand
         share = 1.0 if since >= self.blend else ease(since / self.blend) if since > 0.0 else 0.0
@@ -81,7 +81,7 @@ class Gait:
         return rotation[self.follows], place[self.follows]
 
     def turns(self, t: float) -> tuple[Float, Float]:
-        """Rotations (p, 4) of the parts in the world, and the place (3,) of the hips, at the motion's time t [s]."""
+        """Return the parts' rotations (p, 4) in the world, and the hips' place (3,), at the motion's time t [s]."""
         rotation, place = self.motion.pose(t)
         turned = multiply(self.heading, multiply(rotation[list(self.joint)], self.aligned))
         chest = turned[self.chest]
@@ -94,7 +94,7 @@ class Gait:
         return turned, root + np.array([0.0, self.lift, 0.0])
 
     def place_parts(self, turned: Float, root: Float, share: float) -> tuple[Float, Float]:
-        """Rotation (p, 4) and translation (p, 3) of parts a `share` of the way from the body's own pose to another."""
+        """Return parts' rotation (p, 4) and translation (p, 3), a `share` of the way from the body's own to a pose."""
         matrix, place = rotation_matrices(turned), np.zeros_like(self.place)
         if share < 1.0:
             local = turned.copy()
@@ -113,7 +113,7 @@ class Gait:
 
 
 def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, spread: float, stand: float, blend: float) -> Gait:
-    """Of a motion whose joints are of the parts `roles`, for a body.
+    """Retarget a motion whose joints have the parts `roles` to a body.
 
     Raises BadInput for a skeleton at rest that does not stand, and one whose limbs have no length.
     """
@@ -150,13 +150,13 @@ def fit_gait(motion: Mover, roles: dict[str, int], figure: Figure, spread: float
 
 
 def _arm_of(side: str, parts: list[str]) -> tuple[int, ...]:
-    """Numbers of the parts of an arm."""
+    """Return the numbers of the parts of an arm."""
     return tuple(parts.index(f"{side}_{name}") for name in ("arm", "forearm", "hand"))
 
 
 def find_lift(gait: Gait, x: Float, feet: dict[int, Bool]) -> float:
-    """How much higher the hips must begin [m] for feet to go on the floor that the body x (v, 3) stands on; `feet` are
-    which vertices (v,) are of parts by number.
+    """Return how much higher the hips must begin [m] for feet to walk on the floor that the body x (v, 3) stands on;
+    `feet` are the vertices (v,) of parts by number.
     """
     lowest = []
     for t in LOOKED.tolist():
@@ -171,7 +171,7 @@ def find_lift(gait: Gait, x: Float, feet: dict[int, Bool]) -> float:
 
 
 def _axes_of(rest: Float, roles: dict[str, int]) -> Float:
-    """(3, 3) the body's axes (left, up, ahead) in the skeleton's at rest, each the nearest of its own."""
+    """Return the body's axes (left, up, ahead) in the skeleton's at rest (3, 3), each the nearest of its own."""
     left = rest[roles["left_thigh"]] - rest[roles["right_thigh"]]
     up = rest[roles["head"]] - rest[roles["hips"]]
     found = []
@@ -187,28 +187,28 @@ def _axes_of(rest: Float, roles: dict[str, int]) -> Float:
 
 
 def _align(part: str, roles: dict[str, int], rest: Float, figure: Figure, axes: Float) -> Float:
-    """(4,) the turn A of a part."""
-    own = from_matrices(axes)
+    """Return the turn A of a part (4,)."""
+    body_way = from_matrices(axes)
     side, _, name = part.partition("_")
     name = "forearm" if name == "hand" else name
     if name not in ALONG:
-        return own
+        return body_way
     first, last = f"{side}_{name}", f"{side}_{ALONG[name]}"
     theirs = rest[roles[last]] - rest[roles[first]]
     if float(norm(theirs)) == 0.0:
         raise BadInput(f"the motion's {first} has no length", field="motion")
     bone = turn(axes, figure[last] - figure[first])
-    return multiply(_least_turn(bone / norm(bone), theirs / norm(theirs)), own)
+    return multiply(_least_turn(bone / norm(bone), theirs / norm(theirs)), body_way)
 
 
 def _least_turn(a: Float, b: Float) -> Float:
-    """(4,) from unit vector a to b. Opposite ones have none; any limb's directions are nearer."""
+    """Return the least turn (4,) from unit vector a to b. Opposite ones have none; a limb's directions are nearer."""
     turned = np.concatenate([[1.0 + float(dot(a, b))], np.cross(a, b)])
     return np.asarray(turned / norm(turned))
 
 
 def _follow(motion: Mover, joints: list[int]) -> Int:
-    """(j,) the part that each joint of a motion goes with: its own, or that of the next joint towards the root."""
+    """Return the part (j,) that each joint of a motion goes with: its own, or the next joint's towards the root."""
     follows = np.zeros(len(motion.joints), np.int32)
     for j, parent in enumerate(motion.parents.tolist()):
         follows[j] = joints.index(j) if j in joints else follows[parent] if parent >= 0 else 0

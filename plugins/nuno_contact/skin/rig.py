@@ -1,4 +1,4 @@
-"""A mesh that comes with joints and weights of its own: a GLB file with a skin (glTF 2.0, 3.6.2 to 3.7.3)."""
+"""A mesh with joints and weights of its own: a GLB file with a skin (glTF 2.0, 3.6.2 to 3.7.3)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from nuno_schemas.reading import read_as
 from nuno_schemas.vectors import norm
 
 SAME = 1e-6
-"""A vertex is one of the file's where it is no farther from it than so much of the body's size."""
+"""A vertex is one of the file's if it is no farther from it than this share of the body's size."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The skin of a file as it stands there at rest.
+    """The skin of a file at rest.
 
     names, parents (j,) of joints, parents before their children; place (j, 3) where they are; points (n, 3), faces
     (f, 3) of the mesh; weight (n, j) how much each joint carries of each point
@@ -42,23 +42,21 @@ class Rig:
     weight: Float
 
     def surface(self, path: Path) -> tuple[Float, Int]:
-        """Its mesh, as nuno_kernels.meshes.file.load_surface has that of a file."""
+        """Return its mesh, as nuno_kernels.meshes.file.load_surface does for a file."""
         return self.points, self.faces
 
 
 def read_rig(path: Path) -> Rig | None:
-    """That of a GLB file, None of one that has none, or of another kind. Raises BadInput for one that does not hold
-    together.
-    """
+    """Read a GLB file's rig; None if it has none, or is of another kind. Raises BadInput for an inconsistent one."""
     return read_as(path, "GLB", _read, LARGEST_FILE) if path.suffix.lower() == ".glb" else None
 
 
 def _read(file: bytes) -> Rig | None:
-    said, data = open_glb(file)
-    nodes = said.get("nodes", [])
-    parts = list(read_parts(said, data))
+    gltf, data = open_glb(file)
+    nodes = gltf.get("nodes", [])
+    parts = list(read_parts(gltf, data))
     carriers = [
-        joint for part in parts if part.joint is not None for joint in said["skins"][nodes[part.node]["skin"]]["joints"]
+        joint for part in parts if part.joint is not None for joint in gltf["skins"][nodes[part.node]["skin"]]["joints"]
     ]
     if not carriers:
         return None
@@ -85,7 +83,7 @@ def _read(file: bytes) -> Rig | None:
 
 
 def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) -> int:
-    """The joint that a mesh without a skin hangs on."""
+    """Return the joint that a mesh without a skin hangs on."""
     for at in way_up(node, above):
         if at in joints:
             return at
@@ -93,12 +91,12 @@ def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) ->
 
 
 def _parent(joint: int, joints: list[int], above: dict[int, int]) -> int:
-    """The number of the joint that one hangs on, through nodes between them, -1 where it hangs on none."""
+    """Return the number of the joint that one hangs on, through nodes between them, -1 if it hangs on none."""
     return next((joints.index(at) for at in way_up(joint, above)[1:] if at in joints), -1)
 
 
 def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:
-    """Each once, in the file's order but for those that it hangs on, which come before it."""
+    """Return each once, in the file's order, but parents before their children."""
     found: list[int] = []
     for joint in joints:
         found += [at for at in reversed(way_up(joint, above)) if at in joints and at not in found]
@@ -106,10 +104,10 @@ def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:
 
 
 def fit_rig(rig: Rig, roles: dict[str, int]) -> tuple[Figure, dict[str, int], Int]:
-    """Where the joints of a body are that a motion moves, those of the motion's joints `roles` by part that the rig has
-    as well, and the part (j,), among those, that each of the rig's joints goes with.
+    """Return the joints of a body that a motion moves, those of the motion's joints `roles` by part that the rig has as
+    well, and the part (j,), among those, that each of the rig's joints goes with.
 
-    Raises BadInput for a rig whose joints' names say of no body, or that does not stand upright and face +z.
+    Raises BadInput for a rig whose joints' names are not of a body, or that does not stand upright and face +z.
     """
     offsets = rig.place - np.where(rig.parents[:, None] >= 0, rig.place[rig.parents], 0.0)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (len(rig.names), 1)), rig.place
@@ -143,12 +141,12 @@ def fit_rig(rig: Rig, roles: dict[str, int]) -> tuple[Figure, dict[str, int], In
 
 
 def weights_of(rig: Rig, goes: Int, x: Float) -> tuple[Int, Float]:
-    """The parts that carry vertices x (v, 3), which are among the rig's points, and their weights: as
-    nuno_contact.skin.weights.find_weights has them. Raises BadInput for a vertex that is not.
+    """Return the parts that carry vertices x (v, 3), which are among the rig's points, and their weights, as
+    nuno_contact.skin.weights.find_weights does. Raises BadInput for a vertex that is not among them.
     """
     nearest, _ = find_vertices(rig.points, rig.faces)
     size = SAME * float(np.ptp(x, axis=0).max())
-    if len(nearest) != len(x) or np.abs(rig.points[nearest] - x).max() > size:  # it is mended
+    if len(nearest) != len(x) or np.abs(rig.points[nearest] - x).max() > size:  # a mended mesh
         distance, nearest = cKDTree(rig.points).query(x)
         if distance.max() > size:
             where = place_of(x[int(distance.argmax())])

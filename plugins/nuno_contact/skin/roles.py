@@ -1,4 +1,4 @@
-"""Which joint of a motion's skeleton is which of a body's, by their names: see nuno_contact.colliders.radii."""
+"""The joints of a motion's skeleton that correspond to a body's, by name: see nuno_contact.colliders.radii."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PARENTS = {
         ("arm", "chest"), ("forearm", "{}_arm"), ("hand", "{}_forearm"),
         ("thigh", "hips"), ("shin", "{}_thigh"), ("foot", "{}_shin"))},
 }  # fmt: skip
-"""What carries each part of a body; a motion may lack spine and neck, which then go with what carries them."""
+"""the parent of each part of a body; a motion may lack spine and neck, whose children then go with the next part"""
 OPTIONAL = ("spine", "neck")
 _SIDE = {
     "left": re.compile(r"[Ll]eft|LEFT|(^|[^A-Za-z])[lL]([^a-z]|$)|^[lL][A-Z]"),
@@ -23,10 +23,9 @@ _SIDE = {
 
 
 def find_roles(mover: Mover) -> dict[str, int]:
-    """Numbers of joints by the part of the body that each moves, all of PARENTS but those that are OPTIONAL, in their
-    order.
+    """Return the numbers of joints by the part of the body that each moves, all of PARENTS but OPTIONAL ones, in order.
 
-    Raises BadInput for a motion whose joints' names say of no body, naming what is missing.
+    Raises BadInput for a motion whose joints' names are not of a body, with the missing parts.
     """
     parts = [find_part(joint) for joint in mover.joints]
     parents = mover.parents.tolist()
@@ -50,7 +49,7 @@ def find_roles(mover: Mover) -> dict[str, int]:
             named = [j for j in mine if parts[j] == part]
             if named:
                 found[f"{side}_{part}"] = named[0]
-        # Where a clavicle is called collar, the joint called shoulder is the arm's.
+        # If a clavicle is called collar, the joint called shoulder is the arm's.
         if f"{side}_arm" not in found and (child := found.get(f"{side}_forearm")) is not None:
             found[f"{side}_arm"] = parents[child]
     _check(mover, found, parents)
@@ -58,7 +57,7 @@ def find_roles(mover: Mover) -> dict[str, int]:
 
 
 def _path(joint: int, parents: list[int]) -> list[int]:
-    """The joints from the root to one, with it."""
+    """Return the joints from the root to one, with it."""
     path = [joint]
     while parents[path[-1]] >= 0:
         path.append(parents[path[-1]])
@@ -85,7 +84,7 @@ def _check(mover: Mover, found: dict[str, int], parents: list[int]) -> None:
 
 
 def carrier_of(part: str, found: dict[str, int]) -> str:
-    """The part that carries one, among those found; empty for the hips."""
+    """Return the parent part among those found; empty for the hips."""
     carrier = PARENTS[part]
     while carrier and carrier not in found:
         carrier = PARENTS[carrier]

@@ -1,4 +1,4 @@
-"""How much each bone carries of each vertex of a skin: heat that flows over the surface from the nearest bone.
+"""Skinning weights of bones by heat that flows over the surface from the nearest bone.
 
 Of each bone the weights w are what
 
@@ -25,21 +25,21 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm
 
 HEAT = 1.0
-"""Of H: the larger, the shorter the way over which weights pass from bone to bone."""
+"""factor of H: the larger, the shorter the way over which weights pass from bone to bone"""
 CARRIERS = 4
-"""Bones that carry a vertex, at most."""
+"""most bones that carry a vertex"""
 LOOKS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
-"""Shares of the way from a vertex to a bone, at which all must be inside of the body for the bone to be seen."""
+"""shares of the way from a vertex to a bone; all must be inside of the body for the bone to be visible"""
 NEAREST = 1e-3
-"""Share of the body's height below which distances count as that."""
+"""share of the body's height that distances have at least"""
 ACCURACY, ROUNDS = 1e-7, 2000
-"""Residual that the solution is left with, as a share of that at the start."""
+"""residual of the solution, as a share of that at the start"""
 BITS = 2.0**32
-"""Weights are whole numbers over this, so that they add up to one exactly in any order."""
+"""weights are whole numbers over this, so that they add up to one exactly in any order"""
 
 
 def find_weights(x: Float, faces: Int, ends: Float, bone: Int) -> tuple[Int, Float]:
-    """The parts that carry each vertex (v, CARRIERS), by number, the one that carries most first, and their weights (v,
+    """Return the parts that carry each vertex (v, CARRIERS), by number, the heaviest first, and their weights (v,
     CARRIERS).
 
     x (v, 3) [m], faces (f, 3) of a closed mesh; ends (b, 2, 3) [m] of bones, of which bone (b,) is of which part.
@@ -51,7 +51,7 @@ def find_weights(x: Float, faces: Int, ends: Float, bone: Int) -> tuple[Int, Flo
 
 
 def to_bones(x: Float, ends: Float) -> tuple[Float, Float]:
-    """Distance (v, b) [m] of points to bones, and the nearest points (v, b, 3) of these."""
+    """Return the distance (v, b) [m] of points to bones, and the nearest points (v, b, 3) of these."""
     start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
     size = np.maximum(dot(along, along), 1e-30)
     share = np.clip(dot(x[:, None] - start, along) / size, 0.0, 1.0)
@@ -60,7 +60,7 @@ def to_bones(x: Float, ends: Float) -> tuple[Float, Float]:
 
 
 def see_bones(x: Float, faces: Int, ends: Float) -> tuple[Int, Float]:
-    """The nearest bone (v,) that each vertex sees, and its distance (v,) [m]; the nearest where it sees none."""
+    """Return the nearest visible bone (v,) of each vertex, and its distance (v,) [m]; the nearest if it sees none."""
     distance, near = to_bones(x, ends)
     order = np.argsort(distance, axis=1, kind="stable")
     found, tree = order[:, 0].copy(), build_tree(x, faces)
@@ -79,7 +79,7 @@ def see_bones(x: Float, faces: Int, ends: Float) -> tuple[Int, Float]:
 
 
 def spread_heat(x: Float, faces: Int, part: Int, distance: Float, parts: int) -> Float:
-    """(v, parts) the heat of each part at each vertex. Raises BadInput for a mesh on which it is not found."""
+    """Return the heat of each part at each vertex (v, parts). Raises BadInput for a mesh on which it is not found."""
     pairs, weight = edge_weights(x, faces)
     number = len(x)
     (i, j), corner = pairs.T, x[faces]
@@ -101,13 +101,13 @@ def spread_heat(x: Float, faces: Int, part: Int, distance: Float, parts: int) ->
 
 
 def keep_largest(heat: Float) -> tuple[Int, Float]:
-    """Of (v, parts) the largest, less the largest that is left out, so that they pass to 0 and not jump; of one sum."""
-    kept = min(CARRIERS, heat.shape[1])
+    """Return the largest of (v, parts), less the largest left out, so that they pass to 0 smoothly; of sum one."""
+    weights = min(CARRIERS, heat.shape[1])
     order = np.argsort(-heat, axis=1, kind="stable")
     largest = np.take_along_axis(heat, order, axis=1)
-    beyond = largest[:, kept : kept + 1] if heat.shape[1] > kept else 0.0
-    weight = np.maximum(largest[:, :kept] - np.maximum(beyond, 0.0), 0.0)
-    weight = np.where(weight.any(axis=1, keepdims=True), weight, largest[:, :kept])
+    beyond = largest[:, weights : weights + 1] if heat.shape[1] > weights else 0.0
+    weight = np.maximum(largest[:, :weights] - np.maximum(beyond, 0.0), 0.0)
+    weight = np.where(weight.any(axis=1, keepdims=True), weight, largest[:, :weights])
     weight = np.round(weight / weight.sum(axis=1, keepdims=True) * BITS) / BITS
     weight[:, 0] = 1.0 - weight[:, 1:].sum(axis=1)
-    return order[:, :kept].astype(np.int32), weight
+    return order[:, :weights].astype(np.int32), weight

@@ -1,1 +1,1 @@
-"""Contact that no vertex passes: movements held off triangle meshes, with friction along them."""
+"""Contact that no vertex passes: movements constrained by triangle meshes, with friction along them."""

@@ -1,9 +1,9 @@
-"""How far cloth is from rest: the force that is left on a vertex once surfaces and friction have held against it.
+"""The force that is left on a vertex after the reaction of surfaces and friction: how far cloth is from rest.
 
-On a vertex that touches a body the surface takes what points into it, and friction up to mu times that of the rest:
-what nuno_contact.sliding.slides does to a movement, here it does to a short one along the force. So the force that is
-left is that share of it by which a vertex at rest would begin to move, whatever grooves and edges of the mesh it lies
-at.
+On a vertex that touches a body the surface takes the part of the force that points into it, and friction up to mu times
+that of the rest: nuno_contact.sliding.slides does this to a movement, and here to a short one along the force. So the
+force that is left is the share of it by which a vertex at rest would begin to move, whatever grooves and edges of the
+mesh it lies at.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from nuno_kernels.meshes.tree import make_room
 from nuno_schemas.fabric import Float
 
 TRIAL = 1e-3
-"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
+"""length of the trial movement, as a share of the gap: it turns by no more than that round an edge"""
 NEAR = 1.02
-"""A vertex within so many gaps touches. A step that is held off at an edge ends a little beyond the gap, by half the
-square of the angle that the surface's normal turned by on the way."""
+"""A vertex within so many gaps touches. A step that ends at an edge ends a little beyond the gap, by half the square of
+the angle that the surface's normal turned by on the way."""
 
 
 @kernel
 def along_planes(m: Vector, n1: Vector, n2: Vector, planes: int) -> Vector:
-    """The part of a movement along one plane, or along the line where two meet."""
+    """Return the part of a movement along one plane, or along the line where two meet."""
     if planes == 2:
         x, y, z = n1[1] * n2[2] - n1[2] * n2[1], n1[2] * n2[0] - n1[0] * n2[2], n1[0] * n2[1] - n1[1] * n2[0]
         square = x * x + y * y + z * z
@@ -59,7 +59,7 @@ def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
             distance = closest((px, py, pz), s.nearest[body, i], s.root[body], tree, room).distance
             if distance > NEAR * gap:
                 continue
-            # Held where it is: what would put it back to the gap is no force, and friction none of that.
+            # From where it is: moving it back to the gap takes no force, and makes no friction.
             clear, near, root, mu = s.clear[body, i], s.nearest[body, i], s.root[body], s.friction[body]
             end = slide((px, py, pz), m, clear, near, root, distance, mu, tree, room)
             if end.planes == 0:

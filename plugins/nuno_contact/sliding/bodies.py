@@ -1,4 +1,4 @@
-"""Bodies that vertices slide on, in the layout of the kernels in nuno_contact.sliding.slides."""
+"""Bodies that vertices slide on, in the layout of nuno_contact.sliding.slides."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Slid(NamedTuple):
 
 
 def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
-    """Slides of bodies that stand still, on some of so many `frames`; mass (n,) [kg], 0 for vertices left alone."""
+    """Return the slides of bodies at rest, on some of so many `frames`; mass (n,) [kg], 0 for vertices left alone."""
     trees = [body.tree for body in bodies]
     n, b = len(mass), len(trees)
     blocks = -(-n // BLOCK)
@@ -63,7 +63,7 @@ def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
 
 
 def moved_children(child: NDArray[np.int64], nodes: int, leaves: int) -> NDArray[np.int64]:
-    """A tree's children where so many nodes and leaves come before it."""
+    """Return a tree's children after so many nodes and leaves of other trees."""
     return np.where(child >= 0, child + nodes, child - leaves)
 
 
@@ -74,4 +74,4 @@ _PARTS: tuple[Any, ...] = (
     (lambda tree: tree.vertex_normals, 1),
     (lambda tree: tree.edge_normals, 1),
 )
-"""What the trees of several bodies are counted by: nodes, leaves, triangles, vertices, edges."""
+"""the counts of several bodies' trees: nodes, leaves, triangles, vertices, edges"""

@@ -1,4 +1,4 @@
-"""Where a straight movement first enters a triangle mesh."""
+"""The first entry of a straight movement into a triangle mesh."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from nuno_kernels.meshes.tree import Room, Tree
 from nuno_schemas.fabric import Float
 
 OVERLAP = 1e-9
-"""Triangles count as larger by this share, so that nothing slips through between two of them."""
+"""share by which triangles are enlarged, so that nothing slips through between two of them"""
 BEYOND = 1.0 + 2.0**-40
-"""A share of the movement that is no longer part of it."""
+"""a share of the movement that is no longer part of it"""
 
 
 @forced_inline
 def leaf_crossings(p: Vector, d: Vector, corners: Float, leaf: int) -> Lanes:
-    """Shares of the movement from p by d after which it enters a leaf's eight triangles; 2 where it does not."""
+    """Return the shares of the movement from p by d after which it enters a leaf's eight triangles; 2 for no entry."""
     (px, py, pz), (dx, dy, dz), row = p, d, 9 * leaf
     ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
     bx, by, bz = load(corners, row + 3, 0), load(corners, row + 4, 0), load(corners, row + 5, 0)
@@ -31,15 +31,15 @@ def leaf_crossings(p: Vector, d: Vector, corners: Float, leaf: int) -> Lanes:
     u = nx * (y * cz - z * cy) + ny * (z * cx - x * cz) + nz * (x * cy - y * cx)
     v = nx * (by * z - bz * y) + ny * (bz * x - bx * z) + nz * (bx * y - by * x)
     within = lower(lower(u, v), det - u - v) + OVERLAP * det
-    none = splat(2.0)
+    no_entry = splat(2.0)
     # A movement along the plane has a share that is infinite or NaN: `within` is NaN then.
-    return where_not_negative(lower(lower(towards, share), within), share, none)
+    return where_not_negative(lower(lower(towards, share), within), share, no_entry)
 
 
 @kernel
 def first_crossing(p: Vector, d: Vector, root: int, tree: Tree, room: Room) -> tuple[float, int]:
-    """(share of the movement, place of the triangle) where the movement from p by d first enters the mesh
-    through the outside of a triangle; (2, -1) where it does not.
+    """Return (share of the movement, place of the triangle) where the movement from p by d first enters the mesh
+    through the outside of a triangle; (2, -1) if it does not.
 
     Boxes are tested against the box of the movement, which is short.
     """

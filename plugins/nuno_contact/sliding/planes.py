@@ -1,4 +1,4 @@
-"""A movement held off by planes, with Coulomb friction: what a vertex does where it meets a surface.
+"""A movement constrained by planes, with Coulomb friction: the motion of a vertex that meets a surface.
 
 The movement m that a vertex would make is changed by the least that keeps it out of up to two planes
 with normals n1 and n2,
@@ -20,12 +20,12 @@ from nuno_kernels import kernel
 from nuno_kernels.bodies.poses import Vector
 
 PARALLEL = 1e-6
-"""Planes whose normals have a smaller squared sine between them are one."""
+"""squared sine between normals below which two planes are one"""
 
 
 @kernel
 def share_planes(g1: float, g2: float, cosine: float) -> tuple[float, float]:
-    """Least a, b >= 0 with a + b cosine >= g1 and a cosine + b >= g2."""
+    """Return the least a, b >= 0 with a + b cosine >= g1 and a cosine + b >= g2."""
     if g1 <= 0.0 and g2 <= 0.0:
         return 0.0, 0.0
     if g1 > 0.0 and g1 * cosine >= g2:
@@ -40,7 +40,7 @@ def share_planes(g1: float, g2: float, cosine: float) -> tuple[float, float]:
 
 @kernel
 def hold_off(m: Vector, n1: Vector, h1: float, n2: Vector, h2: float, two: bool, mu: float) -> Vector:
-    """The movement m held off by one plane, or by `two`, with friction mu; h1 and h2 are the least movement
+    """Return the movement m constrained by one plane, or by `two`, with friction mu; h1 and h2 are the least movement
     along the unit normals n1 and n2.
     """
     g1 = h1 - (m[0] * n1[0] + m[1] * n1[1] + m[2] * n1[2])
@@ -62,5 +62,5 @@ def hold_off(m: Vector, n1: Vector, h1: float, n2: Vector, h2: float, two: bool,
         along = x * nx + y * ny + z * nz
         tx, ty, tz = x - along * nx, y - along * ny, z - along * nz
     size = math.sqrt(tx * tx + ty * ty + tz * tz)
-    lost = 1.0 if size <= mu * (a + b) else mu * (a + b) / size
-    return x - lost * tx, y - lost * ty, z - lost * tz
+    friction = 1.0 if size <= mu * (a + b) else mu * (a + b) / size
+    return x - friction * tx, y - friction * ty, z - friction * tz

@@ -19,7 +19,7 @@ from nuno_schemas.system import Term
 
 
 class SlidingConfig(Config):
-    """How near vertices come; friction belongs to each body of the scene."""
+    """The gap; friction belongs to each body of the scene."""
 
     gap: Size = Field(
         default=5e-5, description="distance from the surface at which vertices rest [m], such as half a yarn's width"
@@ -37,10 +37,10 @@ class Sliding:
     any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = SlidingConfig
     of_triangles: ClassVar[bool] = True
-    """Distance fields are not read: they are neither sent, nor is penetration measured by them."""
+    """Distance fields are neither sent, nor used to measure penetration."""
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
-        """The term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
+        """Return the term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
         gap = float(cast(SlidingConfig, config).gap)
         check_meshes(geometry)
         for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
@@ -53,7 +53,7 @@ class Sliding:
 
 
 def check_meshes(geometry: Geometry) -> None:
-    """Raises BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
+    """Raise BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
     for primitive, kind in enumerate(geometry.kind.tolist()):
         body = geometry.bodies[geometry.body[primitive]]
         if kind == SKIN:
@@ -67,7 +67,7 @@ def check_meshes(geometry: Geometry) -> None:
                 remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
             )  # fmt: skip
         x, faces = geometry.mesh(primitive)
-        # What passes through itself has no hole to be filled.
+        # A mesh that passes through itself has no hole to be filled.
         for check, more in (
             (check_closed, f"--set bodies.{body}.collider.mend=true fills holes"),
             (check_crossings, "cloth in its folds wants collider: {plugin: sdf, ...}, contact: {plugin: penalty}"),

@@ -33,7 +33,7 @@ from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 64
-"""Vertices handled together."""
+"""vertices handled together"""
 
 
 class Slides(NamedTuple):
@@ -51,7 +51,7 @@ class Slides(NamedTuple):
     gap: Float
     """(b,) distance from the surface at which vertices rest [m]"""
     mass: Float
-    """(n,) [kg], 0 for vertices that are held or carried: they are left alone"""
+    """(n,) [kg], 0 for vertices that are held or carried: contact leaves them alone"""
     rotation0: Float
     origin0: Float
     spin: Float
@@ -70,22 +70,22 @@ class Slides(NamedTuple):
     vertex_normals: Float
     edge_normals: Float
     before: Float
-    """(b, 3, n) where vertices were after the last step, in the body's frame [m]; NaN at first"""
+    """(b, 3, n) vertices after the last step, in the body's frame [m]; NaN at first"""
     clear: Float
     """(b, n) how far they may move without meeting the surface [m]; negative inside"""
     nearest: NDArray[np.int64]
-    """(b, n) place of the triangle that was nearest"""
+    """(b, n) place of the nearest triangle"""
     planes: Float
-    """(b, 7, n) normals, in the body's frame, of the planes that held vertices off in the last step, and how many"""
+    """(b, 7, n) normals, in the body's frame, of the planes that held vertices off in the last step; their number"""
     impulse: Float
-    """(B, b, 3) what the vertices of each block have given to the body so far [N s]"""
+    """(B, b, 3) impulse of the vertices of each block on the body so far [N s]"""
     tally: NDArray[np.int64]
     """(B, 2) vertices touching after the last step; vertices that were put back so far"""
 
 
 @forced_inline
 def tree_of(s: Slides) -> Tree:
-    """The trees of all bodies as one."""
+    """Return the trees of all bodies as one."""
     return Tree(
         s.boxes, s.child, s.parent, s.leaf_parent, s.corners, s.face, s.place, s.faces, s.edges, s.vertex_normals,
         s.edge_normals,
@@ -184,7 +184,7 @@ def slow_slides(s: Slides, x: Float, v: Float, threads: int | None) -> None:
 
 @block_kernel
 def find_block_room(block: int, x: Float, s: Slides) -> None:
-    """`find_room` for the vertices of one block."""
+    """Call `find_room` for the vertices of one block."""
     room, tree, frames = make_room(), tree_of(s), s.frames
     for body in range(s.root.shape[0]):
         before, clear, nearest = s.before[body], s.clear[body], s.nearest[body]
@@ -205,18 +205,18 @@ find_rooms = over_blocks(find_block_room, "x, s")
 
 @kernel
 def find_room(s: Slides, x: Float, span: float, threads: int | None) -> None:
-    """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
+    """Set vertices x (3, n) at the start of the interval as the start of their next movement.
 
-    One that has not gone on from where it was, as after a jump, is looked up anew.
+    One that is not where it was left, as after a jump, is searched anew.
     """
     pose_slides(0.0, s)
     find_rooms(x, s, s.tally.shape[0], threads)
 
 
 def act_alone(slides: Slides, body: int) -> Slides:
-    """The same with one of its bodies: vertices are as far from the others as can be."""
-    own = (np.arange(len(slides.root)) == body)[:, None]
-    return slides._replace(clear=np.where(own, slides.clear, np.inf))
+    """Return the slides with one of its bodies: vertices are infinitely far from the others."""
+    chosen = (np.arange(len(slides.root)) == body)[:, None]
+    return slides._replace(clear=np.where(chosen, slides.clear, np.inf))
 
 
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
@@ -225,7 +225,7 @@ def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
 
 
 def count_slides(slides: Slides) -> dict[str, int]:
-    """Counts for a step report: vertices that touch after the last step, vertices put back so far."""
+    """Return the counts for a step report: vertices that touch after the last step, vertices put back so far."""
     touching, back = (int(total) for total in slides.tally.sum(axis=0))
     return {"touching": touching, "put_back": back}
 

@@ -1,4 +1,4 @@
-"""One vertex's movement held off one body: looked at as often as it meets another plane (nuno_contact.sliding.slides).
+"""One vertex's movement constrained by one body, iterated as it meets further planes (nuno_contact.sliding.slides).
 
 `frames` (f, 18) is as in nuno_contact.penalty.distance.
 """
@@ -17,9 +17,9 @@ from nuno_kernels.meshes.tree import Room, Tree
 from nuno_schemas.fabric import Float
 
 ROUNDS = 12
-"""Times that a movement is looked at: the last two planes it meets hold it off together."""
+"""iterations of a movement: the last two planes it meets constrain it together"""
 TOUCHING = 1.0 - 1e-6
-"""A movement that planes have changed may end no nearer to the surface than this share of the gap.
+"""share of the gap at which a movement that planes have changed may end at least
 
 One that none has changed yet meets the surface as soon as it ends nearer than the gap, by however little: a vertex that
 could fall through a part of the gap unseen would feel no friction on the way, which at short steps is several of them.
@@ -28,7 +28,7 @@ could fall through a part of the gap unseen would feel no friction on the way, w
 
 @kernel
 def outward(p: Vector, near: Answer) -> Vector:
-    """Unit direction out of the surface at the closest point of p; the pseudonormal where p lies on it."""
+    """Return the unit direction out of the surface at the closest point of p; the pseudonormal if p lies on it."""
     x, y, z, distance = p[0] - near.point[0], p[1] - near.point[1], p[2] - near.point[2], near.distance
     if abs(distance) < 1e-9 * (abs(p[0]) + abs(p[1]) + abs(p[2])):
         x, y, z = near.normal
@@ -37,8 +37,8 @@ def outward(p: Vector, near: Answer) -> Vector:
 
 
 class Slid(NamedTuple):
-    """What became of a movement: what is left of it [m], the normals of the last planes that held it off and how many
-    there were, the distance that is left [m], the nearest triangle's place, and whether the vertex was put back.
+    """Result of a constrained movement: what is left of it [m], the normals of the last planes that held it off and
+    their number, the distance that is left [m], the nearest triangle's place, and whether the vertex was put back.
     """
 
     made: Vector
@@ -54,7 +54,7 @@ class Slid(NamedTuple):
 def slide(
     start: Vector, m: Vector, clear: float, place: int, root: int, gap: float, mu: float, tree: Tree, room: Room
 ) -> Slid:
-    """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`.
+    """Constrain a vertex's movement m from `start`, in the body's frame, that would enter or come nearer than `gap`.
 
     `clear` is the distance at the start, or less; `place` that of a triangle which may be near.
     """
@@ -101,7 +101,7 @@ def slide(
 def slow_down(
     v: Float, i: int, at: Vector, n1: Vector, n2: Vector, planes: int, mu: float, frames: Float, f: int
 ) -> Vector:
-    """Hold the velocity of vertex i at `at` off the body's planes; returns the change of velocity [m/s]."""
+    """Hold the velocity of vertex i at `at` off the body's planes; return the change of velocity [m/s]."""
     a, b = turn_out(n1, frames, f), turn_out(n2, frames, f)
     rx, ry, rz = at[0] - frames[f, 9], at[1] - frames[f, 10], at[2] - frames[f, 11]
     bx = frames[f, 12] + frames[f, 16] * rz - frames[f, 17] * ry

@@ -1,1 +1,1 @@
-"""Untangling: cloth that passes through itself or other cloth where it starts is moved until it does so no more."""
+"""Untangling: cloth that passes through itself or other cloth at the start is moved until it does so no more."""

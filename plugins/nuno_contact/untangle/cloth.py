@@ -1,4 +1,4 @@
-"""What untangling knows of a cloth: its mesh, what may move, and what meets."""
+"""The cloth as untangling sees it: its mesh, the vertices that may move, and the pieces that meet."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from nuno_schemas.vectors import norm
 
 Long = NDArray[np.int64]
 HELD = 1e6
-"""How much heavier a vertex that is held makes its part of the cloth, in areas of all (nuno_contact.untangle.sides)."""
+"""weight that a held vertex adds to its part of the cloth, in areas of all (nuno_contact.untangle.sides)"""
 JITTER = 1e-6
-"""Share of the mean edge by which vertices are put off their places before they are looked at. Grids laid on each other
-meet edge on edge and vertex on edge; where nothing does so exactly, a crossing is a crossing."""
+"""Share of the mean edge by which vertices are shifted before they are examined. Grids laid on each other meet edge on
+edge and vertex on edge; where nothing does so exactly, a crossing is a crossing."""
 
 
 class Cloth(NamedTuple):
@@ -56,8 +56,8 @@ class Cloth(NamedTuple):
 
 
 def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: Surface | None) -> Cloth:
-    """Of a fabric with triangles, and of bodies, which are one more piece, all held, that does not meet itself."""
-    from scipy.sparse import csr_array  # slow to import, for cloth that is tangled alone
+    """Return the cloth of a fabric and of bodies: one more piece, all held, that does not meet itself."""
+    from scipy.sparse import csr_array  # slow to import, for tangled cloth alone
 
     x, faces, pinned, known = fabric.position, fabric.faces, fabric.pinned, len(objects)
     if bodies is not None:
@@ -94,7 +94,7 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: 
 
 
 def fit(tree: Tree, x: Float) -> Float:
-    """Fit a tree to vertices x (n, 3), and the same as (3, n)."""
+    """Fit a tree to vertices x (n, 3); return them as (3, n)."""
     rows = np.ascontiguousarray(x.T)
     fit_tree(tree, rows, np.zeros_like(rows), np.zeros(len(x)))
     return rows

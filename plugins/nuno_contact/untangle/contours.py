@@ -56,13 +56,13 @@ class Contours(NamedTuple):
 
 
 def units(v: Float) -> Float:
-    """v (k, 3) at length 1; of none, 0."""
+    """Return v (k, 3) at length 1; of none, 0."""
     length = norm(v)[:, None]
     return np.divide(v, length, out=np.zeros_like(v), where=length > 0.0)
 
 
 def make_nodes(cloth: Cloth, x: Float, edge: Long, face: Long) -> Nodes:
-    """Of edges (k,) that go through triangles (k,), where x (n, 3) is."""
+    """Return the nodes of edges (k,) that go through triangles (k,), at vertices x (n, 3)."""
     ends, corners = cloth.tree.edges[edge].astype(np.int64), cloth.tree.faces[face].astype(np.int64)
     a, b, c = (x[corners[:, k]] for k in range(3))
     normals = units(np.cross(b - a, c - a))
@@ -82,7 +82,7 @@ def make_nodes(cloth: Cloth, x: Float, edge: Long, face: Long) -> Nodes:
 
 
 def find_contours(cloth: Cloth, x: Float, nodes: Nodes) -> Contours:
-    """Of vertices x (n, 3)."""
+    """Return the contours of vertices x (n, 3)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -25,16 +25,16 @@ from nuno_contact.untangle.sides import Sides, find_sides
 from nuno_schemas.fabric import Bool, Float
 
 STEP = 0.5
-"""Share of the mean edge by which what crosses is pushed at most."""
+"""share of the mean edge by which crossing cloth is pushed at most"""
 WAYS = ((3, False), (3, True), (1, False), (1, True))
-"""How often a push is smoothed, and whether all contours are made shorter, also where they cut."""
+"""how often a push is smoothed, and whether all contours are shortened, also where they cut"""
 MOST = 5.0
-"""How much a smoothed push is scaled at most."""
+"""most scaling of a smoothed push"""
 LEAST = 0.25
-"""Of the squares of weights that a pair is moved by: less has one of which hardly anything is free."""
+"""least sum of squared weights by which a pair is moved: less means hardly any of it is free"""
 PATIENCE, SETTLED = 15, 50
-"""How often nothing may get better before something else is tried; and how often, where nothing crosses any more,
-parts of one object are pushed further apart."""
+"""Iterations without progress before another way is tried; and those, when nothing crosses any more, in which parts of
+one object are pushed further apart."""
 
 
 class Loosened(NamedTuple):
@@ -47,7 +47,7 @@ class Loosened(NamedTuple):
 
 
 def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
-    """Move the cloth at most so many times, from where it crosses, until what was tangled and objects keep a gap [m].
+    """Move the cloth, up to `most` times, from where it crosses, until its tangled parts and objects keep a gap [m].
 
     Parts may stay nearer, as in a sharp fold or between layers that are held: they are given up after a while.
     """
@@ -75,7 +75,7 @@ def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
 
 
 def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, sweeps: int) -> Float:
-    """(n, 3) how far what crosses is to go now [m]."""
+    """Return the displacement of crossing cloth (n, 3) [m]."""
     known, step = sides.wrong >= 0, STEP * cloth.edge
     is_wrong = nodes.ends == sides.wrong[:, None]
     depth = np.abs(np.where(is_wrong, nodes.heights, 0.0)).max(axis=1)
@@ -83,32 +83,32 @@ def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, sweeps: int) ->
     ends = np.where(known[:, None], is_wrong.astype(np.float64), nodes.end_shares)
     weights = np.concatenate([ends, -nodes.corner_shares], axis=1)
     vertices = np.concatenate([nodes.ends, nodes.corners], axis=1)
-    raw, asked = displaced(cloth, vertices, weights, amount, sides.way)
+    raw, wanted = displaced(cloth, vertices, weights, amount, sides.way)
     push = raw
     for _ in range(sweeps):
         push = cloth.free * 0.5 * (push + cloth.mean @ push)
-    along = math.fsum((raw[asked] * push[asked]).ravel().tolist())
-    own = math.fsum((push[asked] ** 2).ravel().tolist())
+    along = math.fsum((raw[wanted] * push[wanted]).ravel().tolist())
+    own = math.fsum((push[wanted] ** 2).ravel().tolist())
     return min(max(along / own, 1.0), MOST) * push if own > 0.0 else push
 
 
 def parted(cloth: Cloth, near: Near, tangled: Bool) -> Float:
-    """(n, 3) how far what is too near is to go apart [m]; what is tangled does not know where to."""
+    """Return the displacement of cloth that is too near (n, 3) [m]; for tangled cloth the direction is unknown."""
     apart = ~tangled[near.pair].any(axis=1)
     amount = OVER * near.wanted[apart] - near.distance[apart]
     return displaced(cloth, near.pair[apart], near.weights[apart], amount, near.normal[apart])[0]
 
 
 def displaced(cloth: Cloth, vertices: Long, weights: Float, amount: Float, way: Float) -> tuple[Float, Bool]:
-    """(n, 3) displacements by which the sums of weights (k, c) times vertices (k, c) go by an amount (k,) [m] along a
-    way (k, 3) each, if each were alone: the mean of them at each vertex, by weight. And (n,) where there is any.
+    """Return displacements (n, 3) by which sums of weights (k, c) times vertices (k, c) go by an amount (k,) [m] along
+    a way (k, 3), each as if alone: their weighted mean at each vertex; and (n,) where there is any.
     """
     n, size = len(cloth.free), np.abs(weights)
     free = weights * cloth.free[vertices, 0]
     room = (free * weights).sum(axis=1)
     scale = amount / np.maximum(room, LEAST)
-    asked = size[:, :, None] * (free * scale[:, None])[:, :, None] * way[:, None, :]
+    wanted = size[:, :, None] * (free * scale[:, None])[:, :, None] * way[:, None, :]
     total, weight = np.zeros((n, 3)), np.bincount(vertices.ravel(), size.ravel(), n)
-    np.add.at(total, vertices.ravel(), asked.reshape(-1, 3))
+    np.add.at(total, vertices.ravel(), wanted.reshape(-1, 3))
     taken = weight > 1e-12
     return np.divide(total, weight[:, None], out=np.zeros_like(total), where=taken[:, None]), taken

@@ -1,4 +1,4 @@
-"""The operation `untangle`: cloth that passes through cloth where it starts is moved to where it does so no more."""
+"""The operation `untangle`: cloth that passes through cloth at the start is moved until it does so no more."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from nuno_schemas.plugin import Config
 from nuno_schemas.vectors import norm
 
 GAP = 1e-3
-"""Of cloth that has no thickness [m]."""
+"""gap of cloth that has no thickness [m]"""
 
 
 class UntangleConfig(Config):
-    """How far apart, and how long to try."""
+    """The gap, and the number of attempts."""
 
     gap: Size | Literal["auto"] = Field(
         default="auto",
@@ -36,13 +36,13 @@ class UntangleConfig(Config):
 
 
 class Untangle:
-    """Moves what crosses, and what is next to it; nothing where nothing crosses."""
+    """Moves crossing cloth and its neighbourhood; nothing if nothing crosses."""
 
     name: ClassVar[str] = "untangle"
     Config: ClassVar[type[BaseModel]] = UntangleConfig
 
     def apply(self, config: UntangleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """One fabric by itself, where `state` has it; velocities stay. Raises BadInput where it stays tangled."""
+        """Untangle one fabric by itself, at `state`; velocities stay. Raises BadInput if it stays tangled."""
         whole = {fabric.name: np.arange(fabric.number, dtype=np.int32)}
         made = self.arrange(config, replace(fabric, position=state.x), whole, np.ones((1, 1), np.bool_), None)
         after = State(made.position, state.v.copy(), state.t)
@@ -52,7 +52,7 @@ class Untangle:
         self, config: UntangleConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool,
         thickness: float | None, bodies: Surface | None = None,
     ) -> Arranged:  # fmt: skip
-        """See nuno_schemas.operation. Raises BadInput where cloth stays tangled, with how much and where."""
+        """Untangle all; see nuno_schemas.operation. Raises BadInput if cloth stays tangled, with how much and where."""
         x = fabric.position.copy()
         if not len(fabric.faces):
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
@@ -63,7 +63,7 @@ class Untangle:
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
         gap = (thickness or GAP) if config.gap == "auto" else config.gap
         found = loosen(cloth, gap + 4.0 * JITTER * cloth.edge, config.iterations)
-        # What has hardly gone stays. And the check is of the places themselves: they were moved a little beside them.
+        # Vertices that have hardly moved stay. The check is of the real places: the search shifted them a little.
         gone = norm(found.moved) > JITTER * cloth.edge
         whole = np.where(gone[:, None], whole + found.moved, whole)
         edge, face = find_crossings(cloth.tree, whole, cloth.piece, cloth.meets, cloth.bodies >= 0)
@@ -73,7 +73,7 @@ class Untangle:
 
 
 def facts_of(crossings: int, iterations: int, moved: Float) -> dict[str, float]:
-    """Edges through triangles before, how often the cloth was moved, how many vertices were, and how far [m]."""
+    """Return edges through triangles before, iterations, moved vertices, and their way [m]."""
     far = norm(moved)
     return {
         "crossings": float(crossings),
@@ -87,7 +87,7 @@ def facts_of(crossings: int, iterations: int, moved: Float) -> dict[str, float]:
 def check_loose(
     cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int, before: int, names: list[str], fabric: Fabric
 ) -> None:
-    """Raises BadInput for edges (k,) that still go through triangles (k,)."""
+    """Raise BadInput for edges (k,) that still go through triangles (k,)."""
     if not len(edge):
         return
     ends, corners = cloth.tree.edges[edge], cloth.tree.faces[face]
@@ -97,8 +97,8 @@ def check_loose(
     of_body, remedy = cloth.bodies in (one, two), "place the objects so that less of them crosses, hold less of them"
     where = place
     if not of_body:
-        beside = int(np.flatnonzero(np.isin(fabric.faces, [i, j]).sum(axis=1) == 2)[0])
-        panels = [_panel_of(fabric, int(k)) for k in (beside, face[0])]
+        adjacent = int(np.flatnonzero(np.isin(fabric.faces, [i, j]).sum(axis=1) == 2)[0])
+        panels = [_panel_of(fabric, int(k)) for k in (adjacent, face[0])]
         where = f"edge {i}-{j} of {names[one]} through triangle {face[0]} of {names[two]}, {place}"
         if all(panels):
             where = f"{panels[0]} of {names[one]} through {panels[1]} of {names[two]}, {place}"
@@ -113,6 +113,6 @@ def check_loose(
 
 
 def _panel_of(fabric: Fabric, face: int) -> str:
-    """Which panel a triangle of a garment that is sewn is of, "" for none."""
+    """Return the panel of a triangle of a sewn garment, "" for none."""
     panels = None if fabric.corners is None else fabric.corners.panels
     return "" if panels is None or panels.of[face] < 0 else panels.names[panels.of[face]]

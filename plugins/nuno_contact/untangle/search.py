@@ -1,4 +1,4 @@
-"""What crosses and what is near, by the tree of cloth contact."""
+"""Crossing and near pairs, by the tree of cloth contact."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from nuno_kernels.meshes.check import orient
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05
-"""Pairs that are nearer than this many times their gap are pushed that far apart: so they come to have it."""
-KEPT = 0.5
-"""Share of its distance at the start that a pair may lose which is not to have a gap."""
+"""Pairs nearer than this factor on their gap are pushed that far apart, so that they end with the gap."""
+LEAST_SHARE = 0.5
+"""share of its distance at the start that a pair may lose which needs no gap"""
 
 
 APART, CROSSING, DOUBTFUL = 0, 1, 2
@@ -28,8 +28,8 @@ APART, CROSSING, DOUBTFUL = 0, 1, 2
 
 @kernel
 def passes_through(x: Float, p: int, q: int, face: Int) -> int:
-    """Whether the edge from vertex p to vertex q goes through a triangle of three others, as far as rounding tells; in
-    one plane it is taken not to.
+    """Return whether the edge from vertex p to vertex q goes through a triangle of three others, within rounding; in
+    one plane it does not.
     """
     a, b, c = x[face[0]], x[face[1]], x[face[2]]
     above, below = orient(a, b, c, x[p]), orient(a, b, c, x[q])
@@ -59,8 +59,8 @@ def touches(edge: Float, triangle: Float) -> bool:
 
 @block_kernel
 def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, bodies: bool, found: Long) -> int:
-    """Edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there is
-    room; how many there are.
+    """Write edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there
+    is room; return their number.
     """
     number, edges, faces, hits, first = 0, tree.edges, tree.faces, np.empty((HITS, 4), np.int64), len(tree.boxes) // 2
     leaves = near_leaves(tree.boxes, 0.0, bodies)
@@ -82,16 +82,16 @@ def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, bodies: bool, fo
                         shared |= faces[f, k] == i or faces[f, k] == j
                     if shared or not meets[piece[i], piece[faces[f, 0]]]:
                         continue
-                    told = passes_through(x, i, j, faces[f])
-                    if told != APART:
+                    crossing = passes_through(x, i, j, faces[f])
+                    if crossing != APART:
                         if number < found.shape[0]:
-                            found[number, 0], found[number, 1] = e, f if told == CROSSING else -1 - f
+                            found[number, 0], found[number, 1] = e, f if crossing == CROSSING else -1 - f
                         number += 1
     return number
 
 
 def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
-    """Rows (c, 2) that `find` fills and how many, with as much room as it asks for."""
+    """Return the rows (c, 2) that `find` fills and their number, with as much room as it needs."""
     rows = np.empty((first, 2), np.int64)
     if (number := int(find(rows))) > len(rows):
         rows = np.empty((number, 2), np.int64)
@@ -100,7 +100,7 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
 
 
 def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
-    """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
+    """Return edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
     fit(tree, x)
     found, number = with_room(lambda rows: find_through(x, tree, piece, meets, bodies, rows), len(tree.faces))
     found, kept = found[:number], np.ones(number, bool)
@@ -113,8 +113,8 @@ def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool, bodies: bool =
 
 
 class Near(NamedTuple):
-    """Pairs (k, 4) that are nearer to each other than they ought to be, as in nuno_contact.offset.proximity: weights at
-    the closest points, normal from the second primitive to the first, distance and what it ought to be [m].
+    """Pairs (k, 4) that are nearer to each other than required, as in nuno_contact.offset.proximity: weights at the
+    closest points, normal from the second primitive to the first, distance and the required one [m].
     """
 
     pair: Long
@@ -141,9 +141,9 @@ def measure_near(
     x: Float, begun: Float, tree: Tree, ring_start: Long, ring: Long, piece: Int, meets: Bool, bodies: int,
     tangled: Bool, gap: float, found: Long, number: int, pair: Long, weights: Float, normal: Float, size: Float,
 ) -> int:  # fmt: skip
-    """Pairs among `number` found that are too near, into pair (c, 4), weights, normal, size (c, 2); how many.
+    """Write pairs among `number` found that are too near into pair (c, 4), weights, normal, size (c, 2); count them.
 
-    What was tangled, and what is of two objects, is to have the gap; what else is near has been so from the start.
+    Tangled pairs and those of two objects need the gap; others have been near from the start.
     """
     count, four = 0, np.empty(4, np.int64)
     for r in range(number):
@@ -168,7 +168,7 @@ def measure_near(
         if not objects and not (was and not neighbours(ring_start, ring, four, of_edges)):
             first = (point(begun, i), point(begun, j), point(begun, k), point(begun, l))
             _, before = unit(weigh(closest(of_edges, first).weights, first))
-            wanted = less(gap, KEPT * before)
+            wanted = less(gap, LEAST_SHARE * before)
         if distance >= OVER * wanted:
             continue
         if count < pair.shape[0]:
@@ -182,7 +182,7 @@ def measure_near(
 
 
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
-    """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
+    """Return pairs that are nearer than OVER times their required distance, of vertices x (n, 3), in order."""
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
     leaves = near_leaves(tree.boxes, radius, cloth.bodies >= 0)
     found, number = with_room(lambda rows: find_near(tree, radius, leaves, rows), 8 * len(tree.faces))

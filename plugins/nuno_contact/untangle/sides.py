@@ -1,4 +1,4 @@
-"""Which way cloth has to go: what is on the wrong side of a contour, and which side is the right one.
+"""The direction in which cloth has to move: the part on the wrong side of a contour, and the right side.
 
 A contour that cuts a sheet in two has the smaller part on the wrong side (Baraff, Witkin, Kass 2003). Cut are edges
 that the contour crosses an odd number of times; where a contour ends within a triangle at the sheet's border, what
@@ -9,8 +9,8 @@ A contour that cuts neither sheet, as where two borders have slid into each othe
 Thalmann: Resolving surface collisions through intersection contour minimization, SIGGRAPH 2006). With unit vectors r
 from a node along its segments, the edge's direction e and the triangle's normal n, a displacement a of the edge and b
 of the triangle there moves the node by a + e ((b - a) . n) / (e . n), and the contour gets shorter by that times the
-sum of r: steepest for a - b along r - 2 n (r . e) / (n . e). What moves is a sheet, so that all of a contour's nodes
-go the mean way.
+sum of r: steepest for a - b along r - 2 n (r . e) / (n . e). What moves is a sheet, so that all of a contour's nodes go
+the mean way.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.vectors import dot, norm
 
 ALIKE = 4.0
-"""Both sheets of a closed contour go where neither's part is larger than this many times the other's."""
+"""Both sheets of a closed contour move if neither's part is larger than this factor on the other's."""
 HALF = 0.5
-"""A sheet is cut where at least this share of the nodes on its edges have their ends in different parts."""
+"""A sheet is cut if at least this share of the nodes on its edges have their ends in different parts."""
 GRAZING = 0.1
-"""Least cosine between an edge and a normal that a contour's change is reckoned with."""
+"""least cosine between an edge and a normal for the change of a contour"""
 ONE_WAY = 0.1
-"""Share of their lengths that a contour's vectors must come to in sum; otherwise they point all ways."""
+"""share of the sum of their lengths that a contour's vectors' sum has at least; otherwise they point all ways"""
 
 
 class Sides(NamedTuple):
-    """Of each node: way (k, 3) that its edge has to go in relation to its triangle; wrong (k,) the vertex of the edge
-    that is on the wrong side, -1 where nothing is known of that. And tangled (n,), vertices that are on the wrong side
-    or at a node.
+    """Directions of nodes: way (k, 3) that each edge has to go in relation to its triangle; wrong (k,) the vertex of
+    the edge that is on the wrong side, -1 if that is unknown. And tangled (n,), vertices that are on the wrong side or
+    at a node.
     """
 
     way: Float
@@ -48,8 +48,8 @@ class Sides(NamedTuple):
 
 @block_kernel
 def flood(start: Long, ring: Long, ring_edge: Long, cut: Bool, seeds: Long, label: Long, weight: Float) -> Long:
-    """The parts (s,) that edges which are not cut join seeds to, by number; label (n,) gets it as well, -1 elsewhere.
-    What each part weighs goes into the beginning of weight (n,).
+    """Return the numbers (s,) of the parts that uncut edges join seeds to; label (n,) gets them as well, -1 elsewhere.
+    The weight of each part goes into the beginning of weight (n,).
     """
     waiting, count, own = np.empty(label.shape[0], np.int64), 0, weight.copy()
     found = np.empty(seeds.shape[0], np.int64)
@@ -74,7 +74,7 @@ def flood(start: Long, ring: Long, ring_edge: Long, cut: Bool, seeds: Long, labe
 
 
 def find_sides(cloth: Cloth, x: Float, nodes: Nodes, contours: Contours, shorten: bool) -> Sides:
-    """Of vertices x (n, 3); with `shorten`, which contours are made shorter also where they cut."""
+    """Return the sides at vertices x (n, 3); with `shorten`, contours are made shorter also where they cut."""
     k, sign = len(nodes.edge), np.where(contours.sheet == 0, 1.0, -1.0)
     way, wrong, known = np.zeros((k, 3)), np.full(k, -1), np.zeros(k, bool)
     tangled = np.zeros(len(x), bool)
@@ -95,8 +95,8 @@ def find_sides(cloth: Cloth, x: Float, nodes: Nodes, contours: Contours, shorten
 
 
 def part(cloth: Cloth, nodes: Nodes, contours: Contours, own: Long) -> tuple[Bool, Long, Bool]:
-    """Of one contour's nodes (m,): which of them say where to go, and which end of the edge is on the wrong side; and
-    (n,) what is on the wrong side.
+    """Return, for one contour's nodes (m,): which of them have a direction, and which end of the edge is on the wrong
+    side; and (n,) the vertices on the wrong side.
     """
     n, edges = len(cloth.weight), cloth.tree.edges
     ends, sheet = nodes.ends[own], contours.sheet[own]
@@ -104,7 +104,7 @@ def part(cloth: Cloth, nodes: Nodes, contours: Contours, own: Long) -> tuple[Boo
     cut = np.zeros(len(edges), bool)
     cut[crossed[times % 2 == 1]] = True
     odd = cut[nodes.edge[own]]
-    # Where the contour ends inside of a triangle at the border, the triangle's part of the border is cut as well.
+    # If the contour ends inside of a triangle at the border, the triangle's part of the border is cut as well.
     last = nodes.corners[own[contours.ends[own]]]
     bare = np.zeros(n, bool)
     bare[last[cloth.border[last]]] = True
@@ -129,7 +129,7 @@ def part(cloth: Cloth, nodes: Nodes, contours: Contours, own: Long) -> tuple[Boo
 
 
 def shortening(x: Float, nodes: Nodes, contours: Contours, own: Long, sign: Float) -> Float:
-    """(m, 3) the way that the contour's first sheet has to go in relation to its second to make it shorter."""
+    """Return the way (m, 3) that the contour's first sheet has to go in relation to its second to make it shorter."""
     e, n, r = units(x[nodes.ends[own, 1]] - x[nodes.ends[own, 0]]), nodes.normals[own], contours.pull[own]
     cosine = dot(e, n)
     cosine = np.where(np.abs(cosine) < GRAZING, np.copysign(GRAZING, cosine), cosine)
@@ -142,7 +142,7 @@ def shortening(x: Float, nodes: Nodes, contours: Contours, own: Long, sign: Floa
 
 
 def spread(contours: Contours, sign: Float, way: Float, known: Bool) -> None:
-    """Give the nodes that are not known the way of those next to them on the contour, in place."""
+    """Give the nodes without a way that of those next to them on the contour, in place."""
     while True:
         total, count = np.zeros_like(way), np.zeros(len(way))
         for one, two in ((contours.one, contours.two), (contours.two, contours.one)):

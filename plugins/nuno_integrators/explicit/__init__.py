@@ -1,1 +1,1 @@
-"""Methods that find the next state from forces alone, by fixed steps or by their own."""
+"""Explicit methods: the next state follows from forces alone, with fixed or adaptive steps."""

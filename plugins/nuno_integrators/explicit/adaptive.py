@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, source_of
 from nuno_integrators.explicit.combine import Buffers, Stage, combine
 from nuno_integrators.explicit.stepsize import (
     ACCEPTED,
@@ -67,11 +67,11 @@ class AdaptiveWork(Work):
     landing: bool
     longest: float
     left: tuple[Float, Float, Float] | None = None
-    """x, v and `control` as the last interval left them, while the slopes still belong to them."""
+    """x, v and `control` after the last interval, while the slopes still belong to them"""
 
-    def kept(self) -> dict[str, NDArray[Any]]:
-        kept: dict[str, NDArray[Any]] = {"control": self.control}
-        return kept if self.landing else kept | {"pending_x": self.b.x, "pending_v": self.b.v}
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        state_arrays: dict[str, NDArray[Any]] = {"control": self.control}
+        return state_arrays if self.landing else state_arrays | {"pending_x": self.b.x, "pending_v": self.b.v}
 
 
 class Adaptive(Compiled):
@@ -83,7 +83,7 @@ class Adaptive(Compiled):
     tableau: ClassVar[Tableau]
 
     def make_work(self, config: AdaptiveConfig, system: System, packed: Packed) -> AdaptiveWork:
-        """Raises BadInput for a tolerance below rounding."""
+        """Raise BadInput for a tolerance below rounding error."""
         fabric, table = system.fabric, self.tableau
         size = cloth_size(fabric)
         rounding = ROUNDING * float(np.abs(fabric.position).max(initial=0.0)) / size
@@ -113,11 +113,11 @@ class Adaptive(Compiled):
         return AdaptiveWork(packed, x, v, k, buffers, pair, control, allowed, not known_ahead, longest)
 
     def limit(self, config: AdaptiveConfig, system: System, state: State) -> StepLimit:
-        """Nothing limits the scene's step: it is the largest that may be tried."""
-        found = super().limit(config, system, state)
-        return StepLimit(float("inf"), found.omega, found.damping)
+        """Return an unlimited step: the scene's is only the largest that is tried."""
+        rates = super().limit(config, system, state)
+        return StepLimit(float("inf"), rates.omega, rates.damping)
 
-    def go(self, work: AdaptiveWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+    def go(self, work: AdaptiveWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         b, control, span = work.b, work.control, steps * dt
         if not self._goes_on(work, packed, span):
             b.x[...], b.v[...] = work.x, work.v
@@ -133,22 +133,22 @@ class Adaptive(Compiled):
         work.left = (work.x.copy(), work.v.copy(), control.copy())
         accepted, rejected = int(counts[ACCEPTED]), int(counts[REJECTED])
         problem = "" if whole else f"no step above {SMALLEST * span:.2g} s meets the tolerance"
-        return Told(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
+        return StepResult(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
 
     def compile(self, work: AdaptiveWork, packed: Packed, extra: Extra) -> None:
-        """An interval of no length ends before its first step."""
+        """Compile by an interval of no length, which ends before its first step."""
         b, table, interval = work.b, self.tableau, Interval(0.0, 0.0, work.landing, work.allowed)
         control, counts = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(2, np.int64)
         source_of(advance_adaptive, extra)(b, work.pair, control, counts, interval, packed, extra)
         if not work.landing:
-            # What reads a state inside of a step: no stages, and into arrays of its own.
+            # The function that reads a state within a step: without stages, into separate arrays.
             attempt(b, work.pair, 0, 0, 0.0, 0.0, 1.0, packed, None)
             weights = table.output(0.0)
             stage = Stage(0.0, 0.0, weights @ table.a, weights, len(table.c))
             combine(b, stage, np.empty_like(b.x), np.empty_like(b.v), packed.threads)
 
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
-        """Whether the pending step leads to the present state; its slopes are made again after a resume."""
+        """Whether the pending step leads to the present state; its slopes are computed anew after a resume."""
         control = work.control
         if not control[PENDING] > 0.0:
             return False
@@ -165,7 +165,7 @@ class Adaptive(Compiled):
         return same
 
     def _read_inside(self, work: AdaptiveWork, packed: Packed, span: float) -> None:
-        """The state `span` after the interval's start, from the pending step."""
+        """Interpolate the state `span` after the interval's start from the pending step."""
         b, h, table = work.b, float(work.control[PENDING]), self.tableau
         if len(table.c) > table.stages:
             y, u = b.y.copy(), b.u.copy()

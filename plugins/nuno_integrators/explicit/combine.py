@@ -21,7 +21,7 @@ from nuno_schemas.fabric import Float
 
 
 class Buffers(NamedTuple):
-    """The start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
+    """Start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
 
     x: Float
     v: Float
@@ -46,7 +46,7 @@ class Stage(NamedTuple):
 
 @block_kernel
 def combine_block(block: int, b: Buffers, stage: Stage, y: Float, u: Float) -> None:
-    """A stage (y, u) on a block's vertices."""
+    """Compute a stage (y, u) on a block's vertices."""
     x, v, k, position, velocity = b.x, b.v, b.flat, stage.position, stage.velocity
     ch, h, count = stage.ch, stage.h, stage.slopes
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
@@ -69,13 +69,13 @@ combine_blocks = over_blocks(combine_block, "b, stage, y, u")
 
 @kernel
 def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -> None:
-    """A stage (y, u) (3, n) from the state and the slopes in b."""
+    """Compute a stage (y, u) (3, n) from the state and the slopes in b."""
     combine_blocks(b, stage, y, u, (y.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @block_kernel
 def add_squares(block: int, k: Float, weights: Float, sums: Float, wait: Float) -> None:
-    """Sum over a block of (sum_j weights_j k_j)^2, into sums; `wait` (blocks, 1, 8) is scratch."""
+    """Sum (sum_j weights_j k_j)^2 over a block, into sums; `wait` (blocks, 1, 8) is scratch."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
     total = splat(0.0)
     for row in range(3):
@@ -99,7 +99,7 @@ square_blocks = over_blocks(add_squares, "k, weights, sums, wait")
 
 @block_kernel
 def square(k: Float, weights: Float, sums: Float, wait: Float, threads: int | None) -> float:
-    """Sum over all vertices of |sum_j weights_j k_j|^2, in an order that no thread changes.
+    """Return the sum over all vertices of |sum_j weights_j k_j|^2, in an order independent of threads.
 
     sums (blocks,) and wait (blocks, 1, 8) are scratch; a pinned vertex has slopes 0.
     """

@@ -15,7 +15,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """`steps` steps of x, v (3, n); stages (1, 3, n)."""
+    """Take `steps` steps of x, v (3, n); stages (1, 3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
@@ -26,7 +26,7 @@ def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: P
 
 
 class Euler(Explicit):
-    """Amplitude grows by sqrt(1 + omega^2 dt^2) a step on an undamped oscillator."""
+    """Explicit Euler: the amplitude of an undamped oscillator grows by sqrt(1 + omega^2 dt^2) a step."""
 
     name: ClassVar[str] = "euler"
     order: ClassVar[int] = 1
@@ -34,5 +34,4 @@ class Euler(Explicit):
     loop: ClassVar[Any] = advance_euler
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         return np.array([[1.0, dt], [-omega * omega * dt, 1.0 - damping * dt]])

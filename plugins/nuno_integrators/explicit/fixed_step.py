@@ -1,4 +1,4 @@
-"""What the explicit integrators of a fixed step share: one compiled loop over an interval's steps."""
+"""Explicit integrators of a fixed step: one compiled loop over an interval's steps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
 from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
@@ -16,8 +16,8 @@ from nuno_schemas.plugin import Config
 from nuno_schemas.system import System
 
 SPARE = 4
-"""Buffers that lie behind a loop's own and are nobody's. Compiled code does not look at bounds: a loop that takes more
-buffers than it says would write into memory of others."""
+"""Unused buffers behind a loop's own. Compiled code does not check bounds: a loop that uses more buffers than it
+declares would write into foreign memory."""
 
 
 @dataclass
@@ -31,7 +31,7 @@ class GuardedWork(Work):
 
 
 class NoConfig(Config):
-    """An explicit integrator has nothing to configure but its step."""
+    """No configuration: the step is the scene's."""
 
 
 class Explicit(Compiled):
@@ -53,11 +53,11 @@ class Explicit(Compiled):
         return GuardedWork(packed, np.empty((3, n)), np.empty((3, n)), stages, spare)
 
     def loop_for(self, packed: Packed) -> Any:
-        """The loop for a system."""
+        """Return the loop for a system."""
         return type(self).loop
 
-    def go(self, work: GuardedWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
-        """Raises RunFailed where the loop has written behind its buffers."""
+    def go(self, work: GuardedWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+        """Raise RunFailed if the loop has written behind its buffers."""
         source_of(self.loop_for(packed), extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         written = np.flatnonzero(~np.isnan(work.spare[:, :, :1]).all(axis=(1, 2)))
         if written.size:
@@ -66,7 +66,7 @@ class Explicit(Compiled):
                 f"the solver {self.name!r} writes into stages[{last}], and its buffers = {self.buffers} end at "
                 f"stages[{self.buffers - 1}]: give its class buffers = {last + 1}"
             )
-        return Told(steps)
+        return StepResult(steps)
 
     def compile(self, work: GuardedWork, packed: Packed, extra: Extra) -> None:
         self.go(work, packed, extra, 0, 0.0)

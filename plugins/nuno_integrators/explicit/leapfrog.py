@@ -19,13 +19,13 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """`steps` steps of x, v (3, n); stages (3, 3, n).
+    """Take `steps` steps of x, v (3, n); stages (3, 3, n).
 
     Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.
 
     Vertices that slide on bodies are held off them between the kicks, and their velocities again after the second. Held
-    off after it, they would be inside while the second force is found: cloth that stands still would then have the
-    mean of two forces at rest, 0, but keep half a step of their difference as velocity.
+    off after it, they would be inside while the second force is found: cloth that stands still would then have the mean
+    of two forces at rest, 0, but keep half a step of their difference as velocity.
     """
     a, b, u = stages[0], stages[1], stages[2]
     for step in range(steps):
@@ -46,7 +46,7 @@ def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p
 
 
 class Leapfrog(Explicit):
-    """Stable for omega dt < 2 undamped."""
+    """Leapfrog: stable for omega dt < 2 undamped."""
 
     name: ClassVar[str] = "leapfrog"
     order: ClassVar[int] = 2
@@ -54,10 +54,7 @@ class Leapfrog(Explicit):
     loop: ClassVar[Any] = advance_leapfrog
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v).
-
-        With a = (-omega^2, -damping) as a row on (x, v), so that every line below is a row.
-        """
+        """The acceleration a = (-omega^2, -damping) is a row on (x, v), so that every line below is a row."""
         x, v = np.eye(2)
         a = -omega * omega * x - damping * v
         moved = x + dt * v + 0.5 * dt * dt * a

@@ -40,7 +40,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.stability import measure_rates, stable_step
@@ -56,13 +56,13 @@ from nuno_schemas.system import StepLimit, System, Term
 # How many steps of tension one kick of all other forces may stand for: see nuno_integrators.explicit.respa.
 
 SAFE, SMOOTH = 0.7, 0.75
-"""Shares of what is stable, and of a radian."""
+"""shares of the stable step, and of a radian"""
 MOST, MODES = 64, 200
-"""Steps for each kick, and modes of tension that are looked at."""
+"""steps for each kick, and modes of tension that are examined"""
 
 
 def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float) -> int:
-    """For how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
+    """Return for how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
     longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
     if slow[0] > 0.0 and fast[0] > 0.0:
         resonant = math.pi * max(1.0 / fast[0], (fast[1] / slow[0] / slow[0] / fast[0] / fast[0]) ** (1.0 / 3.0))
@@ -94,13 +94,13 @@ def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> 
 
 
 TENSION, BENDING = ("springs", "membrane", "yarns"), ("hinges", "bending")
-"""Kinds of force that act in every step, and that do where they are faster than contact."""
+"""kinds of force that act in every step, and those that do so if they are faster than contact"""
 ROUNDS = 8
-"""How often a velocity is inserted; each time its error shrinks by half of what dashpots slow it down in a kick."""
+"""number of fixed-point iterations for a velocity; each halves the error, of what dashpots slow it down in a kick"""
 
 
 class RespaConfig(Config):
-    """How often all but tension acts."""
+    """The number of steps between kicks."""
 
     every: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         default="auto", description="steps of tension for each kick of the other forces; auto: as many as are stable"
@@ -109,7 +109,7 @@ class RespaConfig(Config):
 
 @kernel
 def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> None:
-    """Give carried vertices the place and velocity that they have from fraction s of the frame on."""
+    """Set carried vertices to the position and velocity that they have from fraction s of the frame on."""
     place(bodies, on, x, v, s)
 
 
@@ -117,13 +117,13 @@ def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> 
 def advance_respa(
     x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, slow: Packed, every: int
 ) -> None:
-    """`steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all else.
+    """Take `steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all other forces.
 
-    That kicks for half of the steps before and half of those after. What holds cloth off bodies and off cloth is told,
-    and changes, the mean velocity u since the last kick: it is by that that vertices came to where they are. Of what a
-    velocity is beyond u there remains as much as of the way.
+    The others kick for half of the steps before and half of those after. Contact, which holds cloth off bodies and off
+    itself, acts on the mean velocity u since the last kick, by which vertices came to where they are. The velocity
+    beyond u is reduced by the same share as the way.
 
-    Tension is felt halfway through each step: symplectic Euler's steps, from positions that are half a step ahead.
+    Tension is evaluated halfway through each step: symplectic Euler's steps, from positions half a step ahead.
     """
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
     step, before = 0, 0
@@ -152,8 +152,8 @@ def advance_respa(
 
 @dataclass(frozen=True)
 class Division:
-    """Which kinds of force act in every step; rates [1/s], the greatest angular frequency and damping, of these and of
-    the others; the longest step that is safe, and how far apart kicks of the others may be in any case [s].
+    """Kinds of force that act in every step; rates [1/s], the greatest angular frequency and damping, of these and of
+    the others; the longest safe step, and the largest time between kicks of the others [s].
     """
 
     always: tuple[str, ...]
@@ -163,8 +163,8 @@ class Division:
     longest: float = math.inf
 
     def steps_a_kick(self, dt: float, span: float) -> int:
-        """For how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: no more than of
-        the longest safe step.
+        """Return for how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: at most
+        the number of the longest safe step.
         """
         steps = (dt, max(dt, span / max(1, math.ceil(span / self.safe))))
         most = (min(steps_a_kick(self.fast, self.slow, one), int(min(MOST, self.longest / one))) for one in steps)
@@ -173,19 +173,19 @@ class Division:
 
 @dataclass
 class RespaWork(Work):
-    """What is known of a system beforehand: steps for each kick where they are given, and how its forces divide."""
+    """Facts of the system: steps for each kick where they are given, and how its forces divide."""
 
     every: int | None
     division: Division
     kicks: int = 1
     dt: float = 0.0
-    """Steps for each kick, and the step [s], of the last steps that were taken."""
+    """steps for each kick, and the step [s], of the last steps"""
     last: int = 0
-    """Steps that the last kick stood for."""
+    """steps that the last kick stood for"""
 
 
 class Respa(Compiled):
-    """Limited by tension alone, where that is what limits."""
+    """r-RESPA: limited by tension alone, where tension is the limit."""
 
     name: ClassVar[str] = "respa"
     Config: ClassVar[type[RespaConfig]] = RespaConfig
@@ -200,7 +200,7 @@ class Respa(Compiled):
         return RespaWork(packed, x, v, np.empty((5, 3, n)), every, divide(system))
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
-        """Of all forces with the damping of tension, and of the other forces alone."""
+        """Return the limit of all forces with the damping of tension, and of the other forces alone."""
         if has_sliding(system.terms):
             return super().limit(config, system, state)
         fast, slow = both_rates(system, state)
@@ -210,18 +210,18 @@ class Respa(Compiled):
         return StepLimit(step, whole, max(fast[1] + system.damping, slow[1]))
 
     def steps_a_kick(self, config: RespaConfig, system: System, dt: float, span: float) -> int:
-        """Steps of dt [s] for each kick in this system, in frames of `span` [s]."""
+        """Return the steps of dt [s] for each kick in this system, in frames of `span` [s]."""
         if has_sliding(system.terms):
             return 1
         return divide(system).steps_a_kick(dt, span) if config.every == "auto" else config.every
 
-    def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+    def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         if dt != work.dt:
             work.kicks = work.division.steps_a_kick(dt, steps * dt) if work.every is None else work.every
             work.dt = dt
         self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         work.last = (steps - 1) % work.kicks + 1
-        return Told(steps)
+        return StepResult(steps)
 
     def compile(self, work: RespaWork, packed: Packed, extra: Extra) -> None:
         self._loop(work, extra)(work.x, work.v, work.stages, 0, 0.0, packed, extra)
@@ -230,7 +230,7 @@ class Respa(Compiled):
         return self._loop(work, extra)
 
     def felt_at(self, work: RespaWork, packed: Packed, extra: Extra) -> Float:
-        """See Compiled: just before the last kick, half of which is in the state: v - H / 2 a(v), by inserting."""
+        """Return the velocity before the last kick, half of which is in the state: v - H / 2 a(v), iterated."""
         half = 0.0 if _slides(work.packed) else 0.5 * work.last * work.dt
         slow, a, v = silence(packed, *work.division.always), np.empty_like(work.v), work.v
         for _ in range(ROUNDS if half > 0.0 else 0):
@@ -239,8 +239,8 @@ class Respa(Compiled):
         return v
 
     def _loop(self, work: RespaWork, extra: Extra) -> Any:
-        """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing is,
-        or vertices slide on bodies: what holds them there changes their velocities in each step.
+        """Return the loop of a system divided into tension and all other forces; symplectic Euler's if there is no
+        division, or if vertices slide on bodies, where contact changes their velocities in each step.
         """
         always = work.division.always
         alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(always)
@@ -256,11 +256,10 @@ class Respa(Compiled):
         return loop
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v): symplectic Euler's."""
         return SymplecticEuler().amplification(omega, damping, dt)
 
     def about(self, system: System) -> str:
-        """Threads, and which forces are kicks."""
+        """Describe the threads, and which forces are kicks."""
         return super().about(system) + "; all but tension as kicks every few steps"
 
 
@@ -274,12 +273,12 @@ def _slides(packed: Packed) -> bool:
 
 
 def at_start(system: System) -> State:
-    """The fabric as it is built, not as a run has it that goes on: that must choose the same kicks again."""
+    """Return the fabric's initial state, so that a resumed run chooses the same kicks again."""
     return State(system.fabric.position, np.zeros_like(system.fabric.position))
 
 
 def divide(system: System) -> Division:
-    """How the forces divide, by rates at the start; of tension's damping it is the least that any mode has."""
+    """Divide the forces by their rates at the start; the damping of tension is the least that any mode has."""
     fast, slow = both_rates(system, at_start(system))
     always: tuple[str, ...]
     always, longest, safe = TENSION, math.inf, SAFE * stable(fast, slow, system.damping)
@@ -292,7 +291,7 @@ def divide(system: System) -> Division:
 
 
 def stable(fast: tuple[float, float], slow: tuple[float, float], damping: float) -> float:
-    """Longest stable step [s] under all forces with the damping of tension, and under the others alone."""
+    """Return the longest stable step [s] under all forces with the damping of tension, and under the others alone."""
     whole = math.hypot(fast[0], slow[0]), fast[1] + damping
     return min(stable_step(SymplecticEuler().amplification, *rates, damping) for rates in (whole, slow))
 
@@ -304,7 +303,7 @@ def _parts(term: Term) -> Sequence[Any]:
 def both_rates(
     system: System, state: State, always: tuple[str, ...] = TENSION
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds on angular frequency and damping rate [1/s] of what acts in every step, and of all other forces."""
+    """Return bounds on angular frequency and damping rate [1/s] of the forces of every step, and of all others."""
     fabric, kicks = system.fabric, [name for name in (*BENDING, "friction") if name not in always]
     fast = replace(system, fabric=_without(fabric, kicks), terms=(), damping=0.0)
     return measure_rates(fast, state), measure_rates(replace(system, fabric=_without(fabric, always)), state)
@@ -316,8 +315,8 @@ def _without(fabric: Fabric, names: Sequence[str]) -> Fabric:
 
 
 def least_damping(fabric: Fabric, omega: float) -> float:
-    """Damping rate [1/s] of a mode of tension of frequency omega [1/s], at least, by what is damped least for its
-    stiffness.
+    """Return the damping rate [1/s] that a mode of tension of frequency omega [1/s] has at least, from the element
+    least damped for its stiffness.
     """
     shares = [np.inf]
     if (springs := fabric.springs) is not None and springs.number:

@@ -15,7 +15,7 @@ from nuno_schemas.fabric import Float
 
 @shared_source
 def evaluate_stage(y: Float, u: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
-    """a = acceleration at the stage (y, u); damping frozen at the step's start acts on its v."""
+    """Compute a = acceleration at the stage (y, u); damping frozen at the step's start acts on its v."""
     evaluate(y, u, s, a, p, extra)
     if p.frozen_damping != 0.0:
         add(a, a, -p.frozen_damping, v, p.threads)
@@ -23,10 +23,10 @@ def evaluate_stage(y: Float, u: Float, v: Float, s: float, a: Float, p: Packed, 
 
 @kernel
 def advance_rk4(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """`steps` steps of x, v (3, n); stages (5, 3, n).
+    """Take `steps` steps of x, v (3, n); stages (5, 3, n).
 
-    Stage i is (y, u) with slopes (u, a). The weighted slopes gather in (nx, nv) while the stages
-    run; y is moved before u, because y's slope is the old u.
+    Stage i is (y, u) with slopes (u, a). The weighted slopes gather in (nx, nv) while the stages run; y is moved before
+    u, because y's slope is the old u.
     """
     a, y, u, nx, nv = stages[0], stages[1], stages[2], stages[3], stages[4]
     for step in range(steps):
@@ -48,7 +48,7 @@ def advance_rk4(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pac
 
 
 class RK4(Explicit):
-    """Stable for omega dt < 2 sqrt(2) undamped; contact is evaluated at every stage."""
+    """RK4: stable for omega dt < 2 sqrt(2) undamped; contact is evaluated at every stage."""
 
     name: ClassVar[str] = "rk4"
     order: ClassVar[int] = 4
@@ -56,7 +56,7 @@ class RK4(Explicit):
     loop: ClassVar[Any] = advance_rk4
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x': exp(A dt) to fourth order."""
+        """Return exp(A dt) to fourth order."""
         h = dt * np.array([[0.0, 1.0], [-omega * omega, -damping]])
         one = np.eye(2)
         result: Float = one + h @ (one + h / 2.0 @ (one + h / 3.0 @ (one + h / 4.0)))
@@ -74,14 +74,13 @@ class RK4Printed(RK4):
     order: ClassVar[int] = 1
 
     def adapt(self, packed: Packed) -> Packed:
-        """Damping is taken out of the acceleration and gravity doubled."""
+        """Remove damping from the acceleration and double gravity."""
         return packed._replace(damping=0.0, frozen_damping=packed.damping, gravity=2.0 * packed.gravity)
 
     def damped(self, packed: Packed, damping: float) -> Packed:
         return packed if packed.frozen_damping == 0.0 else packed._replace(frozen_damping=damping)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         x, v = np.eye(2)
         y, u, nx, nv = x, v, x, v
         for ahead, weight in ((0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)):

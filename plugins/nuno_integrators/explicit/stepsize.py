@@ -15,15 +15,15 @@ from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
-"""Hairer's factors: of the step that the estimate asks for, and the bounds of one step to the next."""
+"""Hairer's factors: the safety factor on the estimated step, and the bounds on its change from one step to the next"""
 SMALLEST = 1e-10
-"""Share of the interval below which a step is given up."""
+"""share of the interval below which a step is given up"""
 LANDED = 1e-9
-"""Share of a step by which it may miss the end of an interval and still count as ending there."""
+"""share of a step by which it may miss the end of an interval and still count as ending there"""
 
 
 class Pair(NamedTuple):
-    """A tableau as compiled code reads it; see nuno_integrators.explicit.tableaux.Tableau."""
+    """A tableau in the layout of compiled code; see nuno_integrators.explicit.tableaux.Tableau."""
 
     stages: int
     estimate: int
@@ -35,8 +35,8 @@ class Pair(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """What the steps of one interval keep to: its length [s], the longest step [s], whether one must land on the
-    interval's end, and the error that a step may make [m], times the root of the number of vertices.
+    """Limits of an interval's steps: its length [s], the longest step [s], whether one must land on the interval's end,
+    and the error allowed for a step [m], times the root of the number of vertices.
     """
 
     span: float
@@ -57,7 +57,7 @@ ACCEPTED, REJECTED = 0, 1
 def attempt(
     b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Extra
 ) -> None:
-    """Stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
+    """Compute stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
     for i in range(first, stages):
         s = (start + pair.c[i] * h) / span
         if i == 0:
@@ -72,14 +72,14 @@ attempt_interpreted = source_of(attempt, True)
 
 @shared_source
 def estimated(b: Buffers, pair: Pair, which: int, h: float, threads: int | None) -> float:
-    """One of the pair's estimates [m], root of the sum over the vertices: of h times velocities, and of positions."""
+    """Return one of the pair's estimates [m], root of the sum over vertices: h times velocities, and positions."""
     velocity = np.sqrt(square(b.flat, pair.errors[which], b.sums, b.wait, threads))
     return float(h * h * (velocity + np.sqrt(square(b.flat, pair.position_errors[which], b.sums, b.wait, threads))))
 
 
 @shared_source
 def estimate_error(b: Buffers, pair: Pair, h: float, allowed: float, p: Packed) -> float:
-    """Estimated error over the allowed: root mean square over the vertices, of positions and of h times velocities.
+    """Return the estimated error over the allowed: root mean square of positions and of h times velocities.
 
     `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
     error is e5^2 / sqrt(e5^2 + e3^2 / 100) (Hairer, Norsett & Wanner 1993, section II.10).
@@ -93,7 +93,7 @@ def estimate_error(b: Buffers, pair: Pair, h: float, allowed: float, p: Packed) 
 
 @kernel
 def choose_length(wish: float, left: float, longest: float, landing: bool) -> float:
-    """Length of the next step; one that must land on the end takes half the way where two are left."""
+    """Return the next step's length; one that must land on the end takes half the way if two are left."""
     h = min(wish, longest)
     if landing and h > left * (1.0 - LANDED):
         return left
@@ -104,7 +104,7 @@ def choose_length(wish: float, left: float, longest: float, landing: bool) -> fl
 
 @kernel
 def take(control: Float, h: float, error: float, alpha: float, again: bool) -> None:
-    """Leave a step of h pending whose error is allowed, and choose the next; `again` after one that was not."""
+    """Leave an accepted step of h pending, and choose the next; `again` after a rejected one."""
     error = max(error, 1e-4)
     wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
     factor = min(1.0 if again else GROW, max(SHRINK, wish))
@@ -118,10 +118,10 @@ def take(control: Float, h: float, error: float, alpha: float, again: bool) -> N
 def advance_adaptive(
     b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Extra
 ) -> bool:
-    """Step to the end of an interval: until the pending step ends beyond it, or just there.
+    """Step to the end of an interval, until the pending step ends at or beyond it.
 
-    A step that is accepted stays pending until the next is tried, so that the state at the end of
-    the interval can be read inside of it. False where the step has become too small.
+    A step that is accepted stays pending until the next is tried, so that the state at the end of the interval can be
+    read inside of it. False where the step has become too small.
     """
     span, stages = interval.span, pair.stages
     alpha = 1.0 / (pair.estimate + 1) - 0.75 * 0.04
@@ -159,6 +159,6 @@ def advance_adaptive(
             again = False
         else:
             counts[REJECTED] += 1
-            # NaN compares false with everything: such a step is shortened as far as one may.
+            # NaN compares false with everything: such a step is shortened as far as allowed.
             control[NEXT] = h * (max(SHRINK, SAFETY / error**alpha) if error < 1e30 else SHRINK)
             first, again = 1, True

@@ -16,7 +16,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """`steps` steps of x, v (3, n); stages (2, 3, n)."""
+    """Take `steps` steps of x, v (3, n); stages (2, 3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
@@ -28,8 +28,8 @@ def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: 
 
 @kernel
 def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """What advance_symplectic_euler does, to the last bit, where nothing adds to the forces after the blocks: each step
-    in one pass over the vertices instead of two, from one pair of arrays to another, with one meeting of the threads.
+    """Do what advance_symplectic_euler does, to the last bit, where no force is added after the blocks: each step in
+    one pass over the vertices instead of two, from one pair of arrays to another, with one barrier of the threads.
     """
     here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
     for step in range(steps):
@@ -44,7 +44,7 @@ def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p:
 
 
 class SymplecticEuler(Explicit):
-    """Stable for damping dt + omega^2 dt^2 / 2 < 2; the skirt paper's "FB Euler"."""
+    """Symplectic Euler: stable for damping dt + omega^2 dt^2 / 2 < 2; the skirt paper's "FB Euler"."""
 
     name: ClassVar[str] = "symplectic_euler"
     order: ClassVar[int] = 1
@@ -52,10 +52,9 @@ class SymplecticEuler(Explicit):
     loop: ClassVar[Any] = advance_symplectic_euler
 
     def loop_for(self, packed: Packed) -> Any:
-        """One pass a step where contact and Python add no forces."""
+        """Use one pass a step if contact and Python add no forces."""
         return advance_at_once if packed.late is None else advance_symplectic_euler
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
-        square, kept = omega * omega * dt, 1.0 - damping * dt
-        return np.array([[1.0 - square * dt, kept * dt], [-square, kept]])
+        square, decay = omega * omega * dt, 1.0 - damping * dt
+        return np.array([[1.0 - square * dt, decay * dt], [-square, decay]])

@@ -39,12 +39,12 @@ class Tableau:
 
     @cached_property
     def aa(self) -> Float:
-        """(s, s) weights of the positions, A A: see nuno_integrators.explicit.combine."""
+        """Return the weights (s, s) of the positions, A A: see nuno_integrators.explicit.combine."""
         return self.a @ self.a
 
     @cached_property
     def position_errors(self) -> Float:
-        """Weights (1 or 2, stages) of the estimate for positions."""
+        """Return the weights (1 or 2, stages) of the position error's estimate."""
         used: Float = self.errors @ self.a[: self.stages, : self.stages]
         return used
 
@@ -68,7 +68,7 @@ def _dopri5_output(theta: float) -> Float:
 
 
 def _dop853_output(theta: float) -> Float:
-    """Hairer's nested form, outermost last: factors theta and 1 - theta in turn."""
+    """Evaluate Hairer's nested form, outermost last: factors theta and 1 - theta in turn."""
     end = _A8[12]
     first, last = np.eye(16)[0], np.eye(16)[12]
     parts = [end, first - end, 2.0 * end - (first + last), *EIGHTH.D]
@@ -79,7 +79,7 @@ def _dop853_output(theta: float) -> Float:
 
 
 def _square(*parts: Float) -> Float:
-    """(s, s) weights of s rows in all, each filled up with zeros."""
+    """Return (s, s) weights of s rows in all, each padded with zeros."""
     rows = [row for part in parts for row in np.atleast_2d(part)]
     return np.array([np.pad(row, (0, len(rows) - len(row))) for row in rows])
 

@@ -1,7 +1,7 @@
-"""Updates y + h k of positions and velocities, two in one pass over the blocks; and velocities taken apart into their
-mean and the rest, and put together again.
+"""Updates y + h k of positions and velocities, two in one pass over the blocks; and velocities split into their mean
+and the rest, and recombined.
 
-A parallel region costs its threads a meeting; two updates that follow each other share one.
+A parallel region costs its threads a barrier; two updates that follow each other share one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def add_block(block: int, out: Float, y: Float, h: float, k: Float) -> None:
-    """out = y + h k on a block's vertices."""
+    """Compute out = y + h k on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
     for p in range(low, high, WIDTH):
         m = min(WIDTH, high - p)
@@ -31,7 +31,7 @@ def add_block(block: int, out: Float, y: Float, h: float, k: Float) -> None:
 def add_block_twice(
     block: int, first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float
 ) -> None:
-    """first = y + h k, then second = z + g m on a block's vertices."""
+    """Compute first = y + h k, then second = z + g m on a block's vertices."""
     add_block(block, first, y, h, k)
     add_block(block, second, z, g, m)
 
@@ -42,7 +42,7 @@ add_blocks_twice = over_blocks(add_block_twice, "first, y, h, k, second, z, g, m
 
 @kernel
 def add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
-    """out = y + h k, all (3, n)."""
+    """Compute out = y + h k, all (3, n)."""
     add_blocks(out, y, h, k, (out.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
@@ -50,13 +50,13 @@ def add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
 def add_twice(
     first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float, threads: int | None
 ) -> None:
-    """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
+    """Compute first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
     add_blocks_twice(first, y, h, k, second, z, g, m, (first.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel
 def average_block(block: int, u: Float, v: Float, x: Float, last: Float, rate: float) -> None:
-    """Mean velocities u = (x - last) rate of a block's vertices, and what v is beyond them, in its place."""
+    """Compute mean velocities u = (x - last) rate of a block's vertices, and subtract them from v."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     for row in range(3):
         for i in range(np.uint64(low), np.uint64(high)):
@@ -69,13 +69,13 @@ average_blocks = over_blocks(average_block, "u, v, x, last, rate")
 
 @kernel
 def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int | None) -> None:
-    """u = (x - last) rate, and v -= u, all (3, n)."""
+    """Compute u = (x - last) rate, and v -= u, all (3, n)."""
     average_blocks(u, v, x, last, rate, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel
 def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float) -> None:
-    """v = u + s v of a block's vertices, s the share of their way from `last` to `meant` that they have gone, up to 1.
+    """Compute v = u + s v on a block, s the share of their way from `last` to `meant` that vertices have gone, up to 1.
 
     One that is held where it is swings no farther, either: it would set out anew from there after each kick.
     """
@@ -95,5 +95,5 @@ rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last")
 
 @kernel
 def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, threads: int | None) -> None:
-    """The same of all vertices, each (3, n)."""
+    """Do so for all vertices, each array (3, n)."""
     rejoin_blocks(v, u, x, meant, last, (x.shape[1] + BLOCK - 1) // BLOCK, threads)

@@ -1,1 +1,1 @@
-"""Methods that solve for the next state by Newton's method, with the linear algebra that takes."""
+"""Methods that solve for the next state by Newton's method, and their linear algebra."""

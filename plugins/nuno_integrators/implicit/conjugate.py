@@ -23,7 +23,7 @@ multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 @block_kernel
 def along(r: Float, d: Float) -> float:
-    """r.d of (3, n) arrays."""
+    """Return r.d of (3, n) arrays."""
     total = 0.0
     for row in range(3):
         for p in range(r.shape[1]):
@@ -33,7 +33,7 @@ def along(r: Float, d: Float) -> float:
 
 @block_kernel
 def multiply_block(block: int, a: Linear) -> None:
-    """q = A p on a block's vertices, 0 where pinned; its part of p.A p into sums."""
+    """Compute q = A p on a block's vertices, 0 where pinned; its part of p.A p into sums."""
     own, u, out, inverse_mass = a.own, a.p, a.q, a.inverse_mass
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)
@@ -58,7 +58,7 @@ def multiply_block(block: int, a: Linear) -> None:
 def descend_block(
     block: int, step: float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, sums: Float
 ) -> None:
-    """x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
+    """Compute x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
     total = 0.0
     for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
         for row in range(3):
@@ -90,9 +90,9 @@ def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
 def descend(
     step: float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, sums: Float, threads: int | None
 ) -> float:
-    """Do x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; returns r.z.
+    """Compute x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; return r.z.
 
-    It is not given the matrix, or each kind of one would have its own version compiled.
+    The matrix is no argument: each kind of one would have a version compiled.
     """
     descend_blocks(step, inverse, x, r, z, p, q, sums, sums.shape[0], threads)
     return float(sums.sum())
@@ -100,7 +100,7 @@ def descend(
 
 @block_kernel
 def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
-    """Conjugate gradients from x = 0; see `solve`."""
+    """Iterate conjugate gradients from x = 0; see `solve`."""
     a.x[:] = 0.0
     a.p[:] = 0.0
     a.q[:] = 0.0
@@ -121,8 +121,8 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
 
 @block_kernel
 def find_way(inverse_mass: Float, own: Float, r: Float, total: Float, way: Float) -> bool:
-    """The sum of the residual r (3, n) into total (3,), and what all move by to leave none into way (3,); False where
-    a vertex is pinned, or there is none.
+    """Write the sum of the residual r (3, n) into total (3,), and the common displacement that cancels it into way
+    (3,); return False if a vertex is pinned, or there is none.
     """
     part, inverse = np.zeros((6, 1)), np.zeros((6, 1))
     for v in range(r.shape[1]):
@@ -143,7 +143,7 @@ def find_way(inverse_mass: Float, own: Float, r: Float, total: Float, way: Float
 
 @block_kernel
 def spread(way: Float, z: Float) -> None:
-    """Every column of z (3, n) = way (3,)."""
+    """Set every column of z (3, n) to way (3,)."""
     for row in range(3):
         for v in range(z.shape[1]):
             z[row, v] = way[row]
@@ -159,12 +159,12 @@ def move_along(way: Float, share: float, x: Float) -> None:
 
 @block_kernel
 def keep_momentum(a: Linear, threads: int | None) -> None:
-    """Move all of a.x by what the sum of the residual asks for, where no vertex is pinned.
+    """Move all of a.x by the displacement that cancels the residual's sum, if no vertex is pinned.
 
-    What conjugate gradients leave of the residual has any sum: a force from nowhere. Forces between vertices feel
-    nothing of a translation, so that A's part along one is the sum of D, and 3 equations find the one that leaves no
-    sum. Where cloth meets a body A is stiffer: along what they find it goes as far as the residual falls. Masses
-    without forces between them keep theirs each for itself.
+    Conjugate gradients leave a residual of any sum: a force from nowhere. Forces between vertices do not resist a
+    translation, so that A's part along one is the sum of D, and 3 equations give the one that leaves no sum. Where
+    cloth meets a body A is stiffer: the step along their solution goes as far as the residual falls. Masses without
+    forces between them keep their momentum each.
     """
     if len(a.forces) == 0:
         return
@@ -178,16 +178,16 @@ def keep_momentum(a: Linear, threads: int | None) -> None:
 
 
 def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
-    """a.x = A^-1 a.r until sqrt(r.z) has fallen to `tolerance` of its start; the iterations it took.
+    """Compute a.x = A^-1 a.r until sqrt(r.z) has fallen to `tolerance` of its start; return the iterations.
 
-    Stops early, and says so by -1 - iterations, at a direction without positive curvature: the matrix is
-    not positive, or rounding has eaten it. a.r holds what is left.
+    Stops early, and says so by -1 - iterations, at a direction without positive curvature: the matrix is not positive,
+    or rounding has eaten it. a.r holds what is left.
     """
     return int(iterate(tolerance, most, a, threads))
 
 
 def multiply(a: Linear, u: Float, threads: int | None) -> Float:
-    """A u (3, n), 0 where pinned."""
+    """Return A u (3, n), 0 where pinned."""
     a.p[...], a.z[...] = u, 0.0
     turn_and_multiply(1.0, a, threads)
     return a.q.copy()

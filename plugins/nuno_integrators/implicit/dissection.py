@@ -19,9 +19,9 @@ from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
 LEAF = 20
-"""Vertices that are not cut further: their block is dense by then or nearly so."""
+"""vertices of a set that is not cut further: its block is nearly dense"""
 MIDDLE = 0.4
-"""Each half has at least this share of the vertices; within that the smallest separator is taken."""
+"""share of the vertices that each half has at least; within that the smallest separator is taken"""
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Tree:
     parent: list[int]
 
     def add(self, vertices: Long, children: list[int]) -> int:
-        """Add a node above these; its number."""
+        """Add a node above these children; return its number."""
         self.vertices.append(vertices)
         self.parent.append(-1)
         for child in children:
@@ -53,7 +53,7 @@ def dissect(position: Float, edges: Long) -> Tree:
 
 
 def _dissect(vertices: Long, edges: Long, position: Float, local: Long, tree: Tree) -> list[int]:
-    """The nodes on top of the tree of these vertices; `local` is scratch."""
+    """Return the roots of the tree of these vertices; `local` is scratch."""
     if vertices.shape[0] <= LEAF:
         return [tree.add(vertices, [])] if vertices.shape[0] else []
     local[vertices] = np.arange(vertices.shape[0])
@@ -69,7 +69,7 @@ def _dissect(vertices: Long, edges: Long, position: Float, local: Long, tree: Tr
 
 
 def _cut(position: Float, edges: Long) -> Long:
-    """(n,) 0 or 1 for the halves, 2 for the separator, of vertices (n, 3) with local edges (e, 2)."""
+    """Return (n,) 0 or 1 for the halves, 2 for the separator, of vertices (n, 3) with local edges (e, 2)."""
     n = position.shape[0]
     low, high = int(MIDDLE * n), n - int(MIDDLE * n)
     found = []

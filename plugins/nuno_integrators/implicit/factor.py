@@ -24,11 +24,11 @@ from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 
 PANEL = 24
-"""Rows that are eliminated together: those before them are subtracted by tiles, these one by one."""
+"""rows that are eliminated together: those before them are subtracted by tiles, these one by one"""
 
 
 class Factor(NamedTuple):
-    """A plan and its numbers.
+    """A plan and the factor's entries.
 
     diagonal  (6, n) xx, yy, zz, xy, xz, yz: A's diagonal blocks
     values    (1, entries) the fronts' own rows: A's at first, then U's
@@ -44,14 +44,14 @@ class Factor(NamedTuple):
 
 
 def make_factor(plan: Plan, n: int) -> Factor:
-    """Room for a factor of a matrix of n vertices."""
+    """Allocate a factor of a matrix of n vertices."""
     local = int(plan.fronts.width.max(initial=WIDTH))
     values, scratch = (np.zeros((1, size + WIDTH)) for size in (plan.entries, plan.scratch))
     return Factor(plan, np.zeros((6, n)), values, scratch, np.zeros((1, local)))
 
 
 def compile_factor(a: Linear) -> None:
-    """Compile what a factor of this matrix needs, with one that has no vertices."""
+    """Compile what a factor of this matrix needs, by one without vertices."""
     none = np.zeros(0, np.int64)
     empty = Elements(none, *np.zeros((3, 1, 0), np.int64))
     elements = tuple(
@@ -65,7 +65,7 @@ def compile_factor(a: Linear) -> None:
 
 @block_kernel
 def add_diagonal(fronts: Fronts, diagonal: Float, values: Float) -> None:
-    """Put the diagonal blocks of the vertices that each front eliminates in their places."""
+    """Write the diagonal blocks of the vertices that each front eliminates to their places."""
     for f in range(fronts.own.shape[0]):
         width = fronts.width[f]
         for q in range(fronts.own[f]):
@@ -90,7 +90,7 @@ class Rows(NamedTuple):
 def subtract(rows: Rows, depth: int, low: int, high: int, end: int, to: Rows) -> None:
     """to[c - low, r - low] -= sum over k < depth of rows[k, c] rows[k, r] for low <= c < high and c <= r < end.
 
-    Whole tiles are computed, and what is left of the diagonal or beyond `end` has no meaning.
+    Whole tiles are computed; entries left of the diagonal or beyond `end` have no meaning.
     """
     u, at, width = rows.values, rows.at, rows.width
     out, reach = to.values, to.width
@@ -122,7 +122,7 @@ def subtract(rows: Rows, depth: int, low: int, high: int, end: int, to: Rows) ->
 
 @block_kernel
 def eliminate(u: Float, at: int, width: int, own: int, size: int) -> bool:
-    """Turn a front's own rows of A into rows of U; False at a pivot that is not positive."""
+    """Turn a front's own rows of A into rows of U; return False at a pivot that is not positive."""
     for first in range(0, own, PANEL):
         last = min(first + PANEL, own)
         subtract(Rows(u, at, width), first, first, last, size, Rows(u, at + first * width + first, width))
@@ -145,7 +145,7 @@ def eliminate(u: Float, at: int, width: int, own: int, size: int) -> bool:
 
 @kernel
 def pass_on(f: int, fronts: Fronts, values: Float, scratch: Float) -> None:
-    """Add what a front leaves to its parent's."""
+    """Add a front's remainder to its parent's."""
     above = fronts.parent[f]
     own, width, reach = fronts.own[above], fronts.width[above], fronts.reach[above]
     for a in range(fronts.size[f] - fronts.own[f]):
@@ -164,14 +164,14 @@ def pass_on(f: int, fronts: Fronts, values: Float, scratch: Float) -> None:
 
 @kernel
 def clear(f: int, fronts: Fronts, scratch: Float) -> None:
-    """Nothing is left of a front yet."""
+    """Zero a front's remainder."""
     rows = TILE * ((3 * (fronts.size[f] - fronts.own[f]) + TILE - 1) // TILE)
     scratch[0, fronts.rest[f] : fronts.rest[f] + rows * fronts.reach[f]] = 0.0
 
 
 @block_kernel
 def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
-    """All fronts, children before parents; False at a pivot that is not positive."""
+    """Factorise all fronts, children before parents; return False at a pivot that is not positive."""
     for f in range(fronts.own.shape[0]):
         own, size, at, width = 3 * fronts.own[f], 3 * fronts.size[f], fronts.panel[f], fronts.width[f]
         if fronts.fresh[f] & 1:
@@ -189,7 +189,7 @@ def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
 
 @block_kernel
 def solve_fronts(fronts: Fronts, values: Float, local: Float, r: Float, x: Float) -> None:
-    """x (3, n) = A^-1 r: U^T y = r from the first front to the last, then U x = y back."""
+    """Compute x (3, n) = A^-1 r: U^T y = r from the first front to the last, then U x = y back."""
     copy_rows(r, x)
     sums = np.empty((1, WIDTH))
     for f in range(fronts.own.shape[0]):
@@ -217,7 +217,7 @@ def solve_fronts(fronts: Fronts, values: Float, local: Float, r: Float, x: Float
 
 @kernel
 def collect(f: int, fronts: Fronts, x: Float, local: Float) -> None:
-    """A front's part of x (3, n), and zeros after it."""
+    """Gather a front's part of x (3, n), and zeros after it."""
     for q in range(fronts.size[f]):
         for row in range(3):
             local[0, 3 * q + row] = x[row, fronts.vertices[fronts.start[f] + q]]
@@ -226,14 +226,14 @@ def collect(f: int, fronts: Fronts, x: Float, local: Float) -> None:
 
 @kernel
 def distribute(f: int, fronts: Fronts, local: Float, x: Float, count: int) -> None:
-    """The first `count` vertices of a front's part back into x (3, n)."""
+    """Scatter the first `count` vertices of a front's part back into x (3, n)."""
     for q in range(count):
         for row in range(3):
             x[row, fronts.vertices[fronts.start[f] + q]] = local[0, 3 * q + row]
 
 
 def factorise(factor: Factor, a: Linear) -> bool:
-    """Factorise the matrix as it is filled; False if it is not positive, or rounding has eaten that."""
+    """Factorise the matrix; return False if it is not positive, or rounding has made it so."""
     plan = factor.plan
     factor.values[...] = 0.0
     factor.diagonal[...] = a.own
@@ -245,5 +245,5 @@ def factorise(factor: Factor, a: Linear) -> bool:
 
 
 def solve_factored(factor: Factor, r: Float, x: Float) -> None:
-    """x (3, n) = A^-1 r, 0 where pinned, with the factor of A."""
+    """Compute x (3, n) = A^-1 r, 0 where pinned, with the factor of A."""
     solve_fronts(factor.plan.fronts, factor.values, factor.local, r, x)

@@ -49,7 +49,7 @@ class Fronts(NamedTuple):
 
 
 def fill_fronts(tree: Tree, edges: Long) -> list[Long]:
-    """Of every node, the ranks of its front, given the ranks of edges (e, 2)."""
+    """Return, for every node, the ranks of its front, given the ranks of edges (e, 2)."""
     edges = np.sort(edges, axis=1)
     edges = edges[np.argsort(edges[:, 0], kind="stable")]
     sizes = np.array([part.shape[0] for part in tree.vertices], np.int64)
@@ -67,21 +67,21 @@ def fill_fronts(tree: Tree, edges: Long) -> list[Long]:
 
 
 def _row_length(vertices: Long) -> Long:
-    """Length of rows over this many vertices with the overhang: an odd number of vectors, since a power of two
-    would put all rows into the same lines of the cache.
+    """Return the length of rows over this many vertices with the overhang: an odd number of vectors, since a power of
+    two would put all rows into the same cache lines.
     """
     return 8 * ((3 * vertices + OVERHANG + 7) // 8 | 1)
 
 
 def lay_out(tree: Tree, ranks: list[Long], vertices: Long) -> tuple[Fronts, int, int]:
-    """The fronts, and the numbers that the factor and the scratch hold, for `vertices` by rank."""
+    """Return the fronts, and the sizes of factor and scratch, for `vertices` by rank."""
     own = np.array([part.shape[0] for part in tree.vertices], np.int64)
     size = np.array([part.shape[0] for part in ranks], np.int64)
     parent = np.array(tree.parent, np.int64)
     width, reach = _row_length(size), _row_length(size - own)
     panels = np.cumsum(-(-3 * own // TILE) * TILE * width)
     left = -(-3 * (size - own) // TILE) * TILE * reach
-    # What a front leaves is added to its parent's at once, so that it needs room beside its ancestors' only.
+    # A front's remainder is added to its parent's at once, so that it needs room beyond its ancestors' only.
     rest, fresh = np.zeros_like(own), np.ones_like(own)
     for node in range(own.shape[0] - 1, -1, -1):
         if parent[node] >= 0:

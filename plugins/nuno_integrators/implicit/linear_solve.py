@@ -30,19 +30,19 @@ from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
 FORCING = 0.05
-"""Share of the residual that conjugate gradients may leave: tighter buys few Newton steps for many products."""
+"""share of the residual that conjugate gradients may leave: tighter saves few Newton steps for many products"""
 PATIENCE = 4.0
 """Conjugate gradients may take this many times sqrt(n) iterations, which cost about as much as a factorisation.
 Measured at 32 x 32 against half of it: a frame at 1e4 N/m takes 9 ms instead of 23, one at 1e8 95 instead of 86."""
 LOOSE = 1e-2
-"""The same where a factorisation is the preconditioner of what is not in it."""
+"""the share where a factorisation is the preconditioner of terms that are not in it"""
 MOST_ENTRIES = 1 << 27
-"""Numbers in a factor, 1 GiB: springs without any order in space may have more, and stay with the gradients."""
+"""entries of a factor, 1 GiB: springs without any order in space may need more, and use conjugate gradients"""
 
 
 @dataclass
 class Counts:
-    """What the solver did: Newton and conjugate-gradient iterations, factorisations, forces evaluated, and
+    """Counts of the solver's work: Newton and conjugate-gradient iterations, factorisations, forces evaluated, and
     steps that did not converge and were halved.
     """
 
@@ -78,12 +78,12 @@ class Solver:
 
 
 def make_solver(packed: Packed, position: Float) -> Solver:
-    """Room for the matrix; a factor's is made when one is needed."""
+    """Allocate the matrix; a factor is allocated when one is needed."""
     return Solver(make_linear(packed), position, np.zeros((3, position.shape[0])))
 
 
 def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Float, exact: bool) -> bool:
-    """s.linear.x = A^-1 residual at x (3, n), by the exact matrix where that is asked for and is positive.
+    """Compute s.linear.x = A^-1 residual at x (3, n), by the exact matrix if that is asked for and positive.
 
     s.linear.own holds D already. False if conjugate gradients take too long: the stage is then to be begun
     anew with factorisations, because what a loose solution has done to stiff springs takes longer to mend.
@@ -102,20 +102,20 @@ def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Flo
 
 
 def is_touched(s: Solver) -> bool:
-    """Whether a term that foresees what it touches had a part in the last matrix."""
+    """Whether a term that foresees contact had a part in the last matrix."""
     terms = zip(s.linear.forces, s.linear.rows, strict=True)
     return any(rows.number.any() for term, rows in terms if rows is not None and kernels_of(term).foresee is not None)
 
 
 def solve_again(s: Solver, packed: Packed, x: Float, rate: float, residual: Float) -> None:
-    """The same by the gradients with another right side, terms linearised anew."""
+    """Solve by conjugate gradients for another right side, with terms linearised anew."""
     _iterate(s, packed, x, rate, residual, (False,), math.ceil(PATIENCE * math.sqrt(x.shape[1])))
 
 
 def _iterate(
     s: Solver, packed: Packed, x: Float, rate: float, residual: Float, kinds: tuple[bool, ...], most: int
 ) -> bool:
-    """By conjugate gradients; False if they need more than `most` iterations."""
+    """Solve by conjugate gradients; return False if they need more than `most` iterations."""
     for exact in kinds:
         fill(x, rate, packed, s.linear, exact)
         s.linear.r[...] = residual
@@ -124,12 +124,12 @@ def _iterate(
         if done >= 0:
             keep_momentum(s.linear, packed.threads)
             return done < most
-    # Rounding has eaten what is positive of the matrix: what was found until then is a way down.
+    # Rounding has made the matrix indefinite: the solution until then is still a descent direction.
     return True
 
 
 def prefer_factors(s: Solver) -> bool:
-    """Use factorisations for the rest of the time step; False if there is no room for one. It is planned once."""
+    """Use factorisations for the rest of the time step; return False if a factor is too large. It is planned once."""
     if s.factor is None and not s.barred:
         plan = make_plan(s.position, s.linear)
         s.barred = plan.entries > MOST_ENTRIES
@@ -139,7 +139,7 @@ def prefer_factors(s: Solver) -> bool:
 
 
 def _factorise(s: Solver, packed: Packed, x: Float, rate: float, residual: Float, kinds: tuple[bool, ...]) -> bool:
-    """By factorisation; False if rounding has eaten what is positive of the matrix."""
+    """Solve by factorisation; return False if rounding has made the matrix indefinite."""
     assert s.factor is not None
     for exact in kinds:
         fill(x, rate, packed, s.linear, exact, s.before, s.follow)

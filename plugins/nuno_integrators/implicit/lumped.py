@@ -1,4 +1,4 @@
-"""The stiffness of what acts on each vertex by itself: measured by differences, made symmetric and positive."""
+"""The stiffness of forces that act on each vertex alone: measured by differences, made symmetric and positive."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from nuno_kernels import block_kernel, kernel
 from nuno_schemas.fabric import Float
 
 MOST_SWEEPS = 12
-"""Jacobi's method converges quadratically: 3 x 3 matrices take four sweeps or five."""
+"""sweeps at most: Jacobi's method converges quadratically, and 3 x 3 matrices take four or five"""
 EPSILON = float(np.finfo(float).eps)
 
 
 @kernel
 def rotate(a: Float, vectors: Float, p: int, q: int) -> None:
-    """One rotation of Jacobi's method, which makes a[p, q] zero (Golub & Van Loan, Matrix Computations, 8.5)."""
+    """Apply one rotation of Jacobi's method, which makes a[p, q] zero (Golub & Van Loan, Matrix Computations, 8.5)."""
     if a[p, q] == 0.0:
         return
     tau = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
@@ -39,7 +39,7 @@ def keep_positive(a: Float, vectors: Float, values: Float) -> None:
     determinant = a[2, 2] * minor + a[0, 2] * rest - a[1, 2] * (a[0, 0] * a[1, 2] - a[0, 1] * a[0, 2])
     if a[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0:
         return
-    # Entry by entry: array expressions take seconds more to compile, above all for what they say of shapes that differ.
+    # Entry by entry: array expressions take seconds more to compile, above all for the errors of shapes that differ.
     size = 0.0
     for i in range(3):
         for j in range(3):
@@ -62,9 +62,9 @@ def keep_positive(a: Float, vectors: Float, values: Float) -> None:
 
 
 @block_kernel
-def add_stiffness(base: Float, moved: Float, scale: Any, own: Float) -> None:
-    """Add to own (6, n) what the accelerations base (3, n) lose as all vertices move along each axis, (3, 3, n):
-    scale (n,) times the differences, mass over the way.
+def add_stiffness(base: Float, moved: Float, scale: Any, diagonal: Float) -> None:
+    """Subtract from own (6, n) the change of the accelerations base (3, n) as all vertices move along each axis, (3, 3,
+    n): scale (n,) times the differences, mass over the way.
     """
     a, vectors, values = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for p in range(base.shape[1]):
@@ -75,7 +75,7 @@ def add_stiffness(base: Float, moved: Float, scale: Any, own: Float) -> None:
             continue
         keep_positive(a, vectors, values)
         for i in range(3):
-            own[i, p] += a[i, i]
-        own[3, p] += a[0, 1]
-        own[4, p] += a[0, 2]
-        own[5, p] += a[1, 2]
+            diagonal[i, p] += a[i, i]
+        diagonal[3, p] += a[0, 1]
+        diagonal[4, p] += a[0, 2]
+        diagonal[5, p] += a[1, 2]

@@ -20,7 +20,7 @@ from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
 LOWEST = 1e300
-"""Below anything that a spring's stiffness can be."""
+"""less than any stiffness of a spring"""
 
 
 fill_rows = each("fill", "block, x, before, rate, floor, follow", linear=True)
@@ -33,7 +33,7 @@ class Linear(NamedTuple):
 
     own, inverse  (6, n) xx, yy, zz, xy, xz, yz: D, and the inverse of A's diagonal blocks, 0 where pinned
     forces, forces_on   as in Packed
-    rows          of each force what its matrix is kept as (nuno_kernels.forces.linear_layout), None for one without
+    rows          rows of each force's matrix (nuno_kernels.forces.linear_layout), None for one without
     sums          (blocks,) scratch
     x, r, z, p, q (3, n) solution, residual, preconditioned residual, direction, A times direction
     """
@@ -53,7 +53,7 @@ class Linear(NamedTuple):
 
 
 def make_linear(packed: Packed) -> Linear:
-    """Room for the matrix of a packed system and for solving with it."""
+    """Allocate the matrix of a packed system and the vectors to solve with it."""
     n = packed.inverse_mass.shape[0]
     makers = [role_of(type(term), "rows") for term in packed.forces]
     rows = tuple(None if make is None else make(term) for make, term in zip(makers, packed.forces, strict=True))
@@ -66,7 +66,7 @@ def make_linear(packed: Packed) -> Linear:
 
 @kernel
 def invert(own: Float, inverse: Float, v: int, diagonal: Float, at: int) -> None:
-    """Inverse of vertex v's diagonal block, by cofactors."""
+    """Compute the inverse of vertex v's diagonal block, by cofactors."""
     xx, yy, zz = own[0, v] + diagonal[0, at], own[1, v] + diagonal[1, at], own[2, v] + diagonal[2, at]
     xy, xz, yz = own[3, v] + diagonal[3, at], own[4, v] + diagonal[4, at], own[5, v] + diagonal[5, at]
     c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
@@ -77,7 +77,7 @@ def invert(own: Float, inverse: Float, v: int, diagonal: Float, at: int) -> None
 
 
 class Tangent(NamedTuple):
-    """How forces are made linear: dv/dx = `rate` [1/s], the least that a spring may have across its direction, and
+    """Parameters of the linearisation: dv/dx = `rate` [1/s], the least stiffness of a spring across its direction, and
     whether tensions follow the last Newton step (1) or are those before it (0).
     """
 
@@ -103,7 +103,7 @@ fill_each = over_blocks(fill_block, "x, before, tangent, a")
 
 @block_kernel
 def fill_blocks(x: Float, before: Float, tangent: Tangent, a: Linear, threads: int | None) -> None:
-    """`fill_block` for all blocks, on one thread or several."""
+    """Call `fill_block` for all blocks, on one thread or several."""
     fill_each(x, before, tangent, a, a.sums.shape[0], threads)
 
 
@@ -112,8 +112,8 @@ def fill(
 ) -> None:
     """Linearise at x (3, n), with dv/dx = `rate` [1/s]; a.own holds D already.
 
-    The matrix is positive unless it is `exact`; its preconditioner is in either case. Springs have the tension
-    that a linear step from `before` (3, n) to x leads to, or the one that they had there where not `follow`.
+    The matrix is positive unless it is `exact`; its preconditioner is in either case. Springs have the tension that a
+    linear step from `before` (3, n) to x predicts, or that at `before` if not `follow`.
     """
     tangent = Tangent(rate, -LOWEST if exact else 0.0, float(follow))
     fill_blocks(x, x if before is None else before, tangent, a, p.threads)

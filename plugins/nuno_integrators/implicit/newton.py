@@ -1,10 +1,10 @@
 """Newton's method for an implicit stage: x = x^ + g v, v = v^ + g a(x, v).
 
-The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves
-(M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.forces.linear; nuno_integrators.implicit.linear_solve
-says how. What has no matrix of its own (contact with bodies, wind, forces in Python, damping) acts on each vertex by
-itself or nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
-axis. Contact and friction are exact that way; a triangle's wind is lumped.
+The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves (M / g^2 + K + C / g) dx
+= residual with K and C of nuno_kernels.forces.linear; nuno_integrators.implicit.linear_solve says how. Forces without a
+matrix (contact with bodies, wind, forces in Python, damping) act on each vertex alone or nearly so: their derivative is
+one 3 x 3 block a vertex, by moving all vertices together along each axis. Contact and friction are exact that way; a
+triangle's wind is lumped.
 
 Cloth that meets cloth shortens steps so that no iterate has passed through (role `bound`), and says what a step would
 bring into touch, with which it is solved again (role `foresee`): the active set of a quadratic program.
@@ -29,33 +29,32 @@ from nuno_kernels.step.packing import call_each
 from nuno_schemas.fabric import Float
 
 SLOW = 0.3
-"""A Newton step that leaves more than this of the residual is followed by one with the exact matrix. Cloth
-that is about to buckle holds compressed springs in balance: without their negative stiffness every step
-goes a tenth of the way. Far from the end the exact matrix is mostly not positive, and not worth trying."""
+"""A Newton step that leaves more than this share of the residual is followed by one with the exact matrix. Buckling
+cloth holds compressed springs in balance: without their negative stiffness every step goes a tenth of the way. Far from
+the end the exact matrix is mostly not positive, and not worth trying."""
 SLOPE = 0.5
-"""A step is shortened where the residual along it has turned round and is more than this share of what it was."""
+"""A step is shortened if the residual along it has changed sign and exceeds this share of its former value."""
 MOST_TRIALS = 6
 HELD_BACK = 5
-"""Times the Newton steps that are taken at most where cloth meets cloth: a step that contact has shortened goes as far
-as what it meets, and the next knows of that; and which pairs touch and slide takes some to settle. Three sheets that
-meet at 16 m/s in a step of 1/60 s take 40, and a halving costs more."""
+"""factor on the number of Newton steps where cloth meets cloth: a step that contact has shortened goes as far as the
+contact, which the next takes into account; and which pairs touch and slide takes some to settle. Three sheets that meet
+at 16 m/s in a step of 1/60 s take 40, and a halving costs more."""
 STALLED, FALLS = 14, 0.9
-"""A stage stands still after so many Newton steps that contact shortened, none of which left less than this share of
-the least residual before: what is pressed together harder than contact can push it apart goes no farther."""
+"""A stage stalls after so many Newton steps that contact shortened, none of which left less than this share of the
+least residual before: cloth pressed together harder than contact can push it apart goes no farther."""
 WAITS = 40
-"""Newton steps that are taken beyond the residual that is asked for, until bodies are where they go: each step pushes
-cloth before them by about its thickness.
-"""
+"""Newton steps beyond the required residual, until bodies are in place: each step pushes cloth before them by about its
+thickness."""
 FORESEEN = 4
-"""Times that a Newton step is solved again with what it has been found to touch."""
+"""number of times that a Newton step is solved again with the contacts it was found to make"""
 REACH = 1e-7
-"""Share of the cloth's size by which vertices are moved to differentiate what acts on each by itself."""
+"""share of the cloth's size by which vertices are moved to differentiate forces that act on each alone"""
 EPSILON = float(np.finfo(float).eps)
 
 
 @block_kernel
 def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: Float) -> float:
-    """out = mass (a - (u - vhat) / g), 0 for mass 0; the largest of its norms."""
+    """Compute out = mass (a - (u - vhat) / g), 0 for mass 0; return the largest norm."""
     largest = 0.0
     for p in range(out.shape[1]):
         square = 0.0
@@ -63,7 +62,7 @@ def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: F
             f = mass[p] * (a[row, p] - (u[row, p] - vhat[row, p]) / g) if mass[p] > 0.0 else 0.0
             out[row, p] = f
             square += f * f
-        # Not max(): NaN has to come through.
+        # Not max(): NaN must propagate.
         largest = largest if square <= largest * largest else np.sqrt(square)
     return largest
 
@@ -72,19 +71,19 @@ def solve_stage(
     st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float,
     start: Float, limits: Limits,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
+    """Solve for st.x, st.v from their present guess st.v; return whether it converged, and the residual [N].
 
     `start` (3, n) is where the cloth is now.
     """
-    found = _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
-    let_go(st, packed, found[0])
-    return found
+    result = _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+    let_go(st, packed, result[0])
+    return result
 
 
 def _solve_stage(
     st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float, start: Float, limits: Limits
 ) -> tuple[bool, float]:
-    """The same, with vertices held where they do not come on."""
+    """Solve likewise, but leave stalled vertices held."""
     limit_approach(packed, g)
     for grip in st.grips:
         grip.pose(s)
@@ -109,29 +108,29 @@ def _solve_stage(
         if not _solve_newton(st, packed, extra, g, s, slow):
             st.v[...] = guess
             return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
-        asked = st.solver.linear.x.copy()
+        unshortened = st.solver.linear.x.copy()
         shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s, packed.threads))
         if shortened and st.solver.direct:
             st.solver.direct, st.solver.hindered = False, True
             st.v[...] = guess
             return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
         st.solver.hindered = st.solver.hindered or shortened
-        # Springs have not come to the tension that the whole step expects of them.
+        # Springs do not have the tension that the whole step predicts.
         st.solver.follow = not shortened
         left -= 0.0 if shortened else 1.0 / HELD_BACK if is_touched(st.solver) else 1.0
         worst = _search(st, packed, extra, vhat, g, s)
         slow = worst > SLOW * before and not shortened
-        # What waits for bodies is solved already.
+        # Waiting for bodies is no stall: the stage is solved already.
         stalled = 0 if worst < FALLS * least or worst <= allowed else stalled + int(shortened)
         least = min(least, worst)
         if stalled == STALLED and limits.cut:
-            hold(st, (st.solver.linear.x != asked).any(axis=0))
+            hold(st, (st.solver.linear.x != unshortened).any(axis=0))
             least, stalled = np.inf, 0
     return False, worst
 
 
 def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, start: Float) -> None:
-    """Take the first guess only as far from the start as cloth does not meet."""
+    """Shorten the first guess to where cloth does not yet meet."""
     d = st.x - start
     if any(call_each(packed, "bound", start, d, s, packed.threads)):
         np.add(start, d, out=st.x)
@@ -140,13 +139,13 @@ def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, sta
 
 
 def limit_approach(packed: Packed, g: float) -> None:
-    """Let contact's dashpots see what can be gone within g [s] at most; see Contact.rate."""
+    """Limit the approach that contact's dashpots see to the way within g [s]; see Contact.rate."""
     call_each(packed, "approach", 1.0 / g)
 
 
 def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, exact: bool) -> bool:
-    """The Newton step into st.solver.linear.x; False if the stage is to be begun anew."""
-    _fill_own(st, packed, extra, g, s)
+    """Compute the Newton step into st.solver.linear.x; return False if the stage is to be begun anew."""
+    _fill_diagonal(st, packed, extra, g, s)
     st.counts.newton += 1
     done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
     for _ in range(FORESEEN if done and not st.solver.direct else 0):
@@ -164,7 +163,7 @@ def compile_stage(st: Stage, packed: Packed, extra: Extra, x: Float, v: Float) -
     """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
     st.x[...], st.v[...] = x, v
     _evaluate(st, packed, extra, st.v, 1.0, 0.0)
-    _fill_own(st, packed, extra, 1.0, 0.0)
+    _fill_diagonal(st, packed, extra, 1.0, 0.0)
     compile_solver(st.solver, packed, st.x)
     along(st.residual, st.solver.linear.x)
     largest_force(st, packed)
@@ -172,7 +171,7 @@ def compile_stage(st: Stage, packed: Packed, extra: Extra, x: Float, v: Float) -
 
 
 def _rounding(st: Stage, g: float) -> float:
-    """What rounding alone leaves of a vertex's force [N]: of springs' lengths, and of momentum over the step."""
+    """Return the residual [N] that rounding alone leaves: of springs' lengths, and of momentum over the step."""
     place, speed = float(np.abs(st.x).max(initial=0.0)), float(np.abs(st.v).max(initial=0.0))
     return 16.0 * EPSILON * (st.scale * place + float(st.mass.max(initial=0.0)) * speed / g)
 
@@ -185,18 +184,18 @@ def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s:
         return worst
     st.missing[...] = st.residual
     for grip in st.grips:
-        st.residual[:, grip.held] += grip.rub
+        st.residual += grip.rub
         grip.filter(st.residual)
     return float(np.sqrt((st.residual * st.residual).sum(axis=0).max(initial=0.0)))
 
 
 def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
-    """Go along the solution d in st.solver.linear.x, less far where the residual along it turns round.
+    """Step along the solution d in st.solver.linear.x, less far if the residual along it changes sign.
 
-    For conservative forces residual.d is minus the slope of the step's energy along d, which a
-    minimum makes 0: the rule brings the secant's minimum, and needs no energy, so that it holds for
-    friction and wind too. Where d is exact, what springs pull for having turned does not count: the next
-    step takes it back, and steps that avoid it are short on stiff cloth (the Maratos effect).
+    For conservative forces residual.d is minus the slope of the step's energy along d, which a minimum makes 0: the
+    rule brings the secant's minimum, and needs no energy, so that it holds for friction and wind too. Where d is exact,
+    the tension that springs get by turning does not count: the next step takes it back, and steps that avoid it are
+    short on stiff cloth (the Maratos effect).
     """
     d = st.solver.linear.x
     before, gone, share = along(st.residual, d), 0.0, 1.0
@@ -216,16 +215,16 @@ def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: f
     return worst
 
 
-def _fill_own(st: Stage, packed: Packed, extra: Extra, g: float, s: float) -> None:
-    """What acts on each vertex by itself, and its inertia, into the matrix."""
-    own = st.solver.linear.own
-    own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
-    own[3:] = 0.0
+def _fill_diagonal(st: Stage, packed: Packed, extra: Extra, g: float, s: float) -> None:
+    """Write each vertex's own stiffness, and its inertia, into the matrix."""
+    diagonal = st.solver.linear.own
+    diagonal[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
+    diagonal[3:] = 0.0
     if st.others is not None:
-        own[:3] = st.mass / (g * g)
+        diagonal[:3] = st.mass / (g * g)
         _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
     for grip in st.grips:
-        grip.stiffen(own, st.scale)
+        grip.stiffen(diagonal, st.scale)
 
 
 def _add_others(st: Stage, others: Packed, extra: Extra, g: float, s: float) -> None:
@@ -243,21 +242,21 @@ def _add_others(st: Stage, others: Packed, extra: Extra, g: float, s: float) -> 
 
 
 def largest_force(st: Stage, packed: Packed) -> float:
-    """The largest single force [N] at st.x: of a spring, a weight, or what remains of all on a vertex."""
+    """Return the largest single force [N] at st.x: of a spring, a weight, or the resultant on a vertex."""
     weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
     inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
     return max(weight, inertia, largest_tension(st.x, packed))
 
 
 def largest_tension(x: Float, packed: Packed) -> float:
-    """The largest force of a spring [N], whichever way."""
+    """Return the largest force of a spring [N], of either sign."""
     return float(max(call_each(packed, "tension", x), default=0.0))
 
 
 def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
-    """Work along d (3, n) of the tension that springs have for having turned on their way from `before` to x [J].
+    """Return the work along d (3, n) of the tension that springs got by turning on their way from `before` to x [J].
 
-    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
-    cannot know of that, and the next one takes it back.
+    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step cannot
+    predict that, and the next one takes it back.
     """
     return float(sum(call_each(packed, "turning", before, x, d)))

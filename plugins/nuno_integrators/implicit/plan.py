@@ -1,4 +1,4 @@
-"""The plan of a factorisation: where every element goes, all that is known before any number is."""
+"""The plan of a factorisation: where every element goes, found before any of its numbers is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nuno_schemas.fabric import Float
 
 
 class Elements(NamedTuple):
-    """Where p springs, hinges or pairs of links go.
+    """Places of p springs, hinges or pairs of links in the factor.
 
     column    (p,) of their rows
     vertices  (2, 3 or 4, p)
@@ -31,8 +31,8 @@ class Elements(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """A factorisation: its fronts, the numbers that it keeps and those that it needs meanwhile, and where the
-    elements of each term go, None for one without a matrix.
+    """A factorisation: its fronts, the number of entries that it keeps and of those that it needs meanwhile, and where
+    the elements of each term go, None for one without a matrix.
     """
 
     fronts: Fronts
@@ -42,7 +42,7 @@ class Plan(NamedTuple):
 
 
 def make_plan(position: Float, linear: Linear) -> Plan:
-    """Plan for vertices at rest at (n, 3) that a matrix couples; pinned ones are not part of it."""
+    """Return the plan for vertices at rest at (n, 3) that a matrix couples, without the pinned ones."""
     free = np.flatnonzero(linear.inverse_mass > 0.0)
     number = np.full(position.shape[0], -1, np.int64)
     number[free] = np.arange(free.shape[0])
@@ -67,13 +67,13 @@ def _pairs(corners: int) -> list[tuple[int, int]]:
 
 
 def _edges(corners: Long) -> Long:
-    """(e, 2) pairs, the lower first, among the corners (2, 3 or 4, p) of elements, without the pinned ones (-1)."""
+    """Return pairs (e, 2), lower first, among the corners (2, 3 or 4, p) of elements, without pinned ones (-1)."""
     pairs = np.concatenate([corners[[i, j]] for i, j in _pairs(corners.shape[0])], axis=1).T
     return np.sort(pairs[(pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])], axis=1)
 
 
 def _place(fronts: Fronts, ranks: list[Long], rank: Long, column: Long, vertices: Long) -> Elements:
-    """Where elements go: a pair's block is in the front that eliminates the first of the two."""
+    """Return where elements go: a pair's block is in the front that eliminates the first of the two."""
     total = max(1, rank.shape[0])
     node_of = np.repeat(np.arange(fronts.own.shape[0]), fronts.own)
     keys = np.concatenate([part + node * total for node, part in enumerate(ranks)] or [np.empty(0, np.int64)])

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, lacking
+from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, lacking
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import compile_stage, limit_approach, solve_stage
 from nuno_integrators.implicit.stage import Limits, Stage, make_stage
@@ -34,26 +34,26 @@ from nuno_schemas.system import StepLimit, System
 
 GAMMA = 2.0 - math.sqrt(2.0)
 MOST_HALVINGS = 14
-"""Of a frame of 1/60 s steps of 1 us are left. Before that the inertia m / h^2 outweighs 4 k s / (1 - s), with which
-springs that are shorter than at rest by the share s push a vertex m aside, and a step has one solution: at a third and
-a gram for every k up to 5e8 N/m."""
+"""halvings at most: a frame of 1/60 s then has steps of 1 us. Before that the inertia m / h^2 outweighs 4 k s / (1 -
+s), with which springs that are shorter than at rest by the share s push a vertex m aside, and a step has one solution:
+at a third and a gram for every k up to 5e8 N/m."""
 PATIENT_FROM = 4
 """A step that so many halvings did not help is not one that is too long. Most steps that fail, as over contact, go
 through after one halving or two, and those cost less than patience."""
 CUT_FROM = 6
-"""After so many halvings vertices that contact holds back are left where they are: what is pressed together harder than
-contact can push it apart would take thousands of steps."""
+"""After so many halvings vertices that contact holds back stay in place: cloth pressed together harder than contact can
+push it apart would take thousands of steps."""
 MOST_SETS = 6
-"""Times that a step is solved for other sets of vertices held on bodies. What is then still to change does so in the
-next step, or is put back at this one's end."""
+"""Solutions of a step with different sets of held vertices. Further changes happen in the next step, or vertices are
+put back at this one's end."""
 PATIENCE = 10
-"""Times as many Newton steps are taken then, by factorisations. A chain of stiff springs in compression gives way to
+"""factor on the number of Newton steps then, by factorisations. A chain of stiff springs in compression gives way to
 the side: tens of steps leave the straight line, where rounding alone pushes it aside, and then it takes about one for
 every vertex along it. Loose solutions turn stiff springs by so little a step that they take hundreds."""
 
 
 class ImplicitConfig(Config):
-    """How far Newton's method goes."""
+    """The accuracy of Newton's method."""
 
     residual: float = Field(
         1e-3,
@@ -71,13 +71,13 @@ class ImplicitConfig(Config):
 
 @dataclass
 class ImplicitWork(Work):
-    """`stage` is the solver's memory; `grips` hold vertices on bodies, see nuno_contact.sliding.grip."""
+    """Memory of the method: `stage` of the solver; `grips` hold vertices on bodies (nuno_contact.sliding.grip)."""
 
     stage: Stage
     limits: Limits
     grips: tuple[Any, ...]
 
-    def kept(self) -> dict[str, NDArray[Any]]:
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
         return {f"held_{name}-{k}": getattr(one, name) for k, one in enumerate(self.grips) for name in ("body", "push")}
 
     def bounds(self) -> dict[str, Bounds]:
@@ -85,7 +85,7 @@ class ImplicitWork(Work):
 
 
 class Implicit(Compiled):
-    """Steps that solve for their end."""
+    """A method whose steps solve for their end."""
 
     Config: ClassVar[type[ImplicitConfig]] = ImplicitConfig
     explicit: ClassVar[bool] = False
@@ -100,17 +100,17 @@ class Implicit(Compiled):
         return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, limits, grips)
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
-        """Nothing limits the step."""
-        found = super().limit(config, system, state)
-        return StepLimit(float("inf"), found.omega, found.damping)
+        """Return no limit."""
+        rates = super().limit(config, system, state)
+        return StepLimit(float("inf"), rates.omega, rates.damping)
 
     def about(self, system: System) -> str:
-        """Threads, and which forces have no matrix of their own in Newton's method."""
+        """Describe the threads, and which forces have no matrix of their own in Newton's method."""
         names = lacking(system.terms, "rows")
-        told = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
-        return super().about(system) + told
+        by_differences = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
+        return super().about(system) + by_differences
 
-    def go(self, work: ImplicitWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+    def go(self, work: ImplicitWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         work.stage.solver.counts = Counts()
         acting = [id(term) for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
         work.stage.grips = tuple(grip for grip in work.grips if id(grip.slides) in acting)
@@ -120,8 +120,8 @@ class Implicit(Compiled):
             taken += done
             if residual is not None:
                 message = f"a residual of {residual:.3g} N is left after steps of {dt / 2**MOST_HALVINGS:.2g} s"
-                return Told(taken, message, _totals(work.stage.counts, taken))
-        return Told(taken, "", _totals(work.stage.counts, taken))
+                return StepResult(taken, message, _totals(work.stage.counts, taken))
+        return StepResult(taken, "", _totals(work.stage.counts, taken))
 
     def compile(self, work: ImplicitWork, packed: Packed, extra: Extra) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
@@ -129,7 +129,7 @@ class Implicit(Compiled):
             grip.begin(work.x, 0.0, 1.0)
             grip.enter(work.x, work.v.copy(), 1.0)
             grip.revise(work.stage.missing, work.x)
-        # By its signature: called, it would let friction forget where it holds.
+        # By its signature: calling it would move friction's anchors.
         held = (work.x, work.v, 1.0, packed.bodies, packed.bodies_on, packed.threads)
         kernel: Any = commit
         kernel.compile(tuple(numba.typeof(value) for value in held))
@@ -137,7 +137,7 @@ class Implicit(Compiled):
     def _step(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, depth: int
     ) -> tuple[int, float | None]:
-        """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
+        """Take one step, halved as often as needed; return the steps, and the residual of a failure, else None."""
         solver, limits = work.stage.solver, work.limits._replace(cut=depth >= CUT_FROM)
         solver.direct = solver.hindered = False
         ok, residual = self._attempt_held(work, packed, extra, start, h, span, limits)
@@ -164,7 +164,7 @@ class Implicit(Compiled):
     def _attempt_held(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
     ) -> tuple[bool, float]:  # fmt: skip
-        """The same as `attempt`, anew while vertices are to be held on bodies that were not, or the other way round."""
+        """Call `attempt`, again while the set of vertices held on bodies changes."""
         st, v = work.stage, work.v.copy()
         for grip in st.grips:
             grip.begin(work.x, start / span, (start + h) / span)
@@ -183,7 +183,7 @@ class Implicit(Compiled):
     def attempt(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
     ) -> tuple[bool, float]:  # fmt: skip
-        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N]."""
+        """Write the state after a step of h to work.stage; return whether it converged, and the residual [N]."""
         raise NotImplementedError
 
     def step_at_rest(self, work: ImplicitWork, extra: Extra) -> Any:
@@ -206,7 +206,7 @@ def _totals(counts: Counts, taken: int) -> dict[str, int]:
 
 
 class ImplicitEuler(Implicit):
-    """x_new = x + h v_new, v_new = v + h a(x_new, v_new). Order 1."""
+    """Implicit Euler: x_new = x + h v_new, v_new = v + h a(x_new, v_new). Order 1."""
 
     name: ClassVar[str] = "implicit_euler"
     order: ClassVar[int] = 1
@@ -218,7 +218,6 @@ class ImplicitEuler(Implicit):
         return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))
 
 
@@ -231,14 +230,14 @@ class TRBDF2(Implicit):
     def attempt(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
     ) -> tuple[bool, float]:  # fmt: skip
-        """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
+        """Solve both stages as x = x^ + g v, g = gamma h / 2: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
-        # Also for the forces at the start: they would otherwise follow from the step before, which a checkpoint lacks.
+        # Also for the forces at the start: they would else depend on the step before, which a checkpoint lacks.
         limit_approach(packed, g)
         evaluate(work.x, work.v, start / span, st.a, packed, extra)
         st.counts.evaluations += 1
         for grip in st.grips:
-            st.a[:, grip.held] += packed.inverse_mass[grip.held] * grip.rub
+            st.a += packed.inverse_mass * grip.rub
         np.multiply(work.v, g, out=xhat)
         xhat += work.x
         np.multiply(st.a, g, out=vhat)
@@ -248,20 +247,19 @@ class TRBDF2(Implicit):
         if not ok:
             return ok, residual
         first = st.missing.copy()
-        # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
+        # near * middle - (near - 1) * old, written so that a vertex at rest stays so to the last bit.
         near = 1.0 / (GAMMA * (2.0 - GAMMA))
         for hat, middle, old in ((xhat, st.x, work.x), (vhat, st.v, work.v)):
             np.subtract(middle, old, out=hat)
             hat *= near
             hat += old
-        found = solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
-        # The whole step's, by which both stages bring it from v to its end: at the end alone it swings.
+        result = solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
+        # The whole step's force, by which both stages bring it from v to its end: at the end alone it oscillates.
         st.missing += near * first
         st.missing *= 0.5 * GAMMA
-        return found
+        return result
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         rate, one, g = np.array([[0.0, 1.0], [-omega * omega, -damping]]), np.eye(2), 0.5 * GAMMA * dt
         inverse = np.linalg.inv(one - g * rate)
         middle = inverse @ (one + g * rate)

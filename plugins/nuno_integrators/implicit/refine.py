@@ -1,4 +1,4 @@
-"""Conjugate gradients with a factorisation as the preconditioner: for terms that are in the matrix, but not in it."""
+"""Conjugate gradients with a factorisation as preconditioner: for terms of the matrix that are not in the factor."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ MOST = 200
 
 
 def refine(a: Linear, factor: Factor, b: Float, tolerance: float, threads: int | None) -> int:
-    """Bring a.x, what the factor alone makes of b (3, n), to A^-1 b: until sqrt(r.z) is `tolerance` of sqrt(b.x). The
-    iterations; none, and a.x as it is, where nothing is lacking in the factor.
+    """Bring a.x, the factor's solution for b (3, n), to A^-1 b, until sqrt(r.z) is `tolerance` of sqrt(b.x). Return the
+    iterations; 0, with a.x unchanged, if the factor lacks nothing.
     """
     target = tolerance * tolerance * along(b, a.x)
     x, turn, before = a.x.copy(), 0.0, 1.0

@@ -15,11 +15,11 @@ from nuno_schemas.fabric import Bool, Float
 
 
 class Limits(NamedTuple):
-    """How far a stage is solved.
+    """The accuracy to which a stage is solved.
 
     residual  force that may be missing at a vertex, as a share of the largest single force
     most      Newton steps
-    cut       whether vertices that contact holds back in one that stands still are left where they are, and counted
+    cut       whether vertices that contact holds back in a stalled stage are left in place, and counted
     """
 
     residual: float
@@ -66,14 +66,14 @@ def make_stage(packed: Packed, position: Float, size: float, python: bool) -> St
 
 
 def hold(st: Stage, held: Bool) -> None:
-    """Leave vertices (n,) where they are."""
+    """Hold vertices (n,) in place."""
     st.mass[held] = 0.0
     st.solver.linear.inverse_mass[held] = 0.0
     st.solver.linear.inverse[:, held] = 0.0
 
 
 def let_go(st: Stage, packed: Packed, count: bool) -> None:
-    """Let all vertices go that are held, and count them if it is to be."""
+    """Release all held vertices, and count them if `count`."""
     held = (st.mass == 0.0) & (packed.inverse_mass > 0.0)
     if held.any():
         if count:

@@ -24,7 +24,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, lacking, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, lacking, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
@@ -40,7 +40,7 @@ from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
-# The steps of XPBD: where a vertex would go alone, sweeps over constraints and contact, where it went.
+# The phases of an XPBD step: free displacement, sweeps over constraints and contact, new state.
 
 carry_each = each("carry", "moved, s")
 project_each = each("project", "moved, s, held, threads")
@@ -54,7 +54,7 @@ def carry(bodies: tuple[Any, ...], on: Bool, moved: Displaced, s: float) -> None
 
 @kernel
 def forget(kinds: tuple[Any, ...], on: Bool) -> None:
-    """Let constraints keep no force of the step before."""
+    """Zero the constraints' forces of the step before."""
     forget_each(kinds, on)
 
 
@@ -76,14 +76,14 @@ def predict_block(
     `a` (3, n) holds gravity and explicit forces, or is None. Pinned vertices move at their velocity.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])
-    kept = 1.0 / (1.0 + dt * damping)
+    slowing = 1.0 / (1.0 + dt * damping)
     for i in range(np.uint64(low), np.uint64(high)):
-        mobility[0, i] = dt * dt * kept * inverse_mass[i]
+        mobility[0, i] = dt * dt * slowing * inverse_mass[i]
     for row in range(3):
         g = gravity[row]
         for i in range(np.uint64(low), np.uint64(high)):
             pull = g if a is None else a[row, i]
-            free = kept * (dt * v[row, i] + dt * dt * pull)
+            free = slowing * (dt * v[row, i] + dt * dt * pull)
             u[row, i] = free if inverse_mass[i] > 0.0 else dt * v[row, i]
 
 
@@ -106,7 +106,7 @@ def predict(
     v: Float, u: Float, a: Float | None, mobility: Float, inverse_mass: Float, gravity: Float, damping: float,
     dt: float, threads: int | None,
 ) -> None:  # fmt: skip
-    """Fill u (3, n) and mobility (1, n)."""
+    """Compute u (3, n) and mobility (1, n)."""
     blocks = (u.shape[1] + BLOCK - 1) // BLOCK
     predict_blocks(v, u, a, mobility, inverse_mass, gravity, damping, dt, blocks, threads)
 
@@ -126,15 +126,15 @@ def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | Non
 
 @shared_source
 def felt(a: Float, others: Packed | None) -> Float | None:
-    """What `evaluate_others` has found, None where it found nothing."""
+    """Return the result of `evaluate_others`, None where there is none."""
     return None if others is None else a
 
 
 class Swept(NamedTuple):
-    """What an XPBD step works on beside a system."""
+    """Scratch and settings of an XPBD step besides the system."""
 
     others: Packed | None
-    """The forces without constraint, None where there are none."""
+    """forces without a constraint, None where there are none"""
     constraints: Constraints
     mobility: Float
     """(1, n) scratch"""
@@ -145,7 +145,7 @@ class Swept(NamedTuple):
 
 @kernel
 def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, own: Swept) -> None:
-    """`steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
+    """Take `steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
     c, inverse_step = own.constraints, 1.0 / dt
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
     for step in range(steps):
@@ -166,11 +166,11 @@ def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pa
 
 
 AT_REST = 1e-9
-"""Step [s] in place of none where a step's cost is measured: a displacement over no time is no velocity."""
+"""step [s] that stands for 0 where a step's cost is measured: a displacement over no time is no velocity"""
 
 
 class XPBDConfig(Config):
-    """How far the sweeps go."""
+    """The number of sweeps."""
 
     iterations: int = Field(1, ge=1, le=100_000, description="sweeps over all constraints in a step")
     residual: float = Field(
@@ -182,20 +182,20 @@ class XPBDConfig(Config):
 
 
 def unconstrained(fabric: Fabric) -> list[str]:
-    """What of a fabric has no constraint."""
+    """Return the names of a fabric's forces that have no constraint."""
     parts = {"bending": fabric.bending, "bending_friction": fabric.friction}
     return [name for name, part in parts.items() if part is not None]
 
 
 @dataclass
 class XPBDWork(Work):
-    """What the compiled loop works on, and the last step [s]: (1,), 0 before the first one."""
+    """Scratch of the compiled loop, and the last step [s]: (1,), 0 before the first one."""
 
     own: Swept
     last: Float
 
-    def kept(self) -> dict[str, Float]:
-        """The step is part of the state for what bodies are said to feel."""
+    def state_arrays(self) -> dict[str, Float]:
+        """Return the step: the forces that bodies are reported to feel depend on it."""
         return {"last_step": self.last}
 
 
@@ -227,32 +227,32 @@ class XPBD(Compiled):
         return XPBDWork(packed, x, v, np.empty((4, 3, n)), own, np.zeros(1))
 
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
-        """Only forces without a constraint limit the step; `resolved` follows from config.residual."""
+        """Return the limit of the forces without a constraint; `resolved` follows from config.residual."""
         omega, damping = measure_rates(system, state)
-        kept = tuple(term for term in system.terms if lacking([term], "constraints"))
+        explicit = tuple(term for term in system.terms if lacking([term], "constraints"))
         dt = np.inf
-        if kept or unconstrained(system.fabric):
+        if explicit or unconstrained(system.fabric):
             bare = replace(system.fabric, springs=None, hinges=None, membrane=None)
-            rates = measure_rates(replace(system, fabric=bare, terms=kept, damping=0.0), state)
+            rates = measure_rates(replace(system, fabric=bare, terms=explicit, damping=0.0), state)
             dt = stable_step(SymplecticEuler().amplification, *rates, 0.0)
         missing = config.residual ** (1.0 / config.iterations)
         reach = 2.0 * np.sqrt(missing / (1.0 - missing))
         return StepLimit(float(dt), omega, damping, float(reach / omega) if omega > 0.0 else np.inf)
 
     def about(self, system: System) -> str:
-        """Threads, and which forces have no constraint."""
+        """Describe the threads, and which forces have no constraint."""
         names = sorted([*lacking(system.terms, "constraints"), *unconstrained(system.fabric)])
-        told = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
-        return super().about(system) + told
+        explicit_names = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
+        return super().about(system) + explicit_names
 
-    def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+    def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         call_each(packed, "approach", 1.0 / dt)
         work.last[0] = dt if steps else work.last[0]
         source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
-        return Told(steps, "", {"iterations": steps * work.own.iterations})
+        return StepResult(steps, "", {"iterations": steps * work.own.iterations})
 
     def free_forces(self, system: System, work: XPBDWork, packed: Packed, extra: Extra) -> Float | None:
-        """By a step like the last one: sweeps end before springs are at their law. A step takes damping at its end."""
+        """Return the forces of a step like the last one, since sweeps end before springs are at their law."""
         slid = np.array([kernels_of(term).unbalance is not None for term in packed.bodies], np.bool_)
         dt = float(work.last[0])
         if not slid.any() or not 0.0 < dt < np.inf:
@@ -281,10 +281,8 @@ class XPBD(Compiled):
         return at_rest
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v): backward Euler's.
-
-        With m' = m (1 + h damping) the displacement without the spring is h v / (1 + h damping); the spring's
-        tension after one sweep is k |x + h v / (1 + h damping)| / (1 + k h^2 / m'), and a second finds
-        nothing missing. Put together, (1 + h damping + omega^2 h^2) v' = v - omega^2 h x and x' = x + h v'.
+        """With m' = m (1 + h damping) the displacement without the spring is h v / (1 + h damping); the spring's
+        tension after one sweep is k |x + h v / (1 + h damping)| / (1 + k h^2 / m'), and a second finds nothing missing.
+        Put together, (1 + h damping + omega^2 h^2) v' = v - omega^2 h x and x' = x + h v'.
         """
         return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))

@@ -1,1 +1,1 @@
-"""How bodies' frames move within a frame of animation, and vertices that they carry; contact is a plugin."""
+"""Motions of bodies' frames within a frame of animation, and the vertices that they carry; contact is a plugin."""

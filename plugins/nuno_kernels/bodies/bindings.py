@@ -1,8 +1,8 @@
 """Pinned vertices that move rigidly with a body's frame, or with its skin.
 
-Over an interval of duration T a frame turns at a constant rate about a fixed axis and its origin
-moves on a straight line: x = o(s) + R(s) local, v = shift/T + spin/T x (x - o(s)). What goes with a skin goes as the
-skin's own vertices do: in a straight line from where it is at the interval's start to where it is at its end.
+Over an interval of duration T a frame turns at a constant rate about a fixed axis and its origin moves on a straight
+line: x = o(s) + R(s) local, v = shift/T + spin/T x (x - o(s)). A vertex on a skin moves as the skin's own vertices do:
+in a straight line from where it is at the interval's start to where it is at its end.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Bindings(NamedTuple):
     """b bound vertices and the motion of f frames over one interval.
 
     vertices (b,) int64, frame (b,) int64, local (b, 3) [m] in the frame, or as the skin is bound. Those from number
-    b - s on go with a skin: from `begin` to `end` (s, 3) [m], of which `pace` (1,) makes velocities [1/s]. Its joint,
+    b - s on go with a skin: from `begin` to `end` (s, 3) [m]; velocities are the way times `rate` (1,). Its joint,
     weight (s, k) and place (e, 3) are as in nuno_schemas.skin.Skin, carrier (e,) its frames. The rest is laid out as
     nuno_kernels.bodies.poses has it: rotation0 (f, 9) and origin0 (f, 3) at the start, spin (f, 3)
     [rad] and shift (f, 3) [m] over the interval, and frames (f, 18): rotation, origin, velocity and
@@ -38,7 +38,7 @@ class Bindings(NamedTuple):
     local: Float
     begin: Float
     end: Float
-    pace: Float
+    rate: Float
     joint: Int
     weight: Float
     place: Float
@@ -52,7 +52,7 @@ class Bindings(NamedTuple):
 
 @kernel
 def place_bound(bindings: Bindings, x: Float, v: Float, s: float) -> None:
-    """Put the bound vertices of x, v (3, n) where they are at fraction s of the interval."""
+    """Place the bound vertices of x, v (3, n) at fraction s of the interval."""
     for f in range(bindings.frames.shape[0]):
         pose_frame(s, f, bindings.rotation0, bindings.origin0, bindings.spin, bindings.shift, bindings.frames)
     begin, end, rigid = bindings.begin, bindings.end, bindings.vertices.shape[0] - bindings.begin.shape[0]
@@ -62,12 +62,12 @@ def place_bound(bindings: Bindings, x: Float, v: Float, s: float) -> None:
         i = bindings.vertices[rigid + b]
         for row in range(3):
             x[row, i] = (1.0 - s) * begin[b, row] + s * end[b, row]
-            v[row, i] = bindings.pace[0] * (end[b, row] - begin[b, row])
+            v[row, i] = bindings.rate[0] * (end[b, row] - begin[b, row])
 
 
 @kernel
 def carry_bound(bindings: Bindings, moved: Displaced, s: float) -> None:
-    """Displacements of bound vertices, from x to where they are at fraction s."""
+    """Set the displacements of bound vertices from x to fraction s."""
     x, u, y = moved.x, moved.u, moved.y
     place_bound(bindings, y, moved.w, s)
     for b in range(bindings.vertices.shape[0]):
@@ -77,15 +77,15 @@ def carry_bound(bindings: Bindings, moved: Displaced, s: float) -> None:
 
 
 def make_bindings(carried: Sequence[Carried]) -> Bindings:
-    """Bindings of what frames and skins carry; `set_binding_poses` comes before any use."""
+    """Return the bindings of vertices on frames and skins; `set_binding_poses` comes before any use."""
     ordered = sorted(carried, key=lambda one: one.skin is not None)
     vertices, local, frame = (
         np.concatenate([np.asarray(getattr(one, name)) for one in ordered]) for name in ("vertices", "local", "frame")
     )
     skins = [(one.skin, int(one.frame[0])) for one in ordered if one.skin is not None and len(one.vertices)]
-    skin = join_skins([own for own, _ in skins])
-    carrier = [first + np.arange(len(own.place)) for own, first in skins]
-    count = max(int(frame.max(initial=-1)), *(int(own[-1]) for own in carrier), -1) + 1
+    skin = join_skins([bound for bound, _ in skins])
+    carrier = [first + np.arange(len(bound.place)) for bound, first in skins]
+    count = max(int(frame.max(initial=-1)), *(int(bound[-1]) for bound in carrier), -1) + 1
     return Bindings(
         np.ascontiguousarray(vertices, np.int64),
         np.ascontiguousarray(frame, np.int64),
@@ -111,7 +111,7 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
         bound = bindings.local[len(bindings.local) - len(bindings.joint) :]
         for poses, to in ((start, bindings.begin), (end if moving else start, bindings.end)):
             to[:] = skin.bend(bound, poses.rotation[bindings.carrier], poses.translation[bindings.carrier])
-        bindings.pace[0] = 1.0 / (end.t - start.t) if moving else 0.0
+        bindings.rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
 register(Bindings, name="bindings", place=place_bound, carry=carry_bound, interval=set_binding_poses)

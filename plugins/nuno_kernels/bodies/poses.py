@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 
 
 class Frames(Protocol):
-    """What holds f frames and their motion over an interval.
+    """Arrays of f frames and their motion over an interval.
 
     rotation0 (f, 9) and origin0 (f, 3) [m] at the start, spin (f, 3) [rad], shift (f, 3) [m] over all of it; frames
     (f, 18): rotation, origin, velocity [m/s] and angular velocity [rad/s] as they are at the moment.
@@ -41,7 +41,7 @@ class Frames(Protocol):
 
 
 def rotation_between(q0: Float, q1: Float) -> Float:
-    """(f, 3) rotation vectors [rad], world axes, of the shorter way from q0 to q1 (f, 4)."""
+    """Return rotation vectors (f, 3) [rad], world axes, of the shorter way from q0 to q1 (f, 4)."""
     w0, v0 = q0[:, :1], -q0[:, 1:]
     w1, v1 = q1[:, :1], q1[:, 1:]
     w = w1 * w0 - np.sum(v1 * v0, axis=1, keepdims=True)
@@ -83,7 +83,7 @@ def pose_frame(s: float, f: int, rotation0: Float, origin0: Float, spin: Float, 
 
 @forced_inline
 def turn_in(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
-    """A vector of the world in the axes of frame f."""
+    """Return a vector of the world in the axes of frame f."""
     return (
         frames[f, 0] * v[0] + frames[f, 3] * v[1] + frames[f, 6] * v[2],
         frames[f, 1] * v[0] + frames[f, 4] * v[1] + frames[f, 7] * v[2],
@@ -93,7 +93,7 @@ def turn_in(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
 
 @forced_inline
 def turn_out(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
-    """A vector in the axes of frame f in those of the world."""
+    """Return a vector in the axes of frame f in those of the world."""
     return (
         frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
         frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
@@ -103,7 +103,7 @@ def turn_out(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
 
 @forced_inline
 def carry(local: Float, b: Index, frames: Float, f: Index, x: Float, v: Float, p: Index) -> None:
-    """Put column p of x, v (3, n) where place b of local (b, 3), fixed to frame f, is at the moment."""
+    """Set column p of x, v (3, n) to place b of local (b, 3), fixed to frame f, as posed at present."""
     rx, ry, rz = turn_out((local[b, 0], local[b, 1], local[b, 2]), frames, f)
     x[0, p], x[1, p], x[2, p] = frames[f, 9] + rx, frames[f, 10] + ry, frames[f, 11] + rz
     v[0, p] = frames[f, 12] + (frames[f, 16] * rz - frames[f, 17] * ry)
@@ -113,5 +113,5 @@ def carry(local: Float, b: Index, frames: Float, f: Index, x: Float, v: Float, p
 
 @forced_inline
 def to_frame(px: float, py: float, pz: float, frames: Float, f: Index) -> tuple[float, float, float]:
-    """A place in the world in the axes of frame f, from its origin."""
+    """Return a place in the world in the axes of frame f, from its origin."""
     return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)

@@ -1,1 +1,1 @@
-"""How kernels are compiled and kept: what one is made of, and its machine code on disk. No kernel stands here."""
+"""Compilation and caching of kernels: their dependencies, calls between them, and machine code on disk."""

@@ -1,5 +1,4 @@
-"""Compiled kernels kept between runs: keyed by all that they reach, checked when they are read, and done without where
-that is not to be had.
+"""The cache of compiled kernels between runs: keyed by all that they reach, checked when read, and optional.
 
 By itself numba runs old code where a callee or a constant of another module has changed, fails a run for good where one
 of its files was cut short (a power cut, a full disk), fails it where one cannot be written, and where the folder cannot
@@ -22,28 +21,28 @@ from numba.core import dispatcher as numba_dispatcher
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from nuno_kernels.compile.calling_convention import called_by_address, load_called
-from nuno_kernels.compile.dependency_hash import digest_of, is_known
+from nuno_kernels.compile.dependency_hash import digest_of, is_hashed_by_folder
 
 LOGGER = logging.getLogger("nuno.kernels")
 CHECKSUM = 16
-"""Bytes of it, at the end of each file."""
+"""bytes of the checksum at the end of each file"""
 
 
 class _Files(IndexDataCacheFile):  # type: ignore[misc]
-    """Machine code of one kernel, a file for each kind of arguments, with a checksum behind it; one that is damaged is
-    as good as none.
+    """Machine code of one kernel, a file for each kind of arguments, with a checksum at its end; a damaged one is
+    ignored.
 
-    A file is named by all that its code depends on. numba numbers them and keeps an index of the numbers, which two
-    processes that compile at once write over each other: one's arguments are then given to the other's code.
+    A file's name is a hash of all that its code depends on. numba numbers them and keeps an index of the numbers, which
+    two processes that compile at once write over each other: one's arguments are then given to the other's code.
     """
 
     def load(self, key: object) -> Any:
-        """None where there is none."""
+        """Return None if there is none."""
         name = self._name(key)
         return self._load_data(name) if _is_whole(self._data_path(name)) else None
 
     def save(self, key: object, data: object) -> None:
-        """Whole or not at all, whoever else reads or writes. Raises OSError."""
+        """Write atomically. Raises OSError."""
         self._save_data(self._name(key), data)
 
     def _name(self, key: object) -> str:
@@ -63,58 +62,58 @@ class _Results(CompileResultCacheImpl):  # type: ignore[misc]
     def reduce(self, compiled: Any) -> Any:
         return called_by_address(compiled), super().reduce(compiled)
 
-    def rebuild(self, context: Any, kept: Any) -> Any:
-        called, payload = kept
+    def rebuild(self, context: Any, saved: Any) -> Any:
+        called, payload = saved
         return super().rebuild(context, payload) if load_called(called) else None
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """The signatures of one kernel."""
+    """The cached signatures of one kernel."""
 
     _impl_class = _Results
     version = ""
-    """Which of the kernel's versions."""
+    """which of the kernel's versions"""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._cache_file = _Files(self._cache_path, self._impl.filename_base, source_stamp=None)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """See numba, which compiles what is not found, and saves it: of what was reached before."""
-        self._reached = reached_by(self._py_func, sig)
+        """Load machine code, by the dependencies before compilation; numba compiles and saves what is not found."""
+        self._dependencies = dependencies_of(self._py_func, sig)
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        """Text, which is the same in each process."""
+        """Return text, which is the same in each process."""
         names = tuple(f"{kind.__module__}.{kind.__qualname__}" for kind in _classes(sig))
-        return (str(sig), names, self.version, *super()._index_key(sig, codegen)[1:], self._reached)
+        return (str(sig), names, self.version, *super()._index_key(sig, codegen)[1:], self._dependencies)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """See numba; a kernel that cannot be kept is compiled again by the next run."""
+        """Save machine code; a kernel that cannot be saved is compiled again by the next run."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
             _say(self._cache_path, str(error.strerror))
 
 
-# What third parties compile with numba's own `cache=True` is kept in the same folder, and calls kernels, too.
+# Functions of third parties with numba's own `cache=True` are in the same folder, and may call kernels, too.
 numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
 
 
-def reached_by(function: Any, types: Any) -> str:
-    """Digest of all that a kernel reaches, called with arguments of these types."""
+def dependencies_of(function: Any, types: Any) -> str:
+    """Return the digest of all that a kernel reaches, called with arguments of these types."""
     return digest_of((function, *_called_by_type(types)))
 
 
 def _called_by_type(types: Any) -> Iterator[Any]:
-    """What a kernel calls by the types of its arguments: the kernels of other packages' terms (nuno_kernels.terms)."""
-    for own in _classes(types):
-        if hasattr(own, "kernels") and not is_known(own.__module__):
-            yield from own.kernels.all()
+    """Yield the kernels that are called by arguments' types: those of other packages' terms (nuno_kernels.terms)."""
+    for term_class in _classes(types):
+        if hasattr(term_class, "kernels") and not is_hashed_by_folder(term_class.__module__):
+            yield from term_class.kernels.all()
 
 
 def _classes(types: Any) -> Iterator[Any]:
-    """The classes of named tuples among types, also inside of others."""
+    """Yield the classes of named tuples among types, also inside of others."""
     for kind in types:
         if hasattr(kind, "instance_class"):
             yield kind.instance_class
@@ -122,7 +121,7 @@ def _classes(types: Any) -> Iterator[Any]:
 
 
 def keep(dispatcher: Any, folder: Path, version: str = "Python") -> Any:
-    """The same compiled function, kept in numba's present folder, which is `folder`, as one of a kernel's versions."""
+    """Cache a compiled function in numba's present folder, which is `folder`, as one of a kernel's versions."""
     if _can_be_written(folder):
         dispatcher.enable_caching()
         dispatcher._cache.version = version

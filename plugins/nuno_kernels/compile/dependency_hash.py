@@ -1,4 +1,4 @@
-"""What a compiled function is made of: all functions, constants and sources that it reaches, as one digest.
+"""A compiled function's dependencies, all functions, constants and sources that it reaches, as one digest.
 
 Compiling freezes callees and globals into the machine code. By itself numba knows a kept function by its own file
 alone, and goes on with old code where a callee in another module, or a constant from there, has changed.
@@ -17,26 +17,26 @@ from typing import Any
 import numpy as np
 
 SOLVERS = ("nuno_kernels", "nuno_integrators", "nuno_contact", "nuno_dye", "nuno_wrinkle")
-"""Packages whose kernels call each other throughout: the folder of kept kernels carries a hash of all their sources."""
-KNOWN = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"} | frozenset(SOLVERS)
-"""Packages that this folder stands for; of libraries it carries the versions."""
+"""packages whose kernels call each other throughout: the cache's folder carries a hash of all their sources"""
+HASHED_BY_FOLDER = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"} | frozenset(SOLVERS)
+"""packages that this folder stands for; it carries the versions of libraries"""
 PLAIN = (int, float, complex, str, bytes, type(None), type(...))
 
 
 def digest_of(function: Any) -> str:
-    """Digest of the code of `function`, of each function and constant that it reaches by a global name, an attribute of
-    a module or a closure, and of the sources in the folders that those are defined in.
+    """Return a digest of the code of `function`, of each function and constant that it reaches by a global name, an
+    attribute of a module or a closure, and of the sources in the folders that those are defined in.
 
-    The sources are for what no name leads to: overloads, and how types of one's own are compiled. Those that lie in
-    a folder of their own, away from all functions that use them, are not seen.
+    The sources cover what no name leads to: overloads, and the compilation of types of one's own. Those that lie in a
+    folder of their own, away from all functions that use them, are not seen.
     """
     digest = hashlib.sha256()
-    seen: dict[int, object] = {}  # which keeps them alive, so that no two have one id
+    seen: dict[int, object] = {}  # keeps them alive, so that no two have one id
     waiting: list[tuple[object, tuple[str, ...]]] = [(function, ())]
     while waiting:
         value, names = waiting.pop()
         if isinstance(value, ModuleType):
-            if not is_known(value.__name__):
+            if not is_hashed_by_folder(value.__name__):
                 waiting += [(vars(value)[name], names) for name in names if name in vars(value)]
         elif isinstance(value, PLAIN):
             digest.update(repr(value).encode() + b"\0")
@@ -49,14 +49,14 @@ def digest_of(function: Any) -> str:
 
 
 def _parts(value: Any) -> tuple[bytes, list[tuple[object, tuple[str, ...]]]]:
-    """What there is to say of one object, and what it leads to with the names that are looked for in modules."""
+    """Return one object's content to digest, and the objects that it leads to, with names to look up in modules."""
     if isinstance(value, np.ndarray | np.generic):
         return repr((value.dtype, value.shape)).encode() + value.tobytes(), []
     if isinstance(value, tuple | list):
         return repr((type(value).__qualname__, len(value))).encode(), [(item, ()) for item in value]
     python = _python_of(value)
     module = getattr(python, "__module__", None) or type(python).__module__
-    if is_known(module):
+    if is_hashed_by_folder(module):
         name = getattr(python, "__qualname__", None) or repr(python)
         return f"{module}.{name}".encode(), []
     text = _sources(getattr(sys.modules.get(module), "__file__", None))
@@ -65,15 +65,15 @@ def _parts(value: Any) -> tuple[bytes, list[tuple[object, tuple[str, ...]]]]:
     codes = list(_codes(python.__code__))
     names = tuple(dict.fromkeys(name for code in codes for name in code.co_names))
     cells = [cell.cell_contents for cell in python.__closure__ or ()]
-    given = [*(python.__defaults__ or ()), *(python.__kwdefaults__ or {}).values()]
+    defaults = [*(python.__defaults__ or ()), *(python.__kwdefaults__ or {}).values()]
     more = [(python.__globals__[name], names) for name in names if name in python.__globals__]
-    more += [(one, names) for one in (*cells, *given)]
+    more += [(one, names) for one in (*cells, *defaults)]
     return text + b"".join(map(_text, codes)) + _options(value), more
 
 
 def _python_of(value: Any) -> Any:
-    """The Python function that a compiled function, a ufunc or an intrinsic was made of; anything else as it is."""
-    value = getattr(value, "_dispatcher", value)  # of a ufunc
+    """Return the Python function that a compiled function, a ufunc or an intrinsic was made of; others unchanged."""
+    value = getattr(value, "_dispatcher", value)  # a ufunc's
     for name in ("py_func", "_defn"):
         value = getattr(value, name, value)
     return value
@@ -101,13 +101,13 @@ def _constant(value: object) -> str:
     return repr(sorted(map(repr, value))) if isinstance(value, set | frozenset) else repr(value)
 
 
-def is_known(module: str) -> bool:
-    return module.partition(".")[0] in KNOWN
+def is_hashed_by_folder(module: str) -> bool:
+    return module.partition(".")[0] in HASHED_BY_FOLDER
 
 
 @functools.cache
 def _sources(file: str | None) -> bytes:
-    """Digest of a file and of all Python sources beside it."""
+    """Return a digest of a file and of all Python sources in its folder."""
     digest = hashlib.sha256()
     if file is not None:
         for source in sorted({Path(file), *Path(file).parent.glob("*.py")}):

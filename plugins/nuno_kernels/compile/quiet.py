@@ -1,4 +1,4 @@
-"""Compiling without looking for garbage.
+"""Compilation without garbage collection.
 
 Python looks for cycles of objects whenever many have been made, and the compiler makes millions that are wanted until
 it is done: of a first run's compilation that took a seventh. Without, the process has a sixth more memory at its end.
@@ -13,7 +13,7 @@ from numba.core import event
 
 
 class _Quiet(event.Listener):  # type: ignore[misc]
-    """From a compilation's start, through those that it makes necessary, to its end. One thread compiles at a time."""
+    """Stops collection from a compilation's start, through nested ones, to its end. One thread compiles at a time."""
 
     def __init__(self) -> None:
         self.compilations, self.looked = 0, False
@@ -33,5 +33,5 @@ class _Quiet(event.Listener):  # type: ignore[misc]
 
 
 def compile_quietly() -> None:
-    """Have all that numba compiles in this process compiled so."""
+    """Suspend garbage collection in all of numba's compilations in this process."""
     event.register("numba:compile", _Quiet())

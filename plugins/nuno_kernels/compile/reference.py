@@ -1,11 +1,11 @@
-"""Named tuples of arrays that kernels hand on by reference.
+"""Named tuples of arrays that kernels pass by reference.
 
-numba hands on a named tuple item by item, and each array as its pointer, shape and strides: of cloth contact's sixty
-arrays more than five hundred numbers at every call, a third of what it took to compile contact, and a tenth of its
-steps. A tuple of a class that is named here stays in the memory of the kernel that Python called, and others are given
-its address; an array is loaded where it is named. Threads can be given it as well, which they cannot a tuple of tuples.
+numba passes a named tuple item by item, and each array as its pointer, shape and strides: of cloth contact's sixty
+arrays more than five hundred numbers at every call, a third of the time to compile contact, and a tenth of its steps. A
+tuple of a class that is registered here stays in the memory of the kernel that Python called, and others get its
+address; an array is loaded where it is used. Threads can get it as well, unlike a tuple of tuples.
 
-What a kernel itself makes of such a class is numba's tuple, as ever.
+A tuple that a kernel itself makes of such a class is numba's tuple, as ever.
 """
 
 from __future__ import annotations
@@ -24,56 +24,56 @@ T = TypeVar("T", bound=type)
 
 
 class Reference(types.Type):  # type: ignore[misc]
-    """The type of a tuple that is handed on so."""
+    """The type of a tuple that is passed by reference."""
 
     def __init__(self, held: types.NamedTuple) -> None:
         self.held, self.instance_class, self.types = held, held.instance_class, held.types
-        # Short: it is a part of the names of all that is compiled for it.
-        told = hashlib.blake2b(str(held).encode(), digest_size=8).hexdigest()
-        super().__init__(f"{held.instance_class.__qualname__}@{told}")
+        # Short: it is a part of the names of all functions compiled for it.
+        suffix = hashlib.blake2b(str(held).encode(), digest_size=8).hexdigest()
+        super().__init__(f"{held.instance_class.__qualname__}@{suffix}")
 
     @property
     def key(self) -> Any:
-        """What tells it from others: the class itself, for another may have its name and fields."""
+        """Return its identity: the class itself, for another may have its name and fields."""
         return self.held
 
 
 @register_model(Reference)
 class _Model(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, manager: Any, own: Reference) -> None:
-        super().__init__(manager, own, manager[own.held].get_value_type().as_pointer())
+    def __init__(self, manager: Any, reference: Reference) -> None:
+        super().__init__(manager, reference, manager[reference.held].get_value_type().as_pointer())
 
 
 @unbox(Reference)  # type: ignore[untyped-decorator]
-def _unbox(own: Reference, value: Any, c: Any) -> Any:
-    """The tuple as it lies in memory, filled item by item, each array by one call.
+def _unbox(reference: Reference, value: Any, c: Any) -> Any:
+    """Fill the tuple in memory item by item, each array by one call.
 
     numba checks each array once more, though it has chosen the kernel by its type, with a way out for each that fails,
     and makes one value of all: of the two hundred arrays of a skirt with cloth contact that took 3.4 s to compile in
     each kernel that Python calls, and this takes a tenth of it.
     """
     filled = _Filling(c)
-    place = filled.tuple_at(own, value)
+    place = filled.tuple_at(reference, value)
     with c.builder.if_then(filled.failed, likely=False):
-        c.pyapi.err_set_string("PyExc_TypeError", f"a field of {own.instance_class.__name__} is not what it was")
+        c.pyapi.err_set_string("PyExc_TypeError", f"a field of {reference.instance_class.__name__} is not what it was")
     return NativeValue(place, is_error=filled.failed, cleanup=filled.give_back)
 
 
 _COUNTED = types.MemInfoPointer(types.voidptr)
-"""An array's first field, by which references to it are counted."""
+"""an array's first field, by which references to it are counted"""
 
 
 class _Filling:
-    """A tuple on its way into memory."""
+    """A tuple that is being filled in memory."""
 
     def __init__(self, c: Any) -> None:
         self.c, self.held = c, list[Any]()
         self.failed: Any = cgutils.false_bit
 
-    def tuple_at(self, own: Reference, value: Any) -> Any:
-        """Where the tuple of a class that is handed on by reference lies."""
-        place = cgutils.alloca_once(self.c.builder, self.c.context.get_value_type(own.held))
-        self._fill_items(own.types, value, place)
+    def tuple_at(self, reference: Reference, value: Any) -> Any:
+        """Return where the tuple of a class that is passed by reference lies."""
+        place = cgutils.alloca_once(self.c.builder, self.c.context.get_value_type(reference.held))
+        self._fill_items(reference.types, value, place)
         return place
 
     def _fill_items(self, kinds: Any, value: Any, place: Any) -> None:
@@ -101,7 +101,7 @@ class _Filling:
         self.failed = self.c.builder.or_(self.failed, failed)
 
     def give_back(self) -> None:
-        """Let the arrays go again, which numba does itself for those that it hands on as values."""
+        """Release the arrays, which numba does itself for those that it passes as values."""
         for counted in self.held:
             self.c.context.nrt.decref(self.c.builder, _COUNTED, self.c.builder.load(counted))
 
@@ -110,19 +110,19 @@ class _Filling:
 class _Typed(AttributeTemplate):  # type: ignore[misc]
     key = Reference
 
-    def generic_resolve(self, own: Reference, name: str) -> Any:
-        return own.types[own.held.fields.index(name)] if name in own.held.fields else None
+    def generic_resolve(self, reference: Reference, name: str) -> Any:
+        return reference.types[reference.held.fields.index(name)] if name in reference.held.fields else None
 
 
 @lower_getattr_generic(Reference)  # type: ignore[untyped-decorator]
-def _load(context: Any, builder: Any, own: Reference, value: Any, name: str) -> Any:
-    at = own.held.fields.index(name)
+def _load(context: Any, builder: Any, reference: Reference, value: Any, name: str) -> Any:
+    at = reference.held.fields.index(name)
     item = builder.load(cgutils.gep_inbounds(builder, value, 0, at))
-    return impl_ret_borrowed(context, builder, own.types[at], item)
+    return impl_ret_borrowed(context, builder, reference.types[at], item)
 
 
 def by_reference(kind: T) -> T:
-    """Have kernels hand on tuples of a class by reference."""
+    """Make kernels pass tuples of a class by reference."""
 
     @typeof_impl.register(kind)  # type: ignore[untyped-decorator]
     def _(value: Any, c: Any) -> Reference | None:

@@ -1,1 +1,1 @@
-"""What fabric does: springs, hinges, yarns, their energies, matrices, constraints. Wind and contact are plugins."""
+"""Forces of fabric: springs, hinges, yarns, their energies, matrices, constraints. Wind and contact are plugins."""

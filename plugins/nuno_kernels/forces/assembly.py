@@ -1,4 +1,4 @@
-"""Springs and hinges made linear, added to the numbers of a factorisation: a term's role `assemble`."""
+"""Linearised springs and hinges, added to the entries of a factorisation: a term's role `assemble`."""
 
 from __future__ import annotations
 

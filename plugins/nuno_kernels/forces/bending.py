@@ -40,12 +40,12 @@ class BendingRows(NamedTuple):
 
 
 @kernel
-def drawn(rows: BendingRows, group: int, x: Float) -> Triple:
-    """Sums of w (x_j - x_i) over the partners j of eight vertices i."""
-    own = read_triple(x, 0, group * WIDTH, min(WIDTH, x.shape[1] - group * WIDTH))
+def weighted_differences(rows: BendingRows, group: int, x: Float) -> Triple:
+    """Return the sums of w (x_j - x_i) over the partners j of eight vertices i."""
+    vertices = read_triple(x, 0, group * WIDTH, min(WIDTH, x.shape[1] - group * WIDTH))
     total = (splat(0.0), splat(0.0), splat(0.0))
     for p in range(rows.start[group], rows.start[group + 1], WIDTH):
-        total = plus(total, times(load(rows.weight, 0, p), minus(gather_triple(x, rows.partner, 0, p), own)))
+        total = plus(total, times(load(rows.weight, 0, p), minus(gather_triple(x, rows.partner, 0, p), vertices)))
     return total
 
 
@@ -54,7 +54,7 @@ def add_drawn(rows: BendingRows, block: int, origin: int, sign: float, x: Float,
     """Add `sign` times these sums to a block's (3, w)."""
     end = min(origin + BLOCK, x.shape[1])
     for i in range(origin, end, WIDTH):
-        m, at, found = min(WIDTH, end - i), i - origin, drawn(rows, i // WIDTH, x)
+        m, at, found = min(WIDTH, end - i), i - origin, weighted_differences(rows, i // WIDTH, x)
         for row in range(3):
             write(out, row, at, m, read(out, row, at, m) + sign * found[row])
 
@@ -67,7 +67,7 @@ def add_bending(rows: BendingRows, block: int, origin: int, x: Float, v: Float, 
 
 @kernel
 def measure_bending(rows: BendingRows, x: Float) -> float:
-    """Energy [J]: the sum of w |x_j - x_i|^2 / 2 over pairs, each of which is there from both ends."""
+    """Return the energy [J]: the sum of w |x_j - x_i|^2 / 2 over pairs, each of which is listed from both ends."""
     energy = 0.0
     for group in range(rows.start.shape[0] - 1):
         for p in range(rows.start[group], rows.start[group + 1]):
@@ -78,7 +78,7 @@ def measure_bending(rows: BendingRows, x: Float) -> float:
 
 
 def rows_of_bending(rows: BendingRows) -> LinearLists:
-    """The pairs, each once, and their weights: the matrix does not change."""
+    """Return the pairs, each once, and their weights: the matrix is constant."""
     group = np.repeat(np.arange(len(rows.start) - 1), np.diff(rows.start))
     vertex = group * WIDTH + np.arange(len(group)) % WIDTH
     once = vertex < rows.partner[0]
@@ -87,7 +87,7 @@ def rows_of_bending(rows: BendingRows) -> LinearLists:
 
 
 def elements_of_bending(linear: LinearLists) -> tuple[Long, Long]:
-    """(p,) columns and (2, p) vertices of the pairs."""
+    """Return columns (p,) and vertices (2, p) of the pairs."""
     return np.arange(linear.indices.shape[1]), linear.indices.astype(np.int64)
 
 
@@ -119,7 +119,7 @@ def assemble_bending(linear: LinearLists, places: Any, diagonal: Float, values: 
 
 
 def pack_bending(bending: Bending | None, vertices: int) -> tuple[BendingRows, ...]:
-    """Kernel layout of a fabric's bending; none where there is none."""
+    """Return the kernel layout of a fabric's bending; () without any."""
     if bending is None or bending.number == 0:
         return ()
     first, second = (np.concatenate([bending.pairs[:, k], bending.pairs[:, 1 - k]]) for k in (0, 1))

@@ -39,9 +39,9 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.triangles import BendingFriction
 
 ROWS = 6
-"""Of the matrix: the normal, and how stiff each curvature is held."""
+"""rows of the matrix: the normal, and the stiffness of each curvature"""
 PARTS = 5
-"""Rows of shares for each vertex: of t_w, t_f [1/m], d_w, d_f and d_t [1/m^2]."""
+"""rows of shares for each vertex: of t_w, t_f [1/m], d_w, d_f and d_t [1/m^2]"""
 
 
 class FrictionLists(NamedTuple):
@@ -62,7 +62,7 @@ class FrictionLists(NamedTuple):
 
 
 class HeldFriction(NamedTuple):
-    """The same whose force is found once in a while and held meanwhile; see nuno_kernels.forces.held_friction.
+    """The same, with a force that is held over several steps; see nuno_kernels.forces.held_friction.
 
     start, corners, shares, constants, rested  as above
     force      (3, n)  [N]
@@ -84,7 +84,7 @@ Five = tuple[Triple, Triple, Triple, Triple, Triple]
 
 @kernel
 def derivatives(lists: FrictionLists | HeldFriction, x: Float, p: int) -> Five:
-    """t_w, t_f, d_w, d_f and d_t of eight patches, or what else is linear in their vertices (3, n)."""
+    """Return t_w, t_f, d_w, d_f and d_t of eight patches, or other quantities linear in their vertices (3, n)."""
     corners, shares, zero = lists.corners, lists.shares, splat(0.0)
     own, none = gather_triple(x, corners, 0, p), (zero, zero, zero)
     a, b, c, d, e = none, none, none, none, none
@@ -97,20 +97,20 @@ def derivatives(lists: FrictionLists | HeldFriction, x: Float, p: int) -> Five:
 
 
 @kernel
-def normal(found: Five) -> tuple[Triple, Lanes]:
-    """Unit normals of eight patches and 1 / |t_w x t_f|; both 0 where there is none."""
-    across = cross(found[0], found[1])
+def normal(derived: Five) -> tuple[Triple, Lanes]:
+    """Return unit normals of eight patches and 1 / |t_w x t_f|; both 0 if there is none."""
+    across = cross(derived[0], derived[1])
     square = dot(across, across)
     inverse = where_greater(square, splat(0.0), 1.0 / root(square))
     return times(inverse, across), inverse
 
 
 @kernel
-def held(lists: FrictionLists | HeldFriction, found: Five, n: Triple, p: int) -> tuple[Triple, Lanes]:
-    """e of eight patches, before any slips, and what each is multiplied by for |e| not to be above 1."""
+def held(lists: FrictionLists | HeldFriction, derived: Five, n: Triple, p: int) -> tuple[Triple, Lanes]:
+    """Return e of eight patches, before any slips, and the factor on each that limits |e| to 1."""
     e = times(
         load(lists.constants, 3, p),
-        minus((dot(found[2], n), dot(found[3], n), dot(found[4], n)), load_triple(lists.rested, 0, p)),
+        minus((dot(derived[2], n), dot(derived[3], n), dot(derived[4], n)), load_triple(lists.rested, 0, p)),
     )
     square = e[0] * e[0] + e[1] * e[1] + 2.0 * (e[2] * e[2])
     return e, lower(1.0 / root(square), splat(1.0))
@@ -141,32 +141,32 @@ def add_friction(
 ) -> None:
     """Add a block's patches to its forces (3, w)."""
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        found = derivatives(lists, x, p)
-        n, inverse = normal(found)
-        e, kept = held(lists, found, n, p)
+        derived = derivatives(lists, x, p)
+        n, inverse = normal(derived)
+        e, kept = held(lists, derived, n, p)
         m = kept * e[0] * load(lists.constants, 0, p), kept * e[1] * load(lists.constants, 1, p)
         moment = m[0], m[1], kept * e[2] * load(lists.constants, 2, p)
-        pull = plus(plus(times(moment[0], found[2]), times(moment[1], found[3])), times(moment[2], found[4]))
+        pull = plus(plus(times(moment[0], derived[2]), times(moment[1], derived[3])), times(moment[2], derived[4]))
         along = times(inverse, minus(pull, times(dot(pull, n), n)))
-        spread_patch(lists, p, force, n, cross(found[1], along), cross(along, found[0]), moment)
+        spread_patch(lists, p, force, n, cross(derived[1], along), cross(along, derived[0]), moment)
 
 
 @kernel
 def stick(lists: FrictionLists, x: Float) -> None:
-    """Put k' where all are at x (3, n): none slips on a short way from there."""
+    """Set k' to the present curvature at x (3, n): no patch slips on a short way from there."""
     for p in range(0, lists.corners.shape[1], WIDTH):
-        found = derivatives(lists, x, p)
-        n, _ = normal(found)
+        derived = derivatives(lists, x, p)
+        n, _ = normal(derived)
         for row in range(3):
-            store(lists.rested, row, p, dot((found[2], found[3], found[4])[row], n))
+            store(lists.rested, row, p, dot((derived[2], derived[3], derived[4])[row], n))
 
 
 @block_kernel
 def settle_block(block: int, x: Float, lists: FrictionLists | HeldFriction) -> None:
-    """Let a block's patches that slip follow."""
+    """Move k' of a block's patches that slip."""
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        found = derivatives(lists, x, p)
-        e, kept = held(lists, found, normal(found)[0], p)
+        derived = derivatives(lists, x, p)
+        e, kept = held(lists, derived, normal(derived)[0], p)
         gone = (1.0 - kept) / load(lists.constants, 3, p)
         for row in range(3):
             store(lists.rested, row, p, load(lists.rested, row, p) + gone * e[row])
@@ -177,7 +177,7 @@ settle_each = over_blocks(settle_block, "x, lists")
 
 @kernel
 def settle_friction(lists: FrictionLists, x: Float, v: Float, s: float, threads: int | None) -> None:
-    """Let patches that slip follow."""
+    """Move k' of patches that slip."""
     settle_each(x, lists, lists.start.shape[0] - 1, threads)
 
 
@@ -188,13 +188,13 @@ def fill_friction(
 ) -> None:  # fmt: skip
     """Write the rows of a block's patches at x (3, n).
 
-    Of one that slips the moment over the whole change of curvature, not its derivative, which is 0 along that change:
-    it is positive, and Newton's method meets no corner.
+    A slipping patch has the moment over the whole change of curvature, not its derivative, which is 0 along that
+    change: it is positive, and Newton's method meets no corner.
     """
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        found = derivatives(lists, x, p)
-        n, _ = normal(found)
-        kept = held(lists, found, n, p)[1] * load(lists.constants, 3, p)
+        derived = derivatives(lists, x, p)
+        n, _ = normal(derived)
+        kept = held(lists, derived, n, p)[1] * load(lists.constants, 3, p)
         for row in range(3):
             store(linear.rows, row, p, n[row])
             store(linear.rows, 3 + row, p, kept * load(lists.constants, row, p))
@@ -236,14 +236,14 @@ def sum_friction(lists: FrictionLists, linear: LinearLists, block: int, origin: 
 
 @kernel
 def measure_friction(lists: FrictionLists | HeldFriction, x: Float) -> float:
-    """Energy of what has not slipped [J], each patch counted where its first vertex is at home."""
+    """Return the energy of what has not slipped [J], each patch counted where its first vertex is at home."""
     energy, c, k = 0.0, lists.constants, lists.corners.shape[0] // 2
     scratch = np.empty((3, WIDTH))
     for block in range(lists.start.shape[0] - 1):
         width = min(BLOCK, x.shape[1] - block * BLOCK)
         for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-            found = derivatives(lists, x, p)
-            e, kept = held(lists, found, normal(found)[0], p)
+            derived = derivatives(lists, x, p)
+            e, kept = held(lists, derived, normal(derived)[0], p)
             for row in range(3):
                 store(scratch, row, 0, kept * e[row])
             for q in range(WIDTH):
@@ -255,7 +255,7 @@ def measure_friction(lists: FrictionLists | HeldFriction, x: Float) -> float:
 
 
 def pack_friction(friction: BendingFriction | None, vertices: int) -> tuple[FrictionLists, ...]:
-    """Kernel layout of a fabric's friction; none where there is none."""
+    """Return the kernel layout of a fabric's friction; () without any."""
     if friction is None or friction.number == 0:
         return ()
     order = np.lexsort((friction.vertices.max(axis=1), friction.vertices.min(axis=1)))

@@ -1,9 +1,9 @@
-"""From packed springs and hinges to batches of constraints that may be solved side by side.
+"""Batches of constraints, made of packed springs and hinges, that may be solved side by side.
 
-A batch holds the elements whose vertices lie in one block, or in one and the same set of blocks; batches
-without a common block get one colour. A sheet of rows has two kinds of batches, blocks and the seams
-between neighbours, and three colours. What a batch holds in lists is coloured once more, so that eight
-elements side by side never meet at a vertex. All of it depends on the fabric alone.
+A batch holds the elements whose vertices lie in one block, or in one and the same set of blocks; batches without a
+common block get one colour. A sheet of rows has two kinds of batches, blocks and the seams between neighbours, and
+three colours. What a batch holds in lists is coloured once more, so that eight elements side by side never meet at a
+vertex. All of it depends on the fabric alone.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.forces.constraints import Constraints, RunBatches, SpringBatches, forget_kept
+from nuno_kernels.forces.constraints import Constraints, RunBatches, SpringBatches, zero_forces
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns, hinge_shape
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, root, store
@@ -35,13 +35,13 @@ class HingeBatches(NamedTuple):
     start     (batches + 1,) int64  columns of each batch
     ends      (4, p) int32
     constants (3, p)                k cos(rest), k sin(rest), k [N m]
-    kept      (9, p)                forces [N] as `sweep_hinges` says; None as above
+    forces    (9, p)                forces [N] as `sweep_hinges` says; None as above
     """
 
     start: Long
     ends: Int
     constants: Float
-    kept: Float | None
+    forces: Float | None
 
 
 Parts = tuple[Lanes, Triple, Triple, Triple, Triple]
@@ -49,7 +49,7 @@ Parts = tuple[Lanes, Triple, Triple, Triple, Triple]
 
 @kernel
 def hinge_parts(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Parts:
-    """Moments k sin(angle - rest) of eight hinges, and at x0 and x1 minus, at x2 and x3 plus the angle's gradient.
+    """Return moments k sin(angle - rest) of eight hinges; the angle's gradient at x2 and x3, and minus it at x0 and x1.
 
     r is 0 for a triangle without area: see nuno_kernels.forces.hinges.hinge_shape.
     """
@@ -63,15 +63,15 @@ def hinge_parts(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_
 
 @kernel
 def moved_corner(x: Float, u: Float, ends: Int, which: int, p: int) -> Triple:
-    """Positions x + u of one corner of eight hinges."""
+    """Return positions x + u of one corner of eight hinges."""
     return plus(gather_triple(x, ends, which, p), gather_triple(u, ends, which, p))
 
 
 @block_kernel
-def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float | None) -> None:
-    """Solve a batch's hinges in their order, in place in the displacements; `kept` is the hinges'.
+def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, forces: Float | None) -> None:
+    """Solve a batch's hinges in their order, in place in the displacements; `forces` is the hinges'.
 
-    Forces are f0 and f1 on x0 and x1, minus f2 and f3 on x2 and x3, with f0 = f2 + f3 - f1; (9, p) are kept.
+    Forces are f0 and f1 on x0 and x1, minus f2 and f3 on x2 and x3, with f0 = f2 + f3 - f1; (9, p) are stored.
     """
     x, u, mobility = moved.x, moved.u, moved.mobility
     start, ends, constants = hinges.start, hinges.ends, hinges.constants
@@ -84,20 +84,20 @@ def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float
         )  # fmt: skip
         k = load(constants, 2, p)
         all_k = 1.0 + k * (m0 * dot(g0, g0) + m1 * dot(g1, g1) + m2 * dot(g2, g2) + m3 * dot(g3, g3))
-        if kept is None:
+        if forces is None:
             moment = moment / all_k
             f1, f2, f3 = times(moment, g1), times(moment, g2), times(moment, g3)
         else:
-            f1 = minus(times(moment, g1), load_triple(kept, 0, p))
-            f2 = minus(times(moment, g2), load_triple(kept, 3, p))
-            f3 = minus(times(moment, g3), load_triple(kept, 6, p))
+            f1 = minus(times(moment, g1), load_triple(forces, 0, p))
+            f2 = minus(times(moment, g2), load_triple(forces, 3, p))
+            f3 = minus(times(moment, g3), load_triple(forces, 6, p))
             f0 = minus(plus(f2, f3), f1)
             along = k * (m0 * dot(g0, f0) + m1 * dot(g1, f1) + m2 * dot(g2, f2) + m3 * dot(g3, f3)) / all_k
             f1, f2, f3 = minus(f1, times(along, g1)), minus(f2, times(along, g2)), minus(f3, times(along, g3))
             for row in range(3):
-                store(kept, row, p, load(kept, row, p) + f1[row])
-                store(kept, 3 + row, p, load(kept, 3 + row, p) + f2[row])
-                store(kept, 6 + row, p, load(kept, 6 + row, p) + f3[row])
+                store(forces, row, p, load(forces, row, p) + f1[row])
+                store(forces, 3 + row, p, load(forces, 3 + row, p) + f2[row])
+                store(forces, 6 + row, p, load(forces, 6 + row, p) + f3[row])
         for row in range(3):
             add_at(u, row, ends, 0, p, m0 * (f2[row] + f3[row] - f1[row]))
             add_at(u, row, ends, 1, p, m1 * f1[row])
@@ -108,22 +108,22 @@ def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float
 @kernel
 def solve_hinges(hinges: HingeBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's hinges."""
-    sweep_hinges(batch, moved, hinges, hinges.kept)
+    sweep_hinges(batch, moved, hinges, hinges.forces)
 
 
-register(HingeBatches, name="hinges", sweep=solve_hinges, forget=forget_kept)
+register(HingeBatches, name="hinges", sweep=solve_hinges, forget=zero_forces)
 
 
 MOST_BATCHES = 4096
-"""Sets of blocks that are told apart: beyond, vertices are in no order, and what crosses blocks is one batch."""
+"""Sets of blocks that are distinguished: beyond, vertices are in no order, and what crosses blocks is one batch."""
 
 COLOURS = 62
-"""Colours of elements within a batch that a vertex's mask holds; what finds none free goes alone."""
+"""colours of elements within a batch, bits of a vertex's mask; an element that finds none free goes alone"""
 
 
 @dataclass(frozen=True)
 class ListElements:
-    """Constraints by index: what a term's role `constraints` gives.
+    """Constraints by index: the result of a term's role `constraints`.
 
     kind      type of their batches, with the role `sweep`: a NamedTuple of the fields of SpringBatches
     corners   (s, w) vertices of each
@@ -135,7 +135,7 @@ class ListElements:
     constants: Float
 
     def pack(self, batch: Long, batches: int, vertices: int, remember: bool) -> Any:
-        """Batches: whole vectors of one colour each; elements added are the vector's first vertex, w times."""
+        """Return batches: whole vectors of one colour each; padding is the vector's first vertex, w times."""
         order = np.lexsort((self.corners.min(axis=1), batch))
         elements, constants, batch = np.ascontiguousarray(self.corners[order]), self.constants[:, order], batch[order]
         colour = np.empty(elements.shape[0], np.int64)
@@ -154,8 +154,8 @@ class ListElements:
         values = np.where(filled, constants[:, source], 0.0)
         bounds = np.concatenate([begin, [source.shape[0]]])
         start = bounds[np.searchsorted(batch[first], np.arange(batches + 1))]
-        kept = np.zeros((3 * (elements.shape[1] - 1), source.shape[0])) if remember else None
-        return self.kind(start.astype(np.int64), np.ascontiguousarray(ends), np.ascontiguousarray(values), kept)
+        forces = np.zeros((3 * (elements.shape[1] - 1), source.shape[0])) if remember else None
+        return self.kind(start.astype(np.int64), np.ascontiguousarray(ends), np.ascontiguousarray(values), forces)
 
 
 @dataclass(frozen=True)
@@ -168,22 +168,22 @@ class RunElements:
 
     @property
     def corners(self) -> Long:
-        """(m, 2) first vertices of each run."""
+        """Return first vertices (m, 2) of each run."""
         return self.task[:, :2]
 
     def pack(self, batch: Long, batches: int, vertices: int, remember: bool) -> RunBatches:
-        """Batches of whole runs."""
+        """Return batches of whole runs."""
         order = np.argsort(batch, kind="stable")
         padded = -(-self.task[order, 2] // WIDTH) * WIDTH
         column = np.cumsum(padded) - padded
         start = np.searchsorted(batch[order], np.arange(batches + 1))
         table = np.column_stack([self.task[order], column]).astype(np.int64)
-        kept = np.zeros((3, int(padded.sum()))) if remember else None
-        return RunBatches(start.astype(np.int64), table, self.constants, self.each, kept)
+        forces = np.zeros((3, int(padded.sum()))) if remember else None
+        return RunBatches(start.astype(np.int64), table, self.constants, self.each, forces)
 
 
 def pack_constraints(packed: Packed, remember: bool) -> Constraints:
-    """Batches of a packed system's constraints; with room for forces where sweeps are repeated.
+    """Return batches of a packed system's constraints, with room for forces if sweeps are repeated.
 
     Raises BadInput for springs that have no constraint.
     """
@@ -206,7 +206,7 @@ def _join(one: ListElements, other: ListElements) -> ListElements:
 
 
 def constraints_of_spring_runs(runs: SpringRuns, vertices: int) -> tuple[RunElements | ListElements, ...]:
-    """Every spring once: long runs, and pairs where the ends are too near for eight side by side."""
+    """Return every spring once: long runs, and pairs if the ends are too near for eight side by side."""
     _refuse_locks(runs.locks)
     own = runs.task[(runs.task[:, 4] & 1) == 1]
     far = own[:, 1] - own[:, 0] >= WIDTH
@@ -219,27 +219,27 @@ def constraints_of_spring_runs(runs: SpringRuns, vertices: int) -> tuple[RunElem
 
 
 def constraints_of_spring_lists(lists: SpringLists, vertices: int) -> tuple[ListElements, ...]:
-    """Every listed spring once."""
+    """Return every listed spring once."""
     _refuse_locks(lists.locks)
     at = _at_home(lists.start, lists.ends[2], vertices)
     return (ListElements(SpringBatches, lists.ends[:2, at].T.astype(np.int64), lists.constants[:, at]),)
 
 
 def constraints_of_hinge_runs(runs: HingeRuns, vertices: int) -> tuple[ListElements, ...]:
-    """Every hinge of runs once."""
+    """Return every hinge of runs once."""
     own = runs.task[(runs.task[:, 6] & 1) == 1]
     corners = np.repeat(own[:, :4], own[:, 4], axis=0) + _places(own[:, 4])[:, None]
     return (_hinges(corners, runs.constants[:, np.repeat(own[:, 5], own[:, 4])]),)
 
 
 def constraints_of_hinge_lists(lists: HingeLists, vertices: int) -> tuple[ListElements, ...]:
-    """Every listed hinge once."""
+    """Return every listed hinge once."""
     at = _at_home(lists.start, lists.corners[4], vertices)
     return (_hinges(lists.corners[:4, at].T.astype(np.int64), lists.constants[:, at]),)
 
 
 def _hinges(corners: Long, constants: Float) -> ListElements:
-    """k cos(rest), k sin(rest), k of hinges."""
+    """Return the elements with k cos(rest), k sin(rest), k of hinges."""
     return ListElements(HingeBatches, corners, np.concatenate([constants, np.hypot(constants[:1], constants[1:])]))
 
 
@@ -254,18 +254,18 @@ def _refuse_locks(locks: bool | None) -> None:
 
 
 def _places(count: Long) -> Long:
-    """0, 1, .. for each of (m,) counts, one after another."""
+    """Return 0, 1, .. for each of (m,) counts, one after another."""
     return np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _at_home(start: Long, target: Int, vertices: int) -> Long:
-    """Columns of a block's copies whose first vertex the block owns: every element once, no padding."""
+    """Return columns of a block's copies whose first vertex the block owns: every element once, no padding."""
     block = np.repeat(np.arange(start.shape[0] - 1), np.diff(start))
     return np.flatnonzero(target < np.minimum(BLOCK, vertices - block * BLOCK))
 
 
 def find_batches(homes: list[Long]) -> tuple[list[Long], Long]:
-    """The batch of each element, for kinds of elements in blocks (m, w); bounds of the colours over the batches."""
+    """Return each element's batch, for kinds of elements in blocks (m, w), and the colours' bounds over batches."""
     sets = np.concatenate([np.zeros((0, 4), np.int64), *(_distinct(home) for home in homes)])
     if sets.shape[0] == 0:
         return [np.zeros(0, np.int64) for _ in homes], np.zeros(1, np.int64)
@@ -297,7 +297,7 @@ def find_batches(homes: list[Long]) -> tuple[list[Long], Long]:
 
 
 def _distinct(home: Long) -> Long:
-    """Rows of up to four distinct blocks, ascending, filled up with -1 in front."""
+    """Return rows of up to four distinct blocks, ascending, filled up with -1 in front."""
     rows = np.sort(home, axis=1)
     rows[:, 1:][rows[:, 1:] == rows[:, :-1]] = -1
     full = np.full((home.shape[0], 4), -1, np.int64)
@@ -307,7 +307,7 @@ def _distinct(home: Long) -> Long:
 
 @kernel
 def colour_elements(elements: Long, batch: Long, taken: Long, seen: Long, colour: Long) -> None:
-    """The least colour that no element before it in its batch has at any of its vertices, into colour (s,).
+    """Write the least colour that no element before it in its batch has at any of its vertices, into colour (s,).
 
     taken and seen (n,) are scratch: colours at a vertex as bits, and the batch that these are of.
     """

@@ -47,9 +47,9 @@ class RunBatches(NamedTuple):
 
     start     (batches + 1,) int64  tasks of each batch
     task      (m, 5) int64          first vertex i, first vertex j, springs, column of the constants,
-                                    column of the first force kept
+                                    column of the first force
     constants, each                 as in nuno_kernels.forces.springs.SpringRuns
-    kept      (3, w)                forces on the i ends [N], padded to whole vectors, or None where one
+    forces    (3, w)                forces on the i ends [N], padded to whole vectors, or None where one
                                     sweep needs no memory
     """
 
@@ -57,7 +57,7 @@ class RunBatches(NamedTuple):
     task: Long
     constants: Float
     each: bool | None
-    kept: Float | None
+    forces: Float | None
 
 
 class SpringBatches(NamedTuple):
@@ -66,13 +66,13 @@ class SpringBatches(NamedTuple):
     start     (batches + 1,) int64  columns of each batch
     ends      (2, p) int32
     constants (3, p)                k [N/m], rest [m], c [N s/m]
-    kept      (3, p)                forces [N] on the i ends; None as above
+    forces    (3, p)                forces [N] on the i ends; None as above
     """
 
     start: Long
     ends: Int
     constants: Float
-    kept: Float | None
+    forces: Float | None
 
 
 @by_reference
@@ -86,7 +86,7 @@ class Constraints(NamedTuple):
 
 @kernel
 def spring_pull(d: Triple, u: Triple, mobility: Lanes, k: Lanes, rest: Lanes, rate: Lanes) -> Triple:
-    """Forces on the i ends of eight springs.
+    """Return the forces on the i ends of eight springs.
 
     d is the vector from i to j at the step's start, u how it changed since without the spring; `rate` is
     c / h and `mobility` that of both ends. Springs of length 0 have no direction and exert no force.
@@ -99,8 +99,8 @@ def spring_pull(d: Triple, u: Triple, mobility: Lanes, k: Lanes, rest: Lanes, ra
 
 
 @block_kernel
-def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool | None, kept: Float | None) -> None:
-    """Solve a batch's runs in their order, in place in the displacements; `each` and `kept` are the runs'."""
+def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool | None, forces: Float | None) -> None:
+    """Solve a batch's runs in their order, in place in the displacements; `each` and `forces` are the runs'."""
     x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step
     start, task, constants = runs.start, runs.task, runs.constants
     for t in range(start[batch], start[batch + 1]):
@@ -113,35 +113,35 @@ def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool
             c = run_constant(2, where, m, constants, each)
             mi, mj = read(mobility, 0, a, m), read(mobility, 0, b, m)
             ui, uj = read_triple(u, 0, a, m), read_triple(u, 0, b, m)
-            if kept is not None:
-                ui, uj = minus(ui, times(mi, load_triple(kept, 0, p))), plus(uj, times(mj, load_triple(kept, 0, p)))
+            if forces is not None:
+                ui, uj = minus(ui, times(mi, load_triple(forces, 0, p))), plus(uj, times(mj, load_triple(forces, 0, p)))
             d = run_difference(x, a, b, m)
             f = spring_pull(d, minus(uj, ui), mi + mj, k, rest, inverse_step * c)
             for row in range(3):
-                if kept is not None:
-                    store(kept, row, p, f[row])
+                if forces is not None:
+                    store(forces, row, p, f[row])
                 write(u, row, a, m, ui[row] + mi * f[row])
                 write(u, row, b, m, uj[row] - mj * f[row])
 
 
 @block_kernel
-def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept: Float | None) -> None:
-    """Solve a batch's listed springs in their order, in place in the displacements; `kept` is the lists'."""
+def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, forces: Float | None) -> None:
+    """Solve a batch's listed springs in their order, in place in the displacements; `forces` is the lists'."""
     x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step
     start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[batch], start[batch + 1], WIDTH):
         mi, mj = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
         d, change = listed_difference(x, ends, 0, p), listed_difference(u, ends, 0, p)
-        if kept is not None:
-            change = plus(change, times(mi + mj, load_triple(kept, 0, p)))
+        if forces is not None:
+            change = plus(change, times(mi + mj, load_triple(forces, 0, p)))
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
         f = spring_pull(d, change, mi + mj, k, rest, inverse_step * c)
         change = f
-        if kept is not None:
-            change = minus(f, load_triple(kept, 0, p))
+        if forces is not None:
+            change = minus(f, load_triple(forces, 0, p))
         for row in range(3):
-            if kept is not None:
-                store(kept, row, p, f[row])
+            if forces is not None:
+                store(forces, row, p, f[row])
             add_at(u, row, ends, 0, p, mi * change[row])
             add_at(u, row, ends, 1, p, 0.0 - mj * change[row])
 
@@ -149,30 +149,30 @@ def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept:
 @kernel
 def solve_spring_runs(runs: RunBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's runs: fields that may be None are arguments, for numba prunes by these."""
-    sweep_spring_runs(batch, moved, runs, runs.each, runs.kept)
+    sweep_spring_runs(batch, moved, runs, runs.each, runs.forces)
 
 
 @kernel
 def solve_springs(lists: SpringBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's listed springs."""
-    sweep_spring_lists(batch, moved, lists, lists.kept)
+    sweep_spring_lists(batch, moved, lists, lists.forces)
 
 
 @kernel
 def clear(array: Float | None) -> None:
-    """Zeros, where there is an array."""
+    """Zero an array, if there is one."""
     if array is not None:
         array[:] = 0.0
 
 
 @kernel
-def forget_kept(batches: Any) -> None:
+def zero_forces(batches: Any) -> None:
     """Begin a step without forces."""
-    clear(batches.kept)
+    clear(batches.forces)
 
 
-register(RunBatches, name="springs", sweep=solve_spring_runs, forget=forget_kept)
-register(SpringBatches, name="springs", sweep=solve_springs, forget=forget_kept)
+register(RunBatches, name="springs", sweep=solve_spring_runs, forget=zero_forces)
+register(SpringBatches, name="springs", sweep=solve_springs, forget=zero_forces)
 
 sweep_each = each("sweep", "batch, moved")
 forget = each("forget", "")

@@ -1,4 +1,4 @@
-"""The 3 x 3 blocks on the diagonal of an implicit step's matrix: what springs and hinges add."""
+"""The 3 x 3 blocks of springs and hinges on the diagonal of an implicit step's matrix."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def add_outer(out: Float, at: int, across: float, x: float, y: float, z: float) -> None:
-    """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w), nothing negative of it."""
+    """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w), with negative `across` cut off."""
     across = max(across, 0.0)
     out[0, at] += across + x * x
     out[1, at] += across + y * y

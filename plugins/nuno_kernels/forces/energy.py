@@ -37,7 +37,7 @@ class Energy(NamedTuple):
 def measure_spring(
     x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None, stretch: float, shortest: float
 ) -> tuple[float, float, float, int]:
-    """Energy of one spring, and the running stretch, shortest length and zero-length mark."""
+    """Return the energy of one spring, and the updated stretch, shortest length and zero-length mark."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     length, k, rest = math.sqrt(dx * dx + dy * dy + dz * dz), constants[0, c], constants[1, c]
     if rest > 0.0:
@@ -52,7 +52,7 @@ def measure_spring(
 
 @kernel
 def measure_spring_runs(runs: SpringRuns, x: Float) -> Measured:
-    """Energy, stretch, shortest length and number of zero-length springs.
+    """Return energy, stretch, shortest length and number of zero-length springs.
 
     A spring that two blocks compute counts where its i end is at home.
     """
@@ -72,7 +72,7 @@ def measure_spring_runs(runs: SpringRuns, x: Float) -> Measured:
 
 @kernel
 def measure_spring_lists(lists: SpringLists, x: Float) -> Measured:
-    """Energy, stretch, shortest length and number of zero-length springs of listed springs."""
+    """Return energy, stretch, shortest length and number of zero-length springs of listed springs."""
     energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
     start, ends, constants = lists.start, lists.ends, lists.constants
     for block in range(start.shape[0] - 1):
@@ -89,13 +89,13 @@ def measure_spring_lists(lists: SpringLists, x: Float) -> Measured:
 
 @inlined
 def edge(x: Float, i: int, j: int) -> tuple[float, float, float]:
-    """x_j - x_i."""
+    """Return x_j - x_i."""
     return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
 
 
 @kernel
 def measure_hinge(x: Float, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_sin: float) -> float:
-    """Energy of one hinge.
+    """Return the energy of one hinge.
 
     1 - cos(d) is taken as sin(d)^2 / (1 + cos(d)), which keeps its digits where d is small.
     """
@@ -113,7 +113,7 @@ def measure_hinge(x: Float, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_
 
 @kernel
 def measure_hinge_runs(runs: HingeRuns, x: Float) -> float:
-    """Energy of all hinges in runs, each counted where its first vertex is at home."""
+    """Return the energy of all hinges in runs, each counted where its first vertex is at home."""
     energy, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
         if task[t, 6] & 1:
@@ -125,7 +125,7 @@ def measure_hinge_runs(runs: HingeRuns, x: Float) -> float:
 
 @kernel
 def measure_hinge_lists(lists: HingeLists, x: Float) -> float:
-    """Energy of all listed hinges, each counted where its first vertex is at home."""
+    """Return the energy of all listed hinges, each counted where its first vertex is at home."""
     energy, start, corners, constants = 0.0, lists.start, lists.corners, lists.constants
     for block in range(start.shape[0] - 1):
         width = min(BLOCK, x.shape[1] - block * BLOCK)
@@ -139,7 +139,7 @@ def measure_hinge_lists(lists: HingeLists, x: Float) -> float:
 
 @kernel
 def measure_vertices(x: Float, v: Float, mass: Float, gravity: Float) -> tuple[float, float]:
-    """Kinetic and gravitational energy for x, v (3, n) and masses (n,) [kg]."""
+    """Return the kinetic and gravitational energy for x, v (3, n) and masses (n,) [kg]."""
     kinetic, potential = 0.0, 0.0
     for p in range(x.shape[1]):
         kinetic += 0.5 * mass[p] * (v[0, p] * v[0, p] + v[1, p] * v[1, p] + v[2, p] * v[2, p])
@@ -148,7 +148,7 @@ def measure_vertices(x: Float, v: Float, mass: Float, gravity: Float) -> tuple[f
 
 
 def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
-    """Energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
+    """Return energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
     kinetic, gravitational = measure_vertices(x, v, mass, packed.gravity)
     kinds = {"kinetic": kinetic, "gravitational": gravitational, "springs": 0.0, "hinges": 0.0}
     stretch, shortest, zeros = -1.0, math.inf, 0

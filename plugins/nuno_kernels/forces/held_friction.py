@@ -1,4 +1,4 @@
-"""Bending friction that is found once in a while and held meanwhile, as methods of many small steps can afford.
+"""Bending friction that is held over several steps, for methods of many small steps.
 
 Friction is far softer than tension, which sets their step. Its force is found where the cloth will be in the middle of
 the time T for which it is then held, x + v T / 2. An element that holds, x'' = -omega^2 x, goes over T by
@@ -31,14 +31,14 @@ from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.fabric import Float
 
 NOT_HELD = -1.0
-"""In the place of the time for which the force is still held."""
+"""stands for the time for which the force is still held"""
 LONGEST = 1.4
-"""Of T by omega."""
+"""limit of T times omega"""
 
 
 @kernel
 def add_held(held: HeldFriction, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
-    """Add what is held to a block's forces (3, w), or what there is at x where nothing is held."""
+    """Add the held force to a block's forces (3, w), or that at x if none is held."""
     if held.clock[0] < 0.0:
         add_friction(held, block, origin, x, v, force)
         return
@@ -51,7 +51,7 @@ def add_held(held: HeldFriction, block: int, origin: int, x: Float, v: Float, fo
 
 @block_kernel
 def find_block(block: int, held: HeldFriction, x: Float, ahead: Float) -> None:
-    """Let a block's patches that slip at x (3, n) follow, and find their force at `ahead` (3, n)."""
+    """Move k' of a block's patches that slip at x (3, n), and compute their force at `ahead` (3, n)."""
     origin, end = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     force = np.zeros((3, end - origin + PADDING))
     settle_block(block, x, held)
@@ -66,8 +66,8 @@ find_each = over_blocks(find_block, "held, x, ahead")
 
 @kernel
 def settle_held(held: HeldFriction, x: Float, v: Float, s: float, threads: int | None) -> None:
-    """Find the force anew if it has been held for its time, for as many steps like the last as that has; where that are
-    not two, let what slips follow, and hold nothing.
+    """Compute the force anew if it has been held for its time, for as many steps like the last as that has; if those
+    are fewer than two, move k' of what slips, and hold nothing.
     """
     clock, blocks = held.clock, held.start.shape[0] - 1
     now = s * clock[2]
@@ -84,8 +84,8 @@ def settle_held(held: HeldFriction, x: Float, v: Float, s: float, threads: int |
 
 
 def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
-    """Patches whose force is held for LONGEST over omega, omega^2 bounding how fast vertices of these masses (n,) may
-    swing, by the sums of the rows of the matrix where all hold (Gershgorin).
+    """Return patches whose force is held for LONGEST over omega, omega^2 bounding how fast vertices of these masses
+    (n,) may oscillate, by the sums of the rows of the matrix if all stick (Gershgorin).
     """
     shares = lists.shares.reshape(-1, PARTS, lists.shares.shape[1])[:, 2:]
     shares = np.abs(np.concatenate([-shares.sum(axis=0, keepdims=True), shares]))
@@ -97,7 +97,7 @@ def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
 
 
 def begin(held: HeldFriction, x: Float, span: float, threads: int | None) -> None:
-    """Before an interval of `span` [s], 0 where the state is only looked at."""
+    """Begin an interval of `span` [s], 0 if the state is only examined."""
     if span > 0.0:
         held.clock[1], held.clock[2] = 0.0, span
 

@@ -35,11 +35,11 @@ from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
 
 FLAT = 1e-20
-"""Squared sine of a triangle's angle at x0 below which rounding alone decides its normal."""
+"""squared sine of a triangle's angle at x0 below which its normal is rounding"""
 
 
 LONGEST = 128
-"""Hinges of a piece of a run: their forces wait in a buffer of 13 kB."""
+"""hinges of a piece of a run: their forces wait in a buffer of 13 kB"""
 
 
 class HingeRuns(NamedTuple):
@@ -78,10 +78,10 @@ Shape = tuple[Triple, Triple, Triple, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]
 
 @kernel
 def hinge_shape(x0: Triple, x1: Triple, x2: Triple, x3: Triple) -> Shape:
-    """Of eight hinges n1, n2, x3 - x0, |e|^2, |n1|^2, |n2|^2, r, t2 and t3.
+    """Return n1, n2, x3 - x0, |e|^2, |n1|^2, |n2|^2, r, t2 and t3 of eight hinges.
 
-    All quotients come from one, r = 1/(|n1|^2 |n2|^2 |e|^2), which is set to 0 where a triangle has
-    no area; divisions and roots are what a hinge costs.
+    All quotients come from one, r = 1/(|n1|^2 |n2|^2 |e|^2), which is set to 0 where a triangle has no area; divisions
+    and roots are what a hinge costs.
     """
     e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
     n1, n2 = cross(e, d2), cross(d3, e)
@@ -95,7 +95,7 @@ def hinge_shape(x0: Triple, x1: Triple, x2: Triple, x3: Triple) -> Shape:
 def hinge_forces(
     x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes, curved: bool | None
 ) -> tuple[Triple, Triple, Triple]:
-    """Pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3."""
+    """Return pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3."""
     n1, n2, d3, ee, q1, q2, r, t2, t3 = hinge_shape(x0, x1, x2, x3)
     moment = k_cos * (dot(n1, d3) * root(r * ee))
     if curved is not None:
@@ -124,7 +124,7 @@ def add_hinge_lists(lists: HingeLists, block: int, origin: int, x: Float, v: Flo
 
 @kernel
 def add_waiting(force: Float, task: Long, t: int, origin: int, wait: Float) -> None:
-    """Add what waits of a run, three rows of (12, .) for each corner, to a block's forces (3, w)."""
+    """Add a run's buffered forces, three rows of (12, .) for each corner, to a block's forces (3, w)."""
     for c in range(4):
         if (task[t, 6] >> c) & 1:
             for q in range(0, task[t, 4], WIDTH):
@@ -176,7 +176,7 @@ for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, a
 
 
 def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | HingeLists, ...]:
-    """Kernel layout of a fabric's hinges, runs before lists; what would be empty is left out."""
+    """Return the kernel layout of a fabric's hinges, runs before lists, without empty ones."""
     if hinges is None or hinges.number == 0:
         return ()
     per_run = hinges.k.shape == hinges.rest.shape == hinges.count.shape

@@ -1,4 +1,4 @@
-"""Springs and hinges made linear at a state: the symmetric positive matrix that implicit methods solve with.
+"""Springs and hinges linearised at a state: the symmetric positive matrix that implicit methods solve with.
 
 A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|). For one that has locked alpha
 is max(0, T / |d|), and dT / d|d| stands in the place of k. Without the maximum a compressed spring is indefinite across
@@ -49,7 +49,7 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def slope_at(length: Lanes, k: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """dT / d|d| of eight springs."""
+    """Return dT / d|d| of eight springs."""
     return k if locks is None else k + where_greater(length, lock[1], lock[0])
 
 
@@ -58,16 +58,16 @@ def spring_rows(
     d: Triple, d0: Triple, k: Lanes, rest: Lanes, damping: Lanes, lock: Lock, locks: bool | None, floor: float,
     follow: float,
 ) -> Rows:  # fmt: skip
-    """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
+    """Return alpha and w of eight springs along d, which were along d0; `damping` is c times the rate; 0 at length 0.
 
-    alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
+    alpha is by the expected tension, at the length d0.d / |d0|, or |d0| if `follow` is 0.
     """
     square, square0 = dot(d, d), dot(d0, d0)
     inverse = where_not_zero(square, 1.0 / root(square))
     length0 = root(square0)
     expected = length0 + follow * where_not_zero(square0, dot(d0, d) / length0 - length0)
-    # A spring of length 0 has no entries, like its force: with any, vertices that lie together would have
-    # different rows, and rounding alone would part them, whereupon the spring throws them apart.
+    # A spring of length 0 has no entries, like its force: with any, vertices at one place would have
+    # different rows, and rounding alone would separate them, whereupon the spring throws them apart.
     across = where_not_zero(square, higher(tensions(expected, k, rest, lock, locks) * inverse, splat(floor)))
     slope = slope_at(root(square), k, lock, locks)
     across = slope - higher(slope - across, splat(0.0))
@@ -106,14 +106,14 @@ def fill_spring_lists(
         d, d0 = listed_difference(x, ends, 0, p), listed_difference(before, ends, 0, p)
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
         lock = listed_lock(p, constants, 3, lists.locks)
-        found = spring_rows(d, d0, k, rest, rate * c, lock, lists.locks, floor, follow)
+        rows = spring_rows(d, d0, k, rest, rate * c, lock, lists.locks, floor, follow)
         for row in range(SPRING_ROWS):
-            store(linear.rows, row, p, found[row])
+            store(linear.rows, row, p, rows[row])
 
 
 @kernel
 def spring_product(alpha: Lanes, w: Triple, d: Triple) -> Triple:
-    """(alpha I + w w^T) d of eight springs."""
+    """Return (alpha I + w w^T) d of eight springs."""
     return plus(times(alpha, d), times(dot(w, d), w))
 
 
@@ -159,7 +159,8 @@ def multiply_spring_lists(
 
 @kernel
 def hinge_rows(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Rows:
-    """sqrt(k cos(angle - rest)) times the gradient of eight hinges' angles at x1, x2 (negative) and x3 (negative).
+    """Return sqrt(k cos(angle - rest)) times the gradient of eight hinges' angles at x1, x2 (negative) and x3
+    (negative).
 
     |e| / (|n1|^2 |n2|^2) = |e| |e|^2 r, with r of nuno_kernels.forces.hinges.hinge_shape.
     """
@@ -198,17 +199,17 @@ def fill_hinge_lists(
     """Write the rows of a block's listed hinges at x (3, n)."""
     corners, constants = lists.corners, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        found = hinge_rows(
+        rows = hinge_rows(
             gather_triple(x, corners, 0, p), gather_triple(x, corners, 1, p), gather_triple(x, corners, 2, p),
             gather_triple(x, corners, 3, p), load(constants, 0, p), load(constants, 1, p),
         )  # fmt: skip
         for row in range(HINGE_ROWS):
-            store(linear.rows, row, p, found[row])
+            store(linear.rows, row, p, rows[row])
 
 
 @kernel
 def hinge_product(g: Rows, u0: Triple, u1: Triple, u2: Triple, u3: Triple) -> Lanes:
-    """g.u of eight hinges, g given by its nine rows."""
+    """Return g.u of eight hinges, g given by its nine rows."""
     a, b, c = minus(u1, u0), minus(u0, u2), minus(u0, u3)
     return (
         g[0] * a[0] + g[1] * a[1] + g[2] * a[2] + g[3] * b[0] + g[4] * b[1] + g[5] * b[2]

@@ -1,4 +1,4 @@
-"""Where the rows of linear springs and hinges are kept."""
+"""The layout of the rows of linear springs and hinges."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SPRING_ROWS, HINGE_ROWS = 4, 9
 Rows = tuple[Lanes, ...]
-"""So many rows of eight springs or hinges."""
+"""rows of eight springs or hinges"""
 
 
 @by_reference
@@ -44,7 +44,7 @@ Linear = LinearRuns | LinearLists
 
 
 def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], LinearRuns]:
-    """Makes room for the rows of runs, whose tasks hold their length in column `counts`."""
+    """Return a function that allocates the rows of runs, whose tasks hold their length in column `counts`."""
 
     def make(runs: SpringRuns | HingeRuns) -> LinearRuns:
         ends = np.cumsum(runs.task[:, counts])
@@ -54,7 +54,7 @@ def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], Li
 
 
 def linear_lists(rows: int, name: str) -> Callable[[Any], LinearLists]:
-    """Makes room for the rows of lists, whose indices are in the field `name`."""
+    """Return a function that allocates the rows of lists, whose indices are in the field `name`."""
 
     def make(lists: Any) -> LinearLists:
         indices = getattr(lists, name)
@@ -64,7 +64,7 @@ def linear_lists(rows: int, name: str) -> Callable[[Any], LinearLists]:
 
 
 def run_elements(corners: int) -> Callable[[LinearRuns], tuple[Long, Long]]:
-    """Finds (p,) columns and (corners, p) vertices of the elements in runs, each once: by its first vertex's block."""
+    """Return a function that finds columns (p,) and vertices (corners, p) of elements in runs, each once."""
 
     def find(runs: LinearRuns) -> tuple[Long, Long]:
         block = np.repeat(np.arange(runs.start.shape[0] - 1), np.diff(runs.start))
@@ -78,7 +78,7 @@ def run_elements(corners: int) -> Callable[[LinearRuns], tuple[Long, Long]]:
 
 
 def listed_elements(corners: int) -> Callable[[LinearLists], tuple[Long, Long]]:
-    """Finds the same of lists; what pads them is at one vertex only."""
+    """Return the same for lists, whose padding is at one vertex only."""
 
     def find(lists: LinearLists) -> tuple[Long, Long]:
         block = np.repeat(np.arange(lists.start.shape[0] - 1), np.diff(lists.start))

@@ -1,4 +1,5 @@
-"""What passes along yarns made linear at a state: the part of an implicit step's matrix that couples three vertices.
+"""Tension passing along yarns, linearised at a state: the part of an implicit step's matrix that couples three
+vertices.
 
 Of links a (i to j) and b (j to l) that follow each other, with unit vectors a^, b^ and y the vertices' displacements,
 let s_a = a^.(y_j - y_i) and s_b = b^.(y_l - y_j) be the links' elongations. The pair's force
@@ -8,18 +9,17 @@ let s_a = a^.(y_j - y_i) and s_b = b^.(y_l - y_j) be the links' elongations. The
                                                  f_b = m_b s_a b^ + alpha_b (I - b^ b^T)(y_l - y_j)
 
 with alpha_a = mu T_b / |a|, what the tension taken over adds across the link, and m_a = mu k_b, m_b = mu k_a along
-them. Where the pair has one k both are equal and the matrix is symmetric: a yarn's own springs and its pairs are
-along it G^T k (1 + mu A) G, G taking displacements to elongations and A the path's matrix, whose eigenvalues lie in
-(-2, 2). That is positive for mu < 1/2. Across links, negative alpha are left out as those of springs are, each by
-itself: under tension throughout, nothing is left out.
+them. Where the pair has one k both are equal and the matrix is symmetric: a yarn's own springs and its pairs are along
+it G^T k (1 + mu A) G, G taking displacements to elongations and A the path's matrix, whose eigenvalues lie in (-2, 2).
+That is positive for mu < 1/2. Across links, negative alpha are left out as those of springs are, each by itself: under
+tension throughout, nothing is left out.
 
-Where k changes along a yarn, or a link has locked and its neighbour has not, no energy exists and the derivative
-(1 + mu A) K, K the diagonal of all k, is not symmetric. Here m is then mu sqrt(k_a k_b), so that yarns have
-K^(1/2) (1 + mu A) K^(1/2): symmetric, positive for the same mu, and of the same eigenvalues. Newton's method
-converges linearly with it; measured in the norm of K, the step from s = sqrt(k_a / k_b) leaves mu (s - 1) / sqrt(s)
-of the error, 0.026 at k's ratio of 1.3 and 0.3 at 20, both at mu = 0.2. The mean (k_a + k_b) / 2 would leave
-mu (s - 1 / s) / 2 and be indefinite where s is large. Damping acts along links like k, by c times the rate dv/dx
-of the method.
+Where k changes along a yarn, or a link has locked and its neighbour has not, no energy exists and the derivative (1 +
+mu A) K, K the diagonal of all k, is not symmetric. Here m is then mu sqrt(k_a k_b), so that yarns have K^(1/2) (1 + mu
+A) K^(1/2): symmetric, positive for the same mu, and of the same eigenvalues. Newton's method converges linearly with
+it; measured in the norm of K, the step from s = sqrt(k_a / k_b) leaves mu (s - 1) / sqrt(s) of the error, 0.026 at k's
+ratio of 1.3 and 0.3 at 20, both at mu = 0.2. The mean (k_a + k_b) / 2 would leave mu (s - 1 / s) / 2 and be indefinite
+where s is large. Damping acts along links like k, by c times the rate dv/dx of the method.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from nuno_kernels.step.blocks import BLOCK
 from nuno_schemas.fabric import Float
 
 YARN_ROWS = 9
-"""a^, b^, m, alpha_a and alpha_b of a pair."""
+"""a^, b^, m, alpha_a and alpha_b of a pair"""
 
 
 linear_yarns = linear_lists(YARN_ROWS, "corners")
@@ -48,7 +48,7 @@ linear_yarns = linear_lists(YARN_ROWS, "corners")
 
 @kernel
 def link_rows(d: Triple, d0: Triple, follow: float) -> tuple[Lanes, Lanes]:
-    """1 / |d|, 0 at length 0, and the length that is expected of eight links (see
+    """Return 1 / |d|, 0 at length 0, and the expected length of eight links (see
     nuno_kernels.forces.linear.spring_rows).
     """
     square, length0 = dot(d, d), root(dot(d0, d0))
@@ -68,7 +68,7 @@ def fill_yarns(
         inverse_a, length_a = link_rows(a, a0, follow)
         inverse_b, length_b = link_rows(b, b0, follow)
         k_a, k_b = load(constants, 0, p), load(constants, 3, p)
-        # A link of length 0 neither gives nor takes: each factor below has the inverse lengths of both.
+        # A link of length 0 takes no part: each factor below has the inverse lengths of both.
         both = where_not_zero(inverse_a, where_not_zero(inverse_b, splat(1.0)))
         lock_a = listed_lock(p, constants, 6, yarns.locks)
         lock_b = listed_lock(p, constants, 8, yarns.locks)
@@ -103,7 +103,7 @@ def multiply_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: in
 
 @kernel
 def pair_block(rows: Float, c: int, first: int, second: int, block: Float) -> None:
-    """The 3 x 3 block of corners `first` and `second`, 0 to 2 for i, j, l, of the pair in column c."""
+    """Compute the 3 x 3 block of corners `first` and `second`, 0 to 2 for i, j, l, of the pair in column c."""
     # Corner's share of link a: -1 at i, 1 at j; of link b: -1 at j, 1 at l.
     a1, b1 = (-1.0, 1.0, 0.0)[first], (0.0, -1.0, 1.0)[first]
     a2, b2 = (-1.0, 1.0, 0.0)[second], (0.0, -1.0, 1.0)[second]
@@ -132,7 +132,7 @@ def add_block(out: Float, at: int, block: Float) -> None:
 def sum_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's pairs to (6, w).
 
-    What they take from a middle is at most mu of what both links' springs have there.
+    They subtract from a middle at most mu of what both links' springs have there.
     """
     part, rows = np.empty((3, 3)), linear.rows
     for c in range(linear.start[block], linear.start[block + 1]):
@@ -164,7 +164,7 @@ def assemble_yarns(linear: LinearLists, places: Any, diagonal: Float, values: Fl
 
 @kernel
 def turning_of_yarns(yarns: YarnLists, x0: Float, x: Float, d: Float) -> float:
-    """Work along d (3, n) of the tension that links pass on for having turned on their way from x0 to x [J]."""
+    """Return work along d (3, n) of the passed tension that links got by turning on their way from x0 to x [J]."""
     total, corners, constants = 0.0, yarns.corners, yarns.constants
     for block in range(yarns.start.shape[0] - 1):
         width = min(BLOCK, x.shape[1] - block * BLOCK)
@@ -185,7 +185,7 @@ def turning_of_yarns(yarns: YarnLists, x0: Float, x: Float, d: Float) -> float:
 
 @kernel
 def turned(x0: Float, x: Float, d: Float, i: int, j: int) -> tuple[float, float, float]:
-    """Of a link that turns from a to b: |b|, what it would be without having turned, a.b / |a|, and b^.(d_j - d_i)."""
+    """Return, for a link that turns from a to b: |b|, its length without turning, a.b / |a|, and b^.(d_j - d_i)."""
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)

@@ -48,23 +48,23 @@ class MembraneLists(NamedTuple):
 
 
 Yarns = tuple[Triple, Triple]
-"""What the unit vectors along warp and weft become, or how fast."""
+"""images of the unit vectors along warp and weft, or their rates"""
 Strains = tuple[Lanes, Lanes, Lanes]
-"""e_w, e_f and g, or how fast they grow."""
+"""e_w, e_f and g, or their rates"""
 Stresses = tuple[Lanes, Lanes, Lanes]
-"""A S_w, A S_f and A T."""
+"""A S_w, A S_f and A T"""
 
 
 @kernel
 def stretched(d1: Triple, d2: Triple, constants: Float, p: int) -> Yarns:
-    """F_w and F_f of eight triangles from x1 - x0 and x2 - x0, or of anything else that is linear in them."""
+    """Return F_w and F_f of eight triangles from x1 - x0 and x2 - x0, or other quantities linear in them."""
     warp = plus(times(load(constants, 0, p), d1), times(load(constants, 1, p), d2))
     return warp, plus(times(load(constants, 2, p), d1), times(load(constants, 3, p), d2))
 
 
 @kernel
 def direction(yarn: Triple) -> tuple[Triple, Lanes]:
-    """Directions and lengths of eight; one of length 0 has none."""
+    """Return directions and lengths of eight vectors; one of length 0 has none."""
     square = dot(yarn, yarn)
     length = root(square)
     return times(where_not_zero(square, 1.0 / length), yarn), length
@@ -72,40 +72,40 @@ def direction(yarn: Triple) -> tuple[Triple, Lanes]:
 
 @kernel
 def stresses(e: Strains, constants: Float, p: int) -> Stresses:
-    """A S_w, A S_f and A T of eight triangles."""
+    """Return A S_w, A S_f and A T of eight triangles."""
     warp, weft, both = load(constants, 4, p), load(constants, 5, p), load(constants, 6, p)
     return warp * e[0] + both * e[1], weft * e[1] + both * e[0], load(constants, 7, p) * e[2]
 
 
 @kernel
 def drags(rate: Strains, constants: Float, p: int) -> Stresses:
-    """What damping adds to the stresses of eight triangles."""
+    """Return the damping part of the stresses of eight triangles."""
     return load(constants, 8, p) * rate[0], load(constants, 9, p) * rate[1], load(constants, 10, p) * rate[2]
 
 
 @kernel
 def growth(rates: Yarns, unit: Yarns, yarns: Yarns) -> Strains:
-    """How fast the strains of eight triangles grow where F_w and F_f change at `rates`."""
+    """Return the rates of the strains of eight triangles whose F_w and F_f change at `rates`."""
     return dot(unit[0], rates[0]), dot(unit[1], rates[1]), dot(rates[0], yarns[1]) + dot(rates[1], yarns[0])
 
 
 @kernel
 def pulls(s: Stresses, unit: Yarns, yarns: Yarns) -> Yarns:
-    """What pulls F_w and F_f back [N m], by their directions."""
+    """Return the forces that pull F_w and F_f back [N m], by their directions."""
     warp = plus(times(s[0], unit[0]), times(s[2], yarns[1]))
     return warp, plus(times(s[1], unit[1]), times(s[2], yarns[0]))
 
 
 @kernel
 def at_corners(pull: Yarns, constants: Float, p: int) -> tuple[Triple, Triple]:
-    """What pulls at F_w and F_f, at x1 and x2; x0 has the rest."""
+    """Return the forces at x1 and x2 of pulls at F_w and F_f; x0 has minus their sum."""
     first = plus(times(load(constants, 0, p), pull[0]), times(load(constants, 2, p), pull[1]))
     return first, plus(times(load(constants, 1, p), pull[0]), times(load(constants, 3, p), pull[1]))
 
 
 @kernel
 def sides(x: Float, corners: Int, p: int) -> tuple[Triple, Triple]:
-    """x1 - x0 and x2 - x0 of eight triangles."""
+    """Return x1 - x0 and x2 - x0 of eight triangles."""
     x0 = gather_triple(x, corners, 0, p)
     return minus(gather_triple(x, corners, 1, p), x0), minus(gather_triple(x, corners, 2, p), x0)
 
@@ -140,7 +140,7 @@ def damps(lists: MembraneLists) -> bool:
 
 
 def pack_membrane(membrane: Membrane | None, vertices: int) -> tuple[MembraneLists, ...]:
-    """Kernel layout of a fabric's triangles; none where there are none."""
+    """Return the kernel layout of a fabric's triangles; () without any."""
     if membrane is None or membrane.number == 0:
         return ()
     faces = membrane.faces.astype(np.int64)

@@ -15,7 +15,7 @@ import numpy as np
 
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.forces.constraint_packing import ListElements
-from nuno_kernels.forces.constraints import forget_kept
+from nuno_kernels.forces.constraints import zero_forces
 from nuno_kernels.forces.membrane import (
     MembraneLists,
     Stresses,
@@ -43,26 +43,26 @@ class MembraneBatches(NamedTuple):
     start     (batches + 1,) int64  columns of each batch
     ends      (3, p) int32
     constants (11, p)               as in nuno_kernels.forces.membrane.MembraneLists
-    kept      (6, p)                forces [N] at x1 and x2; None where one sweep needs no memory
+    forces    (6, p)                forces [N] at x1 and x2; None where one sweep needs no memory
     """
 
     start: Long
     ends: Int
     constants: Float
-    kept: Float | None
+    forces: Float | None
 
 
 def constraints_of_membrane(lists: MembraneLists, vertices: int) -> tuple[ListElements, ...]:
-    """Every triangle once."""
+    """Return every triangle once."""
     block = np.repeat(np.arange(lists.start.shape[0] - 1), np.diff(lists.start))
-    own = lists.corners[3] < np.minimum(BLOCK, vertices - block * BLOCK)
-    at = np.flatnonzero(own & (lists.corners[0] != lists.corners[1]))
+    columns = lists.corners[3] < np.minimum(BLOCK, vertices - block * BLOCK)
+    at = np.flatnonzero(columns & (lists.corners[0] != lists.corners[1]))
     return (ListElements(MembraneBatches, lists.corners[:3, at].T.astype(np.int64), lists.constants[:, at]),)
 
 
 @kernel
 def solve_three(rows: tuple[Triple, Triple, Triple], b: Triple) -> Triple:
-    """Eight systems of three equations, by cofactors."""
+    """Solve eight systems of three equations, by cofactors."""
     m, n, o = rows
     c0 = n[1] * o[2] - n[2] * o[1], n[2] * o[0] - n[0] * o[2], n[0] * o[1] - n[1] * o[0]
     c1 = m[2] * o[1] - m[1] * o[2], m[0] * o[2] - m[2] * o[0], m[1] * o[0] - m[0] * o[1]
@@ -77,8 +77,8 @@ def solve_three(rows: tuple[Triple, Triple, Triple], b: Triple) -> Triple:
 
 @kernel
 def responses(unit: Yarns, yarns: Yarns, mobile: Triple) -> tuple[Triple, Triple, Triple]:
-    """N = J M J^T of eight triangles; `mobile` are the sums over corners of their mobility times w w, w f and f f,
-    w and f being how they move F_w and F_f.
+    """Return N = J M J^T of eight triangles; `mobile` are the sums over corners of their mobility times w w, w f and f
+    f, w and f being how they move F_w and F_f.
     """
     ww, wf, ff = mobile
     between = wf * dot(unit[0], unit[1])
@@ -90,13 +90,13 @@ def responses(unit: Yarns, yarns: Yarns, mobile: Triple) -> tuple[Triple, Triple
 
 @kernel
 def stiffened(e: Triple, rate: float, constants: Float, p: int) -> Stresses:
-    """K e of eight triangles, `rate` 1 / h."""
+    """Return K e of eight triangles, `rate` 1 / h."""
     return plus(stresses(e, constants, p), times(splat(rate), drags(e, constants, p)))
 
 
 @kernel
 def solve_stresses(s: Stresses, n: tuple[Triple, Triple, Triple], rate: float, constants: Float, p: int) -> Stresses:
-    """(1 + K N)^-1 s of eight triangles."""
+    """Return (1 + K N)^-1 s of eight triangles."""
     c0, c1 = stiffened(n[0], rate, constants, p), stiffened(n[1], rate, constants, p)
     c2 = stiffened(n[2], rate, constants, p)
     rows = (1.0 + c0[0], c1[0], c2[0]), (c0[1], 1.0 + c1[1], c2[1]), (c0[2], c1[2], 1.0 + c2[2])
@@ -104,8 +104,8 @@ def solve_stresses(s: Stresses, n: tuple[Triple, Triple, Triple], rate: float, c
 
 
 @block_kernel
-def sweep_membrane(batch: int, moved: Displaced, lists: MembraneBatches, kept: Float | None) -> None:
-    """Solve a batch's triangles in their order, in place in the displacements; `kept` is the lists'."""
+def sweep_membrane(batch: int, moved: Displaced, lists: MembraneBatches, forces: Float | None) -> None:
+    """Solve a batch's triangles in their order, in place in the displacements; `forces` is the lists'."""
     x, u, mobility, rate = moved.x, moved.u, moved.mobility, moved.inverse_step
     start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[batch], start[batch + 1], WIDTH):
@@ -125,12 +125,12 @@ def sweep_membrane(batch: int, moved: Displaced, lists: MembraneBatches, kept: F
         s = stresses((long - 1.0, wide - 1.0, dot(yarns[0], yarns[1])), constants, p)
         s = plus(s, times(splat(rate), drags(growth(rates, unit, yarns), constants, p)))
         n = responses(unit, yarns, mobile)
-        if kept is None:
+        if forces is None:
             s = solve_stresses(s, n, rate, constants, p)
         first, second = at_corners(pulls(s, unit, yarns), constants, p)
         first, second = times(-1.0, first), times(-1.0, second)
-        if kept is not None:
-            first, second = minus(first, load_triple(kept, 0, p)), minus(second, load_triple(kept, 3, p))
+        if forces is not None:
+            first, second = minus(first, load_triple(forces, 0, p)), minus(second, load_triple(forces, 3, p))
             total = plus(first, second)
             on_warp = plus(times(m0 * w0, total), plus(times(m1 * w1, first), times(m2 * w2, second)))
             on_weft = plus(times(m0 * f0, total), plus(times(m1 * f1, first), times(m2 * f2, second)))
@@ -144,8 +144,8 @@ def sweep_membrane(batch: int, moved: Displaced, lists: MembraneBatches, kept: F
             part = 1.0 / (1.0 + across)
             first, second = times(part, minus(first, taken[0])), times(part, minus(second, taken[1]))
             for row in range(3):
-                store(kept, row, p, load(kept, row, p) + first[row])
-                store(kept, 3 + row, p, load(kept, 3 + row, p) + second[row])
+                store(forces, row, p, load(forces, row, p) + first[row])
+                store(forces, 3 + row, p, load(forces, 3 + row, p) + second[row])
         for row in range(3):
             add_at(u, row, ends, 0, p, 0.0 - m0 * (first[row] + second[row]))
             add_at(u, row, ends, 1, p, m1 * first[row])
@@ -155,7 +155,7 @@ def sweep_membrane(batch: int, moved: Displaced, lists: MembraneBatches, kept: F
 @kernel
 def solve_membrane(lists: MembraneBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's triangles."""
-    sweep_membrane(batch, moved, lists, lists.kept)
+    sweep_membrane(batch, moved, lists, lists.forces)
 
 
-register(MembraneBatches, name="membrane", sweep=solve_membrane, forget=forget_kept)
+register(MembraneBatches, name="membrane", sweep=solve_membrane, forget=zero_forces)

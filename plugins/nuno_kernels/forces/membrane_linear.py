@@ -38,15 +38,15 @@ elements_of_membrane = listed_elements(3)
 
 
 def rows_of_membrane(lists: MembraneLists) -> LinearLists:
-    """Room for the matrix, with what does not change of it."""
-    found = linear_lists(ROWS, "corners")(lists)
-    found.rows[SHARES:] = lists.constants[:4]
-    return found
+    """Allocate the matrix, with its constant entries."""
+    linear = linear_lists(ROWS, "corners")(lists)
+    linear.rows[SHARES:] = lists.constants[:4]
+    return linear
 
 
 @kernel
 def expected_length(yarn: Triple, before: Triple, follow: float) -> Lanes:
-    """The length that a linear step from `before` expects of a yarn, or the one there where `follow` is 0."""
+    """Return the length that a linear step from `before` predicts for a yarn, or that at `before` if `follow` is 0."""
     square = dot(before, before)
     length = direction(before)[1]
     return length + follow * where_not_zero(square, dot(before, yarn) / length - length)
@@ -54,7 +54,7 @@ def expected_length(yarn: Triple, before: Triple, follow: float) -> Lanes:
 
 @kernel
 def expected_stresses(yarns: Yarns, before: Yarns, follow: float, constants: Float, p: int) -> tuple[Lanes, Lanes]:
-    """A S_w and A S_f that a linear step from `before` expects."""
+    """Return A S_w and A S_f that a linear step from `before` predicts."""
     warp, weft = expected_length(yarns[0], before[0], follow), expected_length(yarns[1], before[1], follow)
     found = stresses((warp - 1.0, weft - 1.0, splat(0.0)), constants, p)
     return found[0], found[1]
@@ -62,7 +62,7 @@ def expected_stresses(yarns: Yarns, before: Yarns, follow: float, constants: Flo
 
 @kernel
 def along_and_across(modulus: Lanes, stress: Lanes, yarn: Triple, shear: Lanes, other: Triple, floor: float) -> Rows:
-    """H_ww of eight triangles, its six entries: `other` is F_f."""
+    """Return H_ww of eight triangles, its six entries: `other` is F_f."""
     unit, length = direction(yarn)
     across = where_not_zero(length, higher(stress / length, splat(floor)))
     across = lower(across, modulus)
@@ -98,7 +98,7 @@ def fill_membrane(
             store(rows, row, p, warp[row])
             store(rows, 6 + row, p, weft[row])
         (w, _), (f, _) = direction(yarns[0]), direction(yarns[1])
-        # Between the corners of a triangle that is sheared this has no sign.
+        # Between the corners of a sheared triangle this has no sign.
         sheared = splat(0.0) if floor == 0.0 else load(constants, 7, p) * dot(yarns[0], yarns[1])
         for i in range(3):
             for j in range(3):
@@ -108,7 +108,7 @@ def fill_membrane(
 
 @kernel
 def product(rows: Float, p: int, warp: Triple, weft: Triple) -> Yarns:
-    """H times (warp, weft) of eight triangles."""
+    """Return H times (warp, weft) of eight triangles."""
     a, b = load_triple(rows, 0, p) + load_triple(rows, 3, p), load_triple(rows, 6, p) + load_triple(rows, 9, p)
     c0, c1, c2 = load_triple(rows, 12, p), load_triple(rows, 15, p), load_triple(rows, 18, p)
     on_warp = (
@@ -137,7 +137,7 @@ def multiply_membrane(lists: MembraneLists, linear: LinearLists, block: int, ori
 
 @kernel
 def share(rows: Float, c: int, corner: int) -> tuple[float, float]:
-    """How a corner's place moves F_w and F_f of the triangle in column c."""
+    """Return how a corner's place moves F_w and F_f of the triangle in column c."""
     if corner == 0:
         return -rows[SHARES, c] - rows[SHARES + 1, c], -rows[SHARES + 2, c] - rows[SHARES + 3, c]
     return rows[SHARES + corner - 1, c], rows[SHARES + corner + 1, c]
@@ -145,7 +145,7 @@ def share(rows: Float, c: int, corner: int) -> tuple[float, float]:
 
 @kernel
 def entry(rows: Float, c: int, w: tuple[float, float], z: tuple[float, float], i: int, j: int) -> float:
-    """Entry (i, j) of the 3 x 3 block between corners with the shares w and z."""
+    """Return entry (i, j) of the 3 x 3 block between corners with the shares w and z."""
     place = i if i == j else i + j + 2
     alike = w[0] * z[0] * rows[place, c] + w[1] * z[1] * rows[6 + place, c]
     return float(alike + w[0] * z[1] * rows[12 + 3 * i + j, c] + w[1] * z[0] * rows[12 + 3 * j + i, c])

@@ -1,4 +1,4 @@
-"""What is asked of the membrane beside its force: energy, stretch, the largest force, work for having turned."""
+"""Measures of the membrane besides its force: energy, stretch, the largest force, work of turning."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Point = tuple[float, float, float]
 
 @kernel
 def yarns_of(lists: MembraneLists, x: Float, c: int) -> tuple[Point, Point]:
-    """F_w and F_f of the triangle in column c, or of anything else (3, n) that is linear in its corners."""
+    """Return F_w and F_f of the triangle in column c, or of other arrays (3, n), linear in its corners."""
     corners, constants = lists.corners, lists.constants
     d1, d2 = edge(x, corners[0, c], corners[1, c]), edge(x, corners[0, c], corners[2, c])
     warp = plus(times(constants[0, c], d1), times(constants[1, c], d2))
@@ -28,7 +28,7 @@ def yarns_of(lists: MembraneLists, x: Float, c: int) -> tuple[Point, Point]:
 
 @kernel
 def stress_of(lists: MembraneLists, c: int, warp: float, weft: float) -> Point:
-    """A S_w, A S_f [N m] and A G of the triangle in column c, whose yarns have these lengths."""
+    """Return A S_w, A S_f [N m] and A G of the triangle in column c, whose yarns have these lengths."""
     k = lists.constants
     e, f = warp - 1.0, weft - 1.0
     return k[4, c] * e + k[6, c] * f, k[5, c] * f + k[6, c] * e, k[7, c]
@@ -43,7 +43,7 @@ def is_home(lists: MembraneLists, block: int, c: int, vertices: int) -> bool:
 
 @kernel
 def measure_membrane(lists: MembraneLists, x: Float) -> Measured:
-    """Energy, the largest stretch in any direction, and the shortest side of any triangle."""
+    """Return energy, the largest stretch in any direction, and the shortest side of any triangle."""
     energy, stretch, shortest = 0.0, -1.0, math.inf
     for block in range(lists.start.shape[0] - 1):
         for c in range(lists.start[block], lists.start[block + 1]):
@@ -66,7 +66,7 @@ def measure_membrane(lists: MembraneLists, x: Float) -> Measured:
 
 @kernel
 def tension_of_membrane(lists: MembraneLists, x: Float) -> float:
-    """The largest force [N] of any triangle on a corner."""
+    """Return the largest force [N] of any triangle on a corner."""
     largest, k = 0.0, lists.constants
     for c in range(lists.corners.shape[1]):
         warp, weft = yarns_of(lists, x, c)
@@ -85,14 +85,14 @@ def tension_of_membrane(lists: MembraneLists, x: Float) -> float:
 
 @kernel
 def turned_further(length: float, before: Point, now: Point) -> float:
-    """How much longer a yarn of this length is than a linear step from `before` expects."""
+    """Return how much longer a yarn of this length is than a linear step from `before` predicts."""
     square = dot(before, before)
     return length - dot(before, now) / math.sqrt(square) if square > 0.0 else 0.0
 
 
 @kernel
 def turning_of_membrane(lists: MembraneLists, x0: Float, x: Float, d: Float) -> float:
-    """Work along d (3, n) of the stress that yarns have for having turned on their way from x0 to x [J]."""
+    """Return work along d (3, n) of the stress that yarns got by turning on their way from x0 to x [J]."""
     total, k = 0.0, lists.constants
     for block in range(lists.start.shape[0] - 1):
         for c in range(lists.start[block], lists.start[block + 1]):
@@ -109,7 +109,7 @@ def turning_of_membrane(lists: MembraneLists, x0: Float, x: Float, d: Float) -> 
 
 
 def stiffest(lists: MembraneLists) -> float:
-    """The greatest stiffness that any triangle has for one of its corners [N/m]."""
+    """Return the greatest stiffness of any triangle for one of its corners [N/m]."""
     k = lists.constants
     shares = np.stack([k[:2], k[2:4]])
     squares = np.square(np.concatenate([shares, shares.sum(axis=1, keepdims=True)], axis=1)).max(axis=1, initial=0.0)

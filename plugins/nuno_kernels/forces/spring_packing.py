@@ -1,4 +1,4 @@
-"""Springs in the layout of their kernels: runs of those whose vertices follow each other, and lists of the rest."""
+"""Springs in the layout of their kernels: runs of consecutive vertices, and lists of the rest."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 
 def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | SpringLists, ...]:
-    """Kernel layout of a fabric's springs, runs before lists; what would be empty is left out.
+    """Return the kernel layout of a fabric's springs, runs before lists, without empty ones.
 
-    Long runs with constants per run are taken as they are. All other springs are written out and
-    sorted by the distance of their ends, then by vertex, which finds the runs of any net.
+    Long runs with constants per run are taken as they are. All other springs are written out and sorted by the distance
+    of their ends, then by vertex, which finds the runs of any net.
     """
     if springs is None or springs.number == 0:
         return ()
@@ -47,17 +47,17 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | S
 
 
 def spring_constants(springs: Springs) -> tuple[Float, ...]:
-    """The rows of SpringRuns.constants, per run if all are so."""
+    """Return the rows of SpringRuns.constants, per run if all are so."""
     if springs.lock is None or springs.k_lock is None:
         return springs.k, springs.rest, springs.c
-    given = (springs.k, springs.rest, springs.c, springs.lock, springs.k_lock)
-    k, rest, c, lock, k_lock = given if springs.per_run else (springs.per_spring(values) for values in given)
+    constants = (springs.k, springs.rest, springs.c, springs.lock, springs.k_lock)
+    k, rest, c, lock, k_lock = constants if springs.per_run else (springs.per_spring(values) for values in constants)
     return k, rest, c, k_lock - k, rest * (1.0 + lock)
 
 
 def _sort_pairs(springs: Springs, direct: Bool) -> tuple[Int, Long]:
-    """Springs outside of the runs marked (m,), by distance of their ends, then by vertex: (s, 2) and
-    where each stands among all springs.
+    """Return springs outside of the runs marked (m,), by distance of their ends, then by vertex: (s, 2) and their
+    numbers among all springs.
     """
     pairs = springs.pairs()
     pairs.sort(axis=1)
@@ -95,7 +95,7 @@ def _pack_pairs(
 
 
 def _long_share(follows: Bool) -> float:
-    """Share of springs that lie in runs of at least SHORTEST."""
+    """Return the share of springs that lie in runs of at least SHORTEST."""
     first = np.flatnonzero(np.concatenate([[True], ~follows]))
     count = np.diff(np.concatenate([first, [follows.shape[0] + 1]]))
     return float(count[count >= SHORTEST].sum() / (follows.shape[0] + 1))
@@ -114,12 +114,12 @@ def _pack_runs(runs: Long, constants: Float, each: bool, blocks: int) -> SpringR
 
 
 def locking(constants: Float) -> bool | None:
-    """The mark of constants with rows for locks."""
+    """Return the mark of constants with rows for locks."""
     return True if constants.shape[0] > 3 else None
 
 
 def _pack_lists(pairs: Long, constants: Float, vertices: int, general: bool = False) -> SpringLists:
-    """Lists per block of (s, 2) springs in the order of their vertices; `general` ones are taken as damped."""
+    """Return lists per block of (s, 2) springs in the order of their vertices; `general` ones count as damped."""
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     constants = constants[:, order]
     element, start, ends = list_copies(pairs[order].T, vertices)

@@ -21,11 +21,11 @@ from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int
 
 LONGEST = 256
-"""Springs of a piece of a run: its forces wait in a buffer of 6 kB."""
+"""springs of a piece of a run: its forces wait in a buffer of 6 kB"""
 
 FAR = 32
-"""Vertices between the ends from which both ends can be updated in one pass: nearer, a read
-would overlap the write just before it and wait for it."""
+"""vertices between the ends from which both ends can be updated in one pass: nearer, a read would overlap the write
+just before it and wait for it"""
 
 
 class SpringRuns(NamedTuple):
@@ -66,19 +66,19 @@ class SpringLists(NamedTuple):
 
 
 Lock = tuple[Lanes, Lanes]
-"""What k grows by, and from which length, of eight springs."""
+"""the growth of k, and the length from which it holds, of eight springs"""
 
 
 @kernel
 def tensions(length: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """Tensions of eight springs: k (|d| - L), and beyond the lock what k grows by times the rest of |d|."""
+    """Return tensions of eight springs: k (|d| - L), and beyond the lock the growth of k times the rest of |d|."""
     pull = k * (length - rest)
     return pull if locks is None else pull + lock[0] * higher(length - lock[1], splat(0.0))
 
 
 @kernel
 def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> float:
-    """Tension [N] of the spring of this length [m] whose constants stand in column c."""
+    """Return the tension [N] of the spring of this length [m] whose constants stand in column c."""
     pull = constants[0, c] * (length - constants[1, c])
     if locks is not None:
         pull += constants[3, c] * max(length - constants[4, c], 0.0)
@@ -87,7 +87,7 @@ def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> f
 
 @kernel
 def pull(d: Triple, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
+    """Return k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
     square = dot(d, d)
     length = root(square)
     return where_not_zero(square, tensions(length, k, rest, lock, locks) / length)
@@ -95,7 +95,7 @@ def pull(d: Triple, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> La
 
 @kernel
 def damped_pull(d: Triple, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """(k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
+    """Return (k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
     square = dot(d, d)
     length = root(square)
     inverse = 1.0 / length
@@ -104,15 +104,15 @@ def damped_pull(d: Triple, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, loc
 
 @kernel
 def run_constant(row: int, at: int, m: int, constants: Float, each: bool | None) -> Lanes:
-    """One constant of up to eight springs of a run."""
+    """Return one constant of up to eight springs of a run."""
     return splat(constants[row, at]) if each is None else read(constants, row, at, m)
 
 
 @kernel
 def run_lock(at: int, m: int, constants: Float, each: bool | None, locks: bool | None) -> Lock:
-    """What k grows by and from which length of up to eight springs of a run: nothing where none locks.
+    """Return the lock of up to eight springs of a run: zeros if none locks.
 
-    Not None, which numba would make an optional of: what is not read costs nothing.
+    Not None, which numba would make an optional: unread values cost nothing.
     """
     if locks is None:
         return splat(0.0), splat(0.0)
@@ -121,7 +121,7 @@ def run_lock(at: int, m: int, constants: Float, each: bool | None, locks: bool |
 
 @kernel
 def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
-    """What k grows by and from which length of eight listed springs, from this row of their constants on."""
+    """Return the lock of eight listed springs, from this row of their constants on."""
     if locks is None:
         return splat(0.0), splat(0.0)
     return load(constants, row, p), load(constants, row + 1, p)
@@ -129,13 +129,13 @@ def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
 
 @kernel
 def run_difference(x: Float, i: int, j: int, m: int) -> Triple:
-    """x[:, j] - x[:, i] of up to eight that follow each other."""
+    """Return x[:, j] - x[:, i] of up to eight consecutive ones."""
     return minus(read_triple(x, 0, j, m), read_triple(x, 0, i, m))
 
 
 @kernel
 def listed_difference(x: Float, indices: Int, which: int, p: int) -> Triple:
-    """x at the indices in row `which` + 1 minus x at those in row `which`, of eight from place p on."""
+    """Return x at the indices in row `which` + 1 minus x at those in row `which`, of eight from place p on."""
     return minus(gather_triple(x, indices, which + 1, p), gather_triple(x, indices, which, p))
 
 
@@ -144,7 +144,7 @@ def run_forces(
     x: Float, v: Float, ends: tuple[int, int], m: int, at: int, constants: Float, each: bool | None,
     damped: bool | None, locks: bool | None,
 ) -> Triple:  # fmt: skip
-    """Forces on the i ends of up to eight springs of a run, of which the first has the `ends` i and j."""
+    """Return forces on the i ends of up to eight springs of a run, whose first has the `ends` i and j."""
     d = run_difference(x, ends[0], ends[1], m)
     k, rest = run_constant(0, at, m, constants, each), run_constant(1, at, m, constants, each)
     lock = run_lock(at, m, constants, each, locks)
@@ -186,7 +186,7 @@ def add_runs(runs: SpringRuns, block: int, origin: int, x: Float, v: Float, forc
 def listed_forces(
     x: Float, v: Float, ends: Int, p: int, constants: Float, damped: bool | None, locks: bool | None
 ) -> Triple:
-    """Forces on the i ends of eight listed springs."""
+    """Return forces on the i ends of eight listed springs."""
     d, k, rest = listed_difference(x, ends, 0, p), load(constants, 0, p), load(constants, 1, p)
     lock = listed_lock(p, constants, 3, locks)
     if damped is None:

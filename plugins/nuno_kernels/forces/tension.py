@@ -1,4 +1,4 @@
-"""What Newton's method asks of springs: the largest force, and how much of it comes of having turned."""
+"""Tension for Newton's method: the largest force, and the part that comes of turning."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def size_of_tension(x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
-    """Size of a spring's tension [N], |k (|d| - L)| where it has not locked."""
+    """Return the size of a spring's tension [N], |k (|d| - L)| if it has not locked."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
 
 
 @kernel
 def tension_of_runs(runs: SpringRuns, x: Float) -> float:
-    """The largest tension [N] of springs in runs."""
+    """Return the largest tension [N] of springs in runs."""
     largest, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
         for q in range(task[t, 2]):
@@ -30,7 +30,7 @@ def tension_of_runs(runs: SpringRuns, x: Float) -> float:
 
 @kernel
 def tension_of_lists(lists: SpringLists, x: Float) -> float:
-    """The largest tension [N] of listed springs."""
+    """Return the largest tension [N] of listed springs."""
     largest, ends, constants = 0.0, lists.ends, lists.constants
     for c in range(ends.shape[1]):
         largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
@@ -39,7 +39,7 @@ def tension_of_lists(lists: SpringLists, x: Float) -> float:
 
 @kernel
 def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
-    """Work [J] along d of the tension that a spring has for having turned from a to b.
+    """Return the work [J] along d of the tension that a spring got by turning from a to b.
 
     It is (T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|.
     """
@@ -57,7 +57,7 @@ def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: 
 
 @kernel
 def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
-    """Sum of `turning` over springs in runs, each once: by the task that adds to its first end."""
+    """Return the sum of `turning` over springs in runs, each once: by the task that adds to its first end."""
     total, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
         if task[t, 4] & 1:
@@ -69,7 +69,7 @@ def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
 
 @kernel
 def turning_of_lists(lists: SpringLists, x0: Float, x: Float, d: Float) -> float:
-    """Sum of `turning` over listed springs, each once: by its first end's block."""
+    """Return the sum of `turning` over listed springs, each once: by its first end's block."""
     total, ends, constants = 0.0, lists.ends, lists.constants
     for block in range(lists.start.shape[0] - 1):
         for c in range(lists.start[block], lists.start[block + 1]):
@@ -79,7 +79,7 @@ def turning_of_lists(lists: SpringLists, x0: Float, x: Float, d: Float) -> float
 
 
 def stiffest(springs: SpringRuns | SpringLists) -> float:
-    """The greatest stiffness that any spring has [N/m]."""
+    """Return the greatest stiffness of any spring [N/m]."""
     constants = springs.constants
     k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
     return float(k.max(initial=0.0))

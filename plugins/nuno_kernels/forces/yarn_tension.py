@@ -1,4 +1,4 @@
-"""What pulls along springs and links of yarns at rest, and on their points, in plain NumPy: not for steps."""
+"""Tension of springs and yarns at rest, and the forces on their points, in plain NumPy: not for steps."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from nuno_schemas.fabric import Fabric, Float, Springs
 
 
 def lengths(springs: Springs, x: Float) -> tuple[Float, Float]:
-    """(s, 3) from each spring's first end to its second at x (n, 3) [m], and (s,) how long that is."""
+    """Return vectors (s, 3) from each spring's first end to its second at x (n, 3) [m], and their lengths (s,)."""
     pairs = springs.pairs()
     d = x[pairs[:, 1]] - x[pairs[:, 0]]
     return d, np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
 
 
 def own_tensions(springs: Springs, length: Float) -> Float:
-    """(s,) tension [N] of springs that are so long (s,) [m]: k (|d| - L), and beyond a lock as in
+    """Return the tension (s,) [N] of springs of these lengths (s,) [m]: k (|d| - L), and beyond a lock as in
     nuno_kernels.forces.springs.
 
     Without damping. One of no length has none.
@@ -30,27 +30,27 @@ def own_tensions(springs: Springs, length: Float) -> Float:
 
 
 def link_tensions(fabric: Fabric, x: Float) -> Float:
-    """(s,) tension [N] of every spring at x (n, 3) [m]: its own, and what it takes over along its yarn.
+    """Return the tension (s,) [N] of every spring at x (n, 3) [m]: its own, and that passed along its yarn.
 
-    T'_n = T_n + mu (T_(n-1) + T_(n+1)). As in nuno_kernels.forces.yarns a link of no length neither gives nor takes.
+    T'_n = T_n + mu (T_(n-1) + T_(n+1)). As in nuno_kernels.forces.yarns a link of no length takes no part.
     """
     if fabric.springs is None:
         return np.zeros(0)
     _, length = lengths(fabric.springs, x)
-    own = own_tensions(fabric.springs, length)
+    tension = own_tensions(fabric.springs, length)
     if fabric.yarns is None:
-        return own
+        return tension
     neighbours, yarn = fabric.yarns.neighbours()
     both = (length[neighbours] > 0.0).all(axis=1)
     share = np.where(both, fabric.yarns.mu[yarn], 0.0)
-    whole = own.copy()
+    whole = tension.copy()
     for here, there in ((0, 1), (1, 0)):
-        whole += np.bincount(neighbours[:, here], share * own[neighbours[:, there]], len(own))
+        whole += np.bincount(neighbours[:, here], share * tension[neighbours[:, there]], len(tension))
     return np.asarray(whole)
 
 
 def point_forces(fabric: Fabric, x: Float) -> Float:
-    """(n, 3) force [N] of all links on every point at x (n, 3) [m]."""
+    """Return the force (n, 3) [N] of all links on every point at x (n, 3) [m]."""
     if fabric.springs is None:
         return np.zeros_like(x)
     pairs, (d, length) = fabric.springs.pairs(), lengths(fabric.springs, x)

@@ -54,7 +54,7 @@ class YarnLists(NamedTuple):
 
 @kernel
 def add_yarns(yarns: YarnLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
-    """Add to a block's forces (3, w) what passes along its yarns."""
+    """Add the tension that passes along a block's yarns to its forces (3, w)."""
     corners, constants = yarns.corners, yarns.constants
     for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
         a, b = listed_difference(x, corners, 0, p), listed_difference(x, corners, 1, p)
@@ -78,10 +78,10 @@ def add_yarns(yarns: YarnLists, block: int, origin: int, x: Float, v: Float, for
 
 @kernel
 def measure_yarns(yarns: YarnLists, x: Float) -> float:
-    """Sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
+    """Return the sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
 
-    Where k changes along a yarn, or one of two links has locked, there is no energy, and this takes the mean of
-    mu T_a e_b and mu T_b e_a.
+    Where k changes along a yarn, or one of two links has locked, there is no energy, and this takes the mean of mu T_a
+    e_b and mu T_b e_a.
     """
     total, corners, constants = 0.0, yarns.corners, yarns.constants
     for block in range(yarns.start.shape[0] - 1):
@@ -100,7 +100,7 @@ def measure_yarns(yarns: YarnLists, x: Float) -> float:
 
 @kernel
 def elongation(x: Float, i: int, j: int, rest: float) -> float:
-    """|d| - L, 0 where |d| is 0: such a link takes no part."""
+    """Return |d| - L, 0 if |d| is 0: such a link takes no part."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     return length - rest if length > 0.0 else 0.0
@@ -128,7 +128,7 @@ register(
 
 
 def pair_corners(pairs: Int, neighbours: Int) -> Int:
-    """(3, p) vertices i, j, l of neighbouring links (p, 2), which are springs of vertices (s, 2)."""
+    """Return vertices i, j, l (3, p) of neighbouring links (p, 2), which are springs of vertices (s, 2)."""
     first, second = pairs[neighbours[:, 0]], pairs[neighbours[:, 1]]
     # The shared vertex is the first link's end that the second has too.
     ends = (first[:, 1] == second[:, 0]) | (first[:, 1] == second[:, 1])
@@ -138,7 +138,7 @@ def pair_corners(pairs: Int, neighbours: Int) -> Int:
 
 
 def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | None:
-    """Kernel layout of a fabric's yarns; None where no tension passes (mu = 0, or single links)."""
+    """Return the kernel layout of a fabric's yarns; None if no tension passes (mu = 0, or single links)."""
     neighbours, yarn = yarns.neighbours()
     passing = yarns.mu[yarn] > 0.0
     if not passing.any():
@@ -157,7 +157,7 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
     for row, values in enumerate(named):
         for link in (0, 1):
             own = springs.per_spring(values)[neighbours[pair, link]]
-            # Of k, rest, c and, where springs lock, what k grows by and from which length, lengths are not shared.
+            # Of k, rest, c and the lock's rows, lengths are not shared.
             at = 3 * link + row if row < 3 else 3 + 2 * link + row
             constants[at, filled] = own if row in (1, 4) else mu[pair] * own
     damped = True if is_small(springs.number) or constants[[2, 5]].any() else None

@@ -12,7 +12,7 @@ from nuno_kernels.lanes.simd import LANES, WIDTH, instruction, spread, vector
 
 @instruction
 def alternate(typing: Any, even: Any, odd: Any, first: Any) -> Any:
-    """`even` in the lanes whose number `first` + lane is even, `odd` in the others."""
+    """Return `even` in the lanes whose number `first` + lane is even, `odd` in the others."""
     if even != vector or odd != vector:
         return None
 
@@ -27,13 +27,13 @@ def alternate(typing: Any, even: Any, odd: Any, first: Any) -> Any:
 
 @instruction
 def lower(typing: Any, a: Any, b: Any) -> Any:
-    """The lesser of `a` and `b` in every lane; `b` where either is NaN."""
+    """Return the lesser of `a` and `b` in every lane; `b` if either is NaN."""
     return _extreme("<", a, b)
 
 
 @instruction
 def higher(typing: Any, a: Any, b: Any) -> Any:
-    """The greater of `a` and `b` in every lane; `b` where either is NaN."""
+    """Return the greater of `a` and `b` in every lane; `b` if either is NaN."""
     return _extreme(">", a, b)
 
 
@@ -49,7 +49,7 @@ def _extreme(order: str, a: Any, b: Any) -> Any:
 
 @instruction
 def lane(typing: Any, value: Any, which: Any) -> Any:
-    """One of the eight numbers."""
+    """Return one of the eight numbers."""
     if value != vector:
         return None
     return types.float64(vector, types.int64), lambda context, builder, sig, args: builder.extract_element(*args)
@@ -71,7 +71,7 @@ def any_below(typing: Any, value: Any, limit: Any) -> Any:
 
 @instruction
 def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
-    """`value` where `test` is not 0, NaN included, and 0 elsewhere."""
+    """Return `value` where `test` is not 0, NaN included, and 0 elsewhere."""
     if test != vector or value != vector:
         return None
 
@@ -84,7 +84,7 @@ def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
 
 @instruction
 def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
-    """0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
+    """Return 0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
     if test != vector or limit != vector or value != vector:
         return None
 
@@ -97,7 +97,7 @@ def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
 
 @instruction
 def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
-    """`value` where `test` >= 0, `other` elsewhere (also where `test` is NaN)."""
+    """Return `value` where `test` >= 0, `other` elsewhere (also where `test` is NaN)."""
     if not test == value == other == vector:
         return None
 
@@ -109,12 +109,12 @@ def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
 
 
 EVERY = (1 << WIDTH) - 1
-"""Bits of all lanes."""
+"""bits of all lanes"""
 
 
 @instruction
 def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
-    """Bits of the lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
+    """Return the bits of lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
     if value != vector:
         return None
 
@@ -127,7 +127,7 @@ def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
 
 @instruction
 def first_lane(typing: Any, bits: Any) -> Any:
-    """Number of the lowest bit that is set, of bits that are not 0."""
+    """Return the number of the lowest bit that is set, of bits that are not 0."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))

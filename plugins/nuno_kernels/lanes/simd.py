@@ -23,15 +23,15 @@ from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
 
 WIDTH = 8
-"""Lanes of a vector."""
+"""lanes of a vector"""
 
 LANES = ir.VectorType(ir.DoubleType(), WIDTH)
 _I32 = ir.IntType(32)
 
 Lanes = Any
-"""Eight float64 lanes as one value in compiled code, which Python itself has not."""
+"""eight float64 lanes as one value in compiled code; Python itself has none"""
 Triple = tuple[Lanes, Lanes, Lanes]
-"""x, y, z of eight vectors."""
+"""x, y, z of eight vectors"""
 
 
 class _VectorType(types.Type):
@@ -84,19 +84,19 @@ for _op, _method in (
 
 
 def instruction(function: Callable[..., Any]) -> Any:
-    """A function that compiled code calls without the leading typing context."""
+    """Make a function that compiled code calls without the leading typing context."""
     return intrinsic(function)
 
 
 def _address(context: Any, builder: Any, kind: Any, array: Any, row: Any, column: Any) -> Any:
-    """Pointer to array[row, column] of a C-contiguous 2-D array."""
+    """Return a pointer to array[row, column] of a C-contiguous 2-D array."""
     view = context.make_array(kind)(context, builder, array)
     columns = builder.extract_value(view.shape, 1)
     return builder.gep(view.data, [builder.add(builder.mul(row, columns), column)])
 
 
 def _mask(builder: Any, count: Any) -> Any:
-    """Lanes 0 .. count - 1."""
+    """Return a mask of lanes 0 .. count - 1."""
     index = ir.VectorType(ir.IntType(64), WIDTH)
     return builder.icmp_signed("<", ir.Constant(index, list(range(WIDTH))), spread(builder, count, index))
 
@@ -107,7 +107,7 @@ def _plane(array: Any) -> bool:
 
 @instruction
 def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
-    """Eight values from array[row, column] on."""
+    """Return eight values from array[row, column] on."""
     if not _plane(array):
         return None
 
@@ -134,7 +134,7 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
 
 @instruction
 def load_first(typing: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
-    """The first `count` of eight values, zeros in the other lanes; reads nothing else."""
+    """Return the first `count` of eight values, zeros in the other lanes; reads nothing else."""
     if not _plane(array):
         return None
 
@@ -167,7 +167,7 @@ def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, valu
 
 @instruction
 def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Any:
-    """array[row, index[which, start + lane]] for eight lanes; index is (w, m) int32."""
+    """Return array[row, index[which, start + lane]] for eight lanes; index is (w, m) int32."""
     if not _plane(array):
         return None
 
@@ -186,7 +186,7 @@ def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
 
 @instruction
 def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any, value: Any) -> Any:
-    """array[row, index[which, start + lane]] += value[lane], lane after lane."""
+    """Add array[row, index[which, start + lane]] += value[lane], lane after lane."""
     if not _plane(array):
         return None
 
@@ -205,13 +205,13 @@ def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
 
 @instruction
 def splat(typing: Any, value: Any) -> Any:
-    """The same number in all lanes."""
+    """Return the same number in all lanes."""
     return vector(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
 
 
 @instruction
 def root(typing: Any, value: Any) -> Any:
-    """Square root of every lane."""
+    """Return the square root of every lane."""
     if value != vector:
         return None
 
@@ -224,7 +224,7 @@ def root(typing: Any, value: Any) -> Any:
 
 @instruction
 def magnitude(typing: Any, value: Any) -> Any:
-    """Absolute value of every lane."""
+    """Return the absolute value of every lane."""
     if value != vector:
         return None
 
@@ -237,7 +237,7 @@ def magnitude(typing: Any, value: Any) -> Any:
 
 @instruction
 def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c of every lane, rounded once: the same on every machine."""
+    """Return a b + c of every lane, rounded once: the same on every machine."""
     if not a == b == c == vector:
         return None
 
@@ -250,7 +250,7 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 @kernel
 def read(a: Float, row: int, column: int, count: int) -> Lanes:
-    """Up to eight values; zeros beyond `count`."""
+    """Return up to eight values; zeros beyond `count`."""
     if count == WIDTH:
         return load(a, row, column)
     return load_first(a, row, column, count)
@@ -258,7 +258,7 @@ def read(a: Float, row: int, column: int, count: int) -> Lanes:
 
 @kernel
 def write(a: Float, row: int, column: int, count: int, value: Lanes) -> None:
-    """Up to eight values."""
+    """Write up to eight values."""
     if count == WIDTH:
         store(a, row, column, value)
     else:

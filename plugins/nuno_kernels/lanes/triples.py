@@ -1,4 +1,4 @@
-"""Vectors in space, eight side by side: x, y and z of each are lanes. What is said of lanes holds for numbers too."""
+"""Vectors in space, eight side by side: x, y and z of each are lanes. Lanes may also be single numbers."""
 
 from __future__ import annotations
 
@@ -9,47 +9,47 @@ from nuno_schemas.fabric import Float, Int
 
 @kernel
 def plus(a: Triple, b: Triple) -> Triple:
-    """a + b."""
+    """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel
 def minus(a: Triple, b: Triple) -> Triple:
-    """a - b."""
+    """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
 def times(w: Lanes, a: Triple) -> Triple:
-    """w a."""
+    """Return w a."""
     return w * a[0], w * a[1], w * a[2]
 
 
 @kernel
 def dot(a: Triple, b: Triple) -> Lanes:
-    """a.b."""
+    """Return a.b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
 def cross(a: Triple, b: Triple) -> Triple:
-    """a x b."""
+    """Return a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def load_triple(a: Float, row: int, p: int) -> Triple:
-    """Three rows of `a`, from `row` on, at eight columns from p on."""
+    """Return three rows of `a`, from `row` on, at eight columns from p on."""
     return load(a, row, p), load(a, row + 1, p), load(a, row + 2, p)
 
 
 @kernel
 def read_triple(a: Float, row: int, p: int, m: int) -> Triple:
-    """The same at up to eight columns, of which there are m."""
+    """Return the same at up to eight columns, m of them."""
     return read(a, row, p, m), read(a, row + 1, p, m), read(a, row + 2, p, m)
 
 
 @kernel
 def gather_triple(a: Float, indices: Int, which: int, p: int) -> Triple:
-    """The first three rows of `a` at the columns that eight indices in row `which` name, from place p on."""
+    """Return the first three rows of `a` at the columns of eight indices in row `which`, from place p on."""
     return gather(a, 0, indices, which, p), gather(a, 1, indices, which, p), gather(a, 2, indices, which, p)

@@ -1,1 +1,1 @@
-"""Triangle meshes: files, checks, closest points, sections, limbs. What makes meshes is a plugin."""
+"""Triangle meshes: files, checks, closest points, sections, limbs. Plugins make meshes."""

@@ -1,10 +1,10 @@
 """The axis of a limb: given as points, or found from its mesh, with the girth along it.
 
-Between two ends the axis is found in two passes. First along the surface: every vertex gets the length of the
-shortest way to it over the edges from the section at the start, and the middles of its level lines are a line
-that follows any bend. Then across: planes across that line cut loops, whose centroids are the next line, a few times,
-so that what the ways over edges lack in accuracy is gone. In between the line is smoothed and its
-points set at equal distances. Not chosen: marching from plane to plane, which leaves the limb at a heel.
+Between two ends the axis is found in two passes. First along the surface: every vertex gets the length of the shortest
+way to it over the edges from the section at the start, and the middles of its level lines are a line that follows any
+bend. Then across: planes across that line cut loops, whose centroids are the next line, a few times, which removes the
+inaccuracy of ways over edges. In between the line is smoothed and its points set at equal distances. Not chosen:
+marching from plane to plane, which leaves the limb at a heel.
 
 Planes that stand askew, as those near an end off the middle or beside a flat cap do, meet the limb farther on than
 their neighbours, and the line folds back on itself. Then it is the middles of levels of a harmonic field between
@@ -29,11 +29,11 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import dot, norm
 
 ROUNDS = 4
-"""Times that planes across the line are cut."""
+"""times that planes across the line are cut"""
 SMOOTHED = 2
-"""Times that the line is smoothed by (1, 2, 1) / 4 in each round."""
+"""times that the line is smoothed by (1, 2, 1) / 4 in each round"""
 TURNS = 3
-"""Times that sections at both ends and the levels between them are found, each from the others."""
+"""times that sections at both ends and the levels between them are found, each from the others"""
 
 
 @dataclass(frozen=True)
@@ -48,33 +48,33 @@ class Centreline:
 
     @property
     def along(self) -> Float:
-        """(k,) length of the axis up to each point [m]."""
+        """Return the length of the axis up to each point (k,) [m]."""
         return lengths(self.points)
 
     def at(self, share: Float) -> Float:
-        """(m, 3) places at shares (m,) of the axis's length."""
+        """Return places (m, 3) at shares (m,) of the axis's length."""
         return place_at(self.points, np.asarray(share) * self.along[-1])
 
 
 def lengths(points: Float) -> Float:
-    """(k,) length of a line of points (k, d) up to each of them [m]."""
+    """Return the length of a line of points (k, d) up to each of them (k,) [m]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def place_at(points: Float, along: Float) -> Float:
-    """(m, 3) places on a line of points after lengths (m,) [m]."""
+    """Return places (m, 3) on a line of points after lengths (m,) [m]."""
     have = lengths(points)
     return np.stack([np.interp(along, have, points[:, c]) for c in range(3)], axis=1)
 
 
 def tangents(points: Float) -> Float:
-    """(k, 3) unit directions of a line of points, by central differences."""
+    """Return unit directions (k, 3) of a line of points, by central differences."""
     difference = np.gradient(points, lengths(points), axis=0)
     return np.asarray(difference / np.linalg.norm(difference, axis=1, keepdims=True))
 
 
 def follow_axis(x: Float, faces: Int, points: Float, tree: Tree | None = None) -> Centreline:
-    """The given axis points (k, 3) [m], at least two, with the girths of a closed mesh along them.
+    """Return the given axis points (k, 3) [m], at least two, with the girths of a closed mesh along them.
 
     Raises BadInput for points that lie outside of the mesh, or on top of each other.
     """
@@ -93,7 +93,7 @@ def follow_axis(x: Float, faces: Int, points: Float, tree: Tree | None = None) -
 
 
 def check_inside(x: Float, faces: Int, points: Float, tree: Tree | None = None) -> None:
-    """Raises BadInput for the first of points (k, 3) outside of a closed mesh, and says how far off it is."""
+    """Raise BadInput, with the distance, for the first of points (k, 3) outside of a closed mesh."""
     distance = closest_points(build_tree(x, faces) if tree is None else tree, points).distance
     if (distance >= 0.0).any():
         first = int(np.argmax(distance >= 0.0))
@@ -104,7 +104,7 @@ def check_inside(x: Float, faces: Int, points: Float, tree: Tree | None = None) 
 
 
 def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -> Centreline:
-    """The axis of a closed mesh between two places inside of it, of `count` points.
+    """Find the axis of a closed mesh between two places inside of it, of `count` points.
 
     It begins and ends with the sections across it through the two places; its points are centroids of sections, or of
     levels between them. Raises BadInput for ends outside of the mesh, and for ends that no single tube joins.
@@ -121,8 +121,8 @@ def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -
 
 
 def axis_by_planes(x: Float, faces: Int, ends: Float, tree: Tree, count: int = 64) -> Float | None:
-    """(count, 3) points of the axis between two places (2, 3) in the mesh, by planes; None if it folds back on itself
-    or leaves the mesh. Raises BadInput for ends that the surface does not join.
+    """Return points (count, 3) of the axis between two places (2, 3) in the mesh, by planes; None if it folds back on
+    itself or leaves the mesh. Raises BadInput for ends that the surface does not join.
     """
     value = way_from(x, faces, ends[0])
     last = float(value[faces[closest_points(tree, ends[1:]).face[0]]].mean())
@@ -130,7 +130,7 @@ def axis_by_planes(x: Float, faces: Int, ends: Float, tree: Tree, count: int = 6
         raise BadInput("the ends of the axis are not joined by the surface", field="axis", value=last, limit="> 0 m")
     value = np.where(np.isfinite(value), value, 2.0 * last)
     middles = np.array([loop.centroid() for loop in _level_loops(x, faces, value, last, count)])
-    # Ways reach round the ends of the limb as well: what is kept lies between the two places.
+    # Ways go round the ends of the limb as well: only the part between the two places stays.
     first, final = (int(np.argmin(np.linalg.norm(middles - end, axis=1))) for end in ends)
     line = _between(np.array([ends[0], *middles[first + 1 : final], ends[1]]), count)
     for _ in range(ROUNDS):
@@ -141,7 +141,7 @@ def axis_by_planes(x: Float, faces: Int, ends: Float, tree: Tree, count: int = 6
 
 
 def axis_by_levels(x: Float, faces: Int, ends: Float, count: int = 64) -> Float:
-    """(count, 3) points of the axis between two places (2, 3) in the mesh, by levels of a harmonic field.
+    """Return points (count, 3) of the axis between two places (2, 3) in the mesh, by levels of a harmonic field.
 
     Levels near a place that is off the middle go round it rather than round the limb: of the first field, between the
     vertices about the two places, those within a radius of a place are left out.
@@ -157,27 +157,27 @@ def axis_by_levels(x: Float, faces: Int, ends: Float, count: int = 64) -> Float:
         line = np.array([ends[0], *middles, ends[1]])
         length = float(lengths(line)[-1])
         near = place_at(line, np.array([min(width, 0.5 * length), max(length - width, 0.5 * length)]))
-        given, value = np.zeros(len(x), np.bool_), np.zeros(len(x))
+        fixed, value = np.zeros(len(x), np.bool_), np.zeros(len(x))
         for i, way in enumerate((near[0] - ends[0], ends[1] - near[1])):
             section = section_about(x, faces, ends[i], way)
             assert section is not None  # the place is inside of the mesh
-            beside = np.unique(section.edges)
-            given[beside] = True
-            value[beside] = i * length + dot(x[beside] - ends[i], way) / norm(way)
+            section_vertices = np.unique(section.edges)
+            fixed[section_vertices] = True
+            value[section_vertices] = i * length + dot(x[section_vertices] - ends[i], way) / norm(way)
             ends = np.where(np.arange(2)[:, None] == i, section.centroid(), ends)
-        loops = _level_loops(x, faces, solve_harmonic(x, faces, given, value), length, count)
+        loops = _level_loops(x, faces, solve_harmonic(x, faces, fixed, value), length, count)
         middles = np.array([loop.centroid() for loop in loops])
     return _between(np.array([ends[0], *middles, ends[1]]), count)
 
 
 def _level_loops(x: Float, faces: Int, value: Float, last: float, count: int) -> list[Loop]:
-    """The longest loop at each of `count` levels from 0 to `last` of values (n,); none where a level has no loop."""
+    """Return the longest loop at each of `count` levels from 0 to `last` of values (n,) that has a loop."""
     found = (cut_mesh(x, faces, value - last * (k + 0.5) / count) for k in range(count))
     return [max(loops, key=lambda loop: loop.girth) for loops in found if loops]
 
 
 def way_from(x: Float, faces: Int, start: Float) -> Float:
-    """(n,) length over edges [m] from the vertices about `start` as near to it as the surface is wide there.
+    """Return the length over edges (n,) [m] from the vertices about `start` as near to it as the surface is wide there.
 
     All that lie nearer than the farthest corner of the nearest triangles count as the start: a ring, if the
     start is in the middle of a tube.
@@ -194,7 +194,7 @@ def way_from(x: Float, faces: Int, start: Float) -> Float:
 
 
 def _about(x: Float, faces: Int, place: Float) -> Bool:
-    """(n,) which vertices are the nearest to a place (3,), to one and a half of the mesh's usual edges."""
+    """Return the vertices (n,) nearest to a place (3,), to one and a half of the mesh's usual edges."""
     pairs = edge_numbers(faces)[1]
     length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     away = np.linalg.norm(x - place, axis=1)
@@ -202,7 +202,7 @@ def _about(x: Float, faces: Int, place: Float) -> Bool:
 
 
 def _between(line: Float, count: int) -> Float:
-    """(count, 3) points of a line at equal distances, its ends among them."""
+    """Return points (count, 3) of a line at equal distances, its ends among them."""
     return place_at(line, np.linspace(0.0, lengths(line)[-1], count))
 
 
@@ -213,7 +213,7 @@ def _smooth(line: Float) -> Float:
 
 
 def _recentre(x: Float, faces: Int, line: Float) -> Float:
-    """Every point moved to the centroid of the section across the line there."""
+    """Move every point to the centroid of the section across the line there."""
     moved = line.copy()
     for k, (point, normal) in enumerate(zip(line, tangents(line), strict=True)):
         loop = section_about(x, faces, point, normal)

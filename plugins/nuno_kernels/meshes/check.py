@@ -16,19 +16,19 @@ from nuno_schemas.fabric import Float, Int
 
 BLOCK = 64
 ROUNDING = 1e-14
-"""Share of its terms that a volume is off by at most, with coordinates that are rounded themselves."""
+"""share of its terms that a volume is off by at most, with rounded coordinates"""
 
 
 def place_of(x: Float, scale: float | None = None) -> str:
-    """A place x (3,) [m] in words; of a file whose unit is `scale` [m] as it stands there."""
+    """Describe a place x (3,) [m], in the file's unit of `scale` [m] if given."""
     unit = "m" if scale is None else "in the file's own axes and unit"
     return f"at [{', '.join(f'{value:.6g}' for value in x / (scale or 1.0))}] {unit}"
 
 
 def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
-    """Raises BadInput, with the first edge and its place, for a mesh (n, 3), (f, 3) whose surface has a rim, more
-    than two faces at an edge, or neighbours that face opposite ways; and for one that is inside out.
-    `scale` as in `place_of`.
+    """Raise BadInput, with the first edge and its place, for a mesh (n, 3), (f, 3) whose surface has a rim, more than
+    two faces at an edge, or neighbours that face opposite ways; and for one that is inside out. `scale` as in
+    `place_of`.
     """
     numbers, pairs = edge_numbers(faces)
     count = np.bincount(numbers.reshape(-1), minlength=len(pairs))
@@ -52,13 +52,13 @@ def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
 
 
 def volume(x: Float, faces: Int) -> float:
-    """Signed volume of a closed mesh [m^3], by the divergence theorem."""
+    """Return the signed volume of a closed mesh [m^3], by the divergence theorem."""
     a, b, c = (x[faces[:, k]] - x[0] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
 def check_crossings(x: Float, faces: Int, tree: Tree | None = None) -> None:
-    """Raises BadInput, with the first two faces and the place, for a mesh that passes through itself."""
+    """Raise BadInput, with the first two faces and the place, for a mesh that passes through itself."""
     tree = build_tree(x, faces) if tree is None else tree
     other = np.full(len(faces), -1, np.int32)
     threads_available()
@@ -86,7 +86,7 @@ def edge_crosses(x: Float, p: int, q: int, face: Int) -> bool:
 
 @kernel
 def orient(a: Float, b: Float, c: Float, d: Float) -> float:
-    """Six times the volume of the tetrahedron a, b, c, d; 0 where that is no more than rounding can be.
+    """Return six times the volume of the tetrahedron a, b, c, d; 0 if that is within rounding.
 
     Neighbours in one plane neither cross nor part, whatever their corners' last digits are.
     """
@@ -103,7 +103,7 @@ def orient(a: Float, b: Float, c: Float, d: Float) -> float:
 def find_crossing(
     i: int, x: Float, faces: Int, boxes: Float, child: NDArray[np.int64], face: Int, waiting: NDArray[np.int64]
 ) -> int:
-    """The lowest number of a triangle that shares no vertex with triangle i and is crossed by one of its edges; -1."""
+    """Return the lowest triangle without a vertex of triangle i that is crossed by one of its edges; -1 for none."""
     lowest = -1
     for k in range(3):
         p, q = faces[i, k], faces[i, (k + 1) % 3]
@@ -141,7 +141,7 @@ def find_crossing(
 
 @parallel_kernel
 def find_crossings(x: Float, faces: Int, boxes: Float, child: NDArray[np.int64], face: Int, other: Int) -> None:
-    """other (f,) int32: for each triangle the one of `find_crossing`."""
+    """Write other (f,) int32: for each triangle that of `find_crossing`."""
     for block in prange((faces.shape[0] + BLOCK - 1) // BLOCK):
         waiting = np.empty(DEPTH, np.int64)
         for i in range(block * BLOCK, min((block + 1) * BLOCK, faces.shape[0])):
@@ -149,7 +149,7 @@ def find_crossings(x: Float, faces: Int, boxes: Float, child: NDArray[np.int64],
 
 
 def crossing_notes(x: Float, faces: Int) -> tuple[str, ...]:
-    """A word on a mesh that passes through itself, for those who take it all the same."""
+    """Describe a mesh that passes through itself, for contact that accepts it."""
     try:
         check_crossings(x, faces)
     except BadInput as error:

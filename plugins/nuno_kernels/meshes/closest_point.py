@@ -36,14 +36,14 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 256
-"""Queries handled together."""
+"""queries handled together"""
 FARTHEST = 1e154
-"""Coordinates beyond this have no square."""
+"""coordinates beyond this have no square"""
 
 
 @forced_inline
 def leaf_distances(px: float, py: float, pz: float, corners: Float, leaf: int) -> Lanes:
-    """Squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
+    """Return squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
     row = 9 * leaf
     zero, one = splat(0.0), splat(1.0)
     ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
@@ -73,7 +73,7 @@ def leaf_distances(px: float, py: float, pz: float, corners: Float, leaf: int) -
 
 @forced_inline
 def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -> tuple[float, int]:
-    """(squared distance, place) of the best so far and a leaf's eight triangles."""
+    """Return (squared distance, place) of the best so far and a leaf's eight triangles."""
     bits = lanes_up_to(values, best)
     while bits != 0:
         j = first_lane(bits)
@@ -86,7 +86,7 @@ def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -
 
 @forced_inline
 def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> Lanes:
-    """Squared distances [m^2] of a point to the boxes of a node's eight children, as a vector."""
+    """Return squared distances [m^2] of a point to the boxes of a node's eight children, as a vector."""
     zero, row = splat(0.0), 6 * node
     x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
     y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
@@ -97,30 +97,30 @@ def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> L
 
 @forced_inline
 def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
-    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`.
+    """Return the place of the nearest triangle of the tree from node `root` on, starting with that in place `start`.
 
-    It goes up from that leaf to the root, and at each node lets those of the other children wait that are near enough:
-    if the start is good, hardly any. Which nodes are on the way up is known beforehand, so that the processor works on
+    The search goes up from that leaf to the root, and at each node queues those of the other children that are near
+    enough: if the start is good, hardly any. Nodes on the way up are known beforehand, so that the processor works on
     several at once; on a way down each is known only after the one before. From a bad start, of whose neighbours all
-    are near enough, it goes down from the root: there the nearest are told apart first.
+    are near enough, it goes down from the root: there the nearest are distinguished first.
     """
     px, py, pz = p
     boxes, child, corners, face, waiting, bound = (
         tree.boxes, tree.child, tree.corners, tree.face, room.waiting, room.bound
     )  # fmt: skip
-    own = start // WIDTH
-    values = leaf_distances(px, py, pz, corners, own)
-    best, which = take_nearest(values, own, face, lane(values, start % WIDTH), start)
-    node, top = tree.leaf_parent[own], 0
-    known = 1 << (own + child[node] + 1)
+    start_leaf = start // WIDTH
+    values = leaf_distances(px, py, pz, corners, start_leaf)
+    best, which = take_nearest(values, start_leaf, face, lane(values, start % WIDTH), start)
+    node, top = tree.leaf_parent[start_leaf], 0
+    visited = 1 << (start_leaf + child[node] + 1)
     if lanes_up_to(box_distances(px, py, pz, boxes, node), best) == EVERY:
-        node, known = root, 0
+        node, visited = root, 0
     while node >= 0:
         away = box_distances(px, py, pz, boxes, node)
-        top = push_children(away, lanes_up_to(away, best) & ~known, child[node], waiting, bound, top)
+        top = push_children(away, lanes_up_to(away, best) & ~visited, child[node], waiting, bound, top)
         below, node = node, tree.parent[node]
         if node >= 0:
-            known = 1 << (below - child[node])
+            visited = 1 << (below - child[node])
     while top > 0:
         top -= 1
         if bound[top] > best:
@@ -137,14 +137,14 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
 
 @forced_inline
 def clamp(value: float) -> float:
-    """`value` in [0, 1]; 0 for NaN."""
+    """Clamp `value` to [0, 1]; 0 for NaN."""
     return min(value, 1.0) if value > 0.0 else 0.0
 
 
 @forced_inline
 def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -> tuple[float, float, int]:
-    """Coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and where it lies:
-    0 inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
+    """Return coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and its feature: 0
+    inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
     """
     row, j = 9 * (place // WIDTH), place % WIDTH
     ax, ay, az = px - corners[row, j], py - corners[row + 1, j], pz - corners[row + 2, j]
@@ -184,8 +184,8 @@ def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -
 
 
 class Answer(NamedTuple):
-    """What is nearest to a point: a triangle's place, where in it (s, t), that point [m], the signed distance [m], and
-    the pseudonormal there, of any length.
+    """The closest point: its triangle's place, its coordinates there (s, t), the point [m], the signed distance [m],
+    and the pseudonormal there, of any length.
     """
 
     place: int
@@ -198,7 +198,7 @@ class Answer(NamedTuple):
 
 @forced_inline
 def closest(p: Vector, start: int, root: int, tree: Tree, room: Room) -> Answer:
-    """What is nearest to a point of the tree from node `root` on, the search starting in place `start`."""
+    """Return the closest point of the tree from node `root` on, the search starting in place `start`."""
     px, py, pz = p
     corners, face = tree.corners, tree.face
     place = find_place(p, start, root, tree, room)
@@ -241,7 +241,7 @@ class Closest(NamedTuple):
 
 @block_kernel
 def find_block(block: int, points: Float, start: Int, tree: Tree, room: Room, found: Closest) -> None:
-    """The closest points of a block of points (n, 3)."""
+    """Find the closest points of a block of points (n, 3)."""
     (point, face, weights, distance), last = found, 0
     for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
         first = tree.place[start[i]] if start[i] >= 0 else last
@@ -254,18 +254,17 @@ def find_block(block: int, points: Float, start: Int, tree: Tree, room: Room, fo
 
 @parallel_kernel
 def find_closest(points: Float, start: Int, tree: Tree, found: Closest) -> None:
-    """`find_block` for all blocks on several threads. numba takes a loop for dead that itself writes into a tuple."""
+    """Call `find_block` for all blocks, in parallel. numba drops a loop as dead that itself writes into a tuple."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
         find_block(block, points, start, tree, make_room(), found)
 
 
 def closest_points(tree: Tree, points: Float, start: Int | None = None, threads: int | None = None) -> Closest:
-    """The closest points of a mesh to points (n, 3) [m].
+    """Return the closest points of a mesh to points (n, 3) [m].
 
     `start` (n,) are the triangles that the search begins with, as of the last time: a good guess bounds it, and a bad
-    one costs time only. Without, each point's is that of the point before. `threads` are all that there are unless
-    given; the same bits with any.
-    Raises BadInput for points that are not finite.
+    one costs time only. By default each point's is that of the point before. `threads`: all by default; the same bits
+    with any. Raises BadInput for points that are not finite.
     """
     points = np.ascontiguousarray(points, np.float64)
     bad = ~(np.abs(points) <= FARTHEST).all(axis=1)

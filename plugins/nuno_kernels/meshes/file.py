@@ -1,4 +1,4 @@
-"""Triangle meshes from OBJ, PLY, STL and GLB files, checked, and mended where asked to."""
+"""Triangle meshes from OBJ, PLY, STL and GLB files, checked, and mended if requested."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
 KINDS = tuple(READERS)
 LARGEST_FILE = 1 << 30
 SEAM = 1e-6
-"""Share of the extent that the two sides of a seam lie apart at most: files keep seven digits."""
+"""largest distance of the two sides of a seam, as a share of the extent: files keep seven digits"""
 
 
 def load_surface(path: Path) -> tuple[Float, Int]:
-    """Vertices (n, 3) and triangles (f, 3) of a file as they stand there. Raises BadInput."""
+    """Return vertices (n, 3) and triangles (f, 3) of a file as they stand there. Raises BadInput."""
     mesh = load_mesh(path)
     return mesh.points, mesh.faces
 
@@ -36,8 +36,8 @@ def load_surface(path: Path) -> tuple[Float, Int]:
 def read_closed(
     path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
 ) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], seen from outside
-    counter-clockwise.
+    """Return vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], counter-clockwise from
+    outside.
 
     Vertices at the same place become one where the file's own numbers leave the surface open (STL has no other way to
     share them), triangles without area and vertices without triangle are left out. To `mend` also turns triangles that
@@ -59,7 +59,7 @@ def read_closed(
 def read_mesh(
     path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
 ) -> tuple[Float, Int]:
-    """As `read_closed`, of a file whose surface may have holes."""
+    """Read as `read_closed` a file whose surface may have holes."""
     try:
         points, triangles = load(path)
         x, faces = clean_mesh(points, triangles, scale)
@@ -70,7 +70,7 @@ def read_mesh(
 
 
 def load_mesh(path: Path, kinds: tuple[str, ...] = KINDS) -> RawMesh:
-    """What a file holds as it stands there. Raises BadInput for another kind of file, and one that cannot be read."""
+    """Read a file as it stands. Raises BadInput for another kind of file, and one that cannot be read."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in kinds:
         limit = ", ".join(f".{name}" for name in kinds)
@@ -82,33 +82,33 @@ def load_mesh(path: Path, kinds: tuple[str, ...] = KINDS) -> RawMesh:
 
 
 def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:
-    """The same surface, `scale` times as large, without repeated and unused vertices and triangles without area.
+    """Return the surface, `scale` times as large, without repeated and unused vertices and triangles without area.
 
     Raises BadInput where nothing is left, and for a vertex without a place.
     """
-    kept, faces = find_vertices(x, faces)
-    return np.ascontiguousarray(x[kept] * scale), faces
+    vertices, faces = find_vertices(x, faces)
+    return np.ascontiguousarray(x[vertices] * scale), faces
 
 
 def find_vertices(x: Float, faces: Int) -> tuple[Int, Int]:
-    """The vertices (m,) of x (n, 3) that `clean_mesh` leaves, ascending, and its faces (f, 3). Raises BadInput."""
+    """Return the vertices (m,) of x (n, 3) that remain, ascending, and the faces (f, 3). Raises BadInput."""
     if len(faces) == 0:
         raise BadInput("the mesh has no triangles", field="file")
     bad = ~np.isfinite(x).all(axis=1)
     if bad.any():
         raise BadInput("not a finite position", field=f"vertex {int(np.argmax(bad))}", value=place_of(x[bad][0]))
-    kept, joined = join_vertices(x, faces)
-    own = kept[joined[faces]].astype(np.int32)
-    own = own[(own != np.roll(own, 1, axis=1)).all(axis=1)]
-    own = own[(face_normals(x, own) != 0.0).any(axis=1)]
-    if len(own) == 0:
+    remaining, joined = join_vertices(x, faces)
+    triangles = remaining[joined[faces]].astype(np.int32)
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    triangles = triangles[(face_normals(x, triangles) != 0.0).any(axis=1)]
+    if len(triangles) == 0:
         raise BadInput("no triangle of the mesh has an area", field="file")
-    used, numbers = np.unique(own, return_inverse=True)
+    used, numbers = np.unique(triangles, return_inverse=True)
     return used, numbers.reshape(-1, 3).astype(np.int32)
 
 
 def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Of vertices x (n, 3) those that stay, ascending, and which (n,) of these each becomes.
+    """Return the vertices that stay, ascending, and which (n,) of these each becomes.
 
     Those at one place become one on the surface's rim alone, as where a file cuts it along the seams of its texture,
     or into single triangles; and the ends of an edge without length. Where the surface is closed by its own numbers,
@@ -116,7 +116,7 @@ def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.i
     """
     _, first, place = np.unique(x, axis=0, return_index=True, return_inverse=True)
     place = place.reshape(-1)
-    own = np.arange(len(x))
+    target = np.arange(len(x))
     if len(first) < len(x):
         numbers, pairs = edge_numbers(faces)
         short = pairs[place[pairs[:, 0]] == place[pairs[:, 1]]]
@@ -125,21 +125,21 @@ def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.i
 
         links = coo_array((np.ones(len(short)), (short[:, 0], short[:, 1])), shape=(len(x), len(x)))
         _, group = connected_components(links, directed=False)
-        own = np.unique(group, return_index=True)[1][group]
-        whole = own[faces][(own[faces] != np.roll(own[faces], 1, axis=1)).all(axis=1)]
+        target = np.unique(group, return_index=True)[1][group]
+        whole = target[faces][(target[faces] != np.roll(target[faces], 1, axis=1)).all(axis=1)]
         numbers, pairs = edge_numbers(whole)
         rim = pairs[np.bincount(numbers.reshape(-1), minlength=len(pairs)) == 1].reshape(-1)
-        alone = np.setdiff1d(own, whole)  # of no triangle, or of such without area
-        loose = np.isin(own, np.concatenate([rim, alone]))
+        alone = np.setdiff1d(target, whole)  # of no triangle, or of those without area
+        loose = np.isin(target, np.concatenate([rim, alone]))
         lowest = np.full(len(first), len(x))
-        np.minimum.at(lowest, place[loose], own[loose])
-        own = np.where(loose, lowest[place], own)
-    kept, joined = np.unique(own, return_inverse=True)
-    return kept, joined.reshape(-1)
+        np.minimum.at(lowest, place[loose], target[loose])
+        target = np.where(loose, lowest[place], target)
+    remaining, joined = np.unique(target, return_inverse=True)
+    return remaining, joined.reshape(-1)
 
 
 def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:
-    """The mesh with the sides of its seams joined, its normals outwards and its holes filled, as far as trimesh can."""
+    """Close the mesh's seams, turn its normals outwards and fill its holes, as far as trimesh can."""
     import trimesh
 
     x, faces = join_seams(x, faces)
@@ -151,7 +151,7 @@ def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:
 
 
 def join_seams(x: Float, faces: Int) -> tuple[Float, Int]:
-    """The mesh with vertices on its rim at one place, that of the first, where they lie nearly there."""
+    """Join vertices on the mesh's rim at nearly one place, that of the first."""
     numbers, pairs = edge_numbers(faces)
     rim = np.unique(pairs[np.bincount(numbers.reshape(-1), minlength=len(pairs)) == 1])
     if not rim.size:

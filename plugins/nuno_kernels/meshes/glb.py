@@ -26,19 +26,19 @@ HARMLESS = (
     "KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_",
     "MSFT_texture_",
 )  # fmt: skip
-"""Extensions that begin so are read, or change nothing of where a surface is."""
+"""prefixes of extensions that are read, or change nothing of where a surface is"""
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 MOST_ROWS = 1 << 24
-"""Of an array that is zero but for what a sparse one says."""
+"""most rows of an array that is zero but for a sparse one's entries"""
 REPEATED = "EXT_mesh_gpu_instancing"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A primitive of a node, in the scene.
+    """A primitive of a node in the scene.
 
-    node: its number; points (n, 3) [m]; faces (f, 3); joint (n, w) int64 the nodes that carry each point and weight
-    (n, w) how much, summing to 1; None of a mesh without a skin
+    node: its number; points (n, 3) [m]; faces (f, 3); joint (n, w) int64 the nodes that carry each point and weight (n,
+    w) how much, summing to 1; None of a mesh without a skin
     """
 
     node: int
@@ -57,7 +57,7 @@ def read_glb(data: bytes) -> RawMesh:
 
 
 def join_parts(parts: list[Part]) -> RawMesh:
-    """One mesh of all, in their order."""
+    """Join all parts into one mesh, in order."""
     before = np.cumsum([0, *(len(part.points) for part in parts)])
     faces = [part.faces + at for part, at in zip(parts, before, strict=False)]
     return RawMesh(
@@ -67,10 +67,10 @@ def join_parts(parts: list[Part]) -> RawMesh:
 
 
 def open_glb(data: bytes) -> tuple[Any, bytes]:
-    """The JSON and the bytes of a GLB file.
+    """Return the JSON and the bytes of a GLB file.
 
     Raises BadInput for an extension that moves or packs what is in it and is not read here, LookupError, TypeError or
-    ValueError for what does not hold together.
+    ValueError for an inconsistent file.
     """
     found, at = {}, 12
     if data[:4] != b"glTF":
@@ -79,58 +79,58 @@ def open_glb(data: bytes) -> tuple[Any, bytes]:
         length, kind = struct.unpack_from("<I4s", data, at)
         found[kind] = data[at + 8 : at + 8 + length]
         at += 8 + length
-    said = json.loads(found[b"JSON"])
-    for name in (*said.get("extensionsUsed", ()), *said.get("extensionsRequired", ())):
+    document = json.loads(found[b"JSON"])
+    for name in (*document.get("extensionsUsed", ()), *document.get("extensionsRequired", ())):
         if name in PACKED:
             problem, remedy = "the mesh is compressed, which is not read", "export it anew, uncompressed"
             raise BadInput(problem, field="file", value=name, remedy=remedy)
-        if name == REPEATED or (name in said.get("extensionsRequired", ()) and not name.startswith(HARMLESS)):
+        if name == REPEATED or (name in document.get("extensionsRequired", ()) and not name.startswith(HARMLESS)):
             problem, remedy = "the file needs an extension of glTF that is not read", f"export it without {name}"
             raise BadInput(problem, field="file", value=name, remedy=remedy)
-    return said, found.get(b"BIN\0", b"")
+    return document, found.get(b"BIN\0", b"")
 
 
-def read_parts(said: Any, data: bytes) -> Iterator[Part]:
-    """Triangles of the nodes of the scene that is shown, in the order of nodes.
+def read_parts(document: Any, data: bytes) -> Iterator[Part]:
+    """Yield the parts of the nodes of the scene that is shown, in the order of nodes.
 
     Raises LookupError, TypeError or ValueError for what does not hold together.
     """
-    nodes = said.get("nodes", [])
-    world, shown = find_places(nodes), _shown(said)
+    nodes = document.get("nodes", [])
+    world, shown = find_places(nodes), _shown(document)
     for k in (k for k in shown if "mesh" in nodes[k]):
-        mesh = said["meshes"][nodes[k]["mesh"]]
+        mesh = document["meshes"][nodes[k]["mesh"]]
         for part in mesh["primitives"]:
             if part.get("mode", 4) not in (4, 5, 6):
                 continue  # points and lines
             named = part["attributes"]
-            points = read_array(said, data, named["POSITION"])
+            points = read_array(document, data, named["POSITION"])
             morph = nodes[k].get("weights", mesh.get("weights", ()))
             for amount, target in zip(morph, part.get("targets", ()), strict=False):
                 if amount and "POSITION" in target:
-                    points = points + amount * read_array(said, data, target["POSITION"])
+                    points = points + amount * read_array(document, data, target["POSITION"])
             own = np.arange(len(points))
             if "indices" in part:
-                own = read_array(said, data, part["indices"]).astype(np.int64).ravel()
+                own = read_array(document, data, part["indices"]).astype(np.int64).ravel()
             if not 0 <= own.min(initial=0) <= own.max(initial=0) < len(points):
                 raise ValueError("triangles of vertices that are not there")
             faces = _faces(own, part.get("mode", 4))
             if "skin" not in nodes[k]:
-                faces = faces[:, ::-1] if np.linalg.det(world[k][:3, :3]) < 0.0 else faces  # it is seen in a mirror
+                faces = faces[:, ::-1] if np.linalg.det(world[k][:3, :3]) < 0.0 else faces  # a mirrored node
                 yield Part(k, points @ world[k][:3, :3].T + world[k][:3, 3], faces, None, None)
                 continue
-            skin = said["skins"][nodes[k]["skin"]]
+            skin = document["skins"][nodes[k]["skin"]]
             carriers = np.array(skin["joints"], np.int64)
             sets = range(sum(name.startswith("JOINTS_") for name in named))
-            joint = np.concatenate([read_array(said, data, named[f"JOINTS_{j}"]) for j in sets], axis=1).astype(int)
-            weight = np.concatenate([read_array(said, data, named[f"WEIGHTS_{j}"]) for j in sets], axis=1)
+            joint = np.concatenate([read_array(document, data, named[f"JOINTS_{j}"]) for j in sets], axis=1).astype(int)
+            weight = np.concatenate([read_array(document, data, named[f"WEIGHTS_{j}"]) for j in sets], axis=1)
             total = weight.sum(axis=1, keepdims=True)
             if not (total > 0.0).all():
                 raise ValueError(f"no joint carries the vertex {place_of(points[int(total.argmin())])}")
             weight = weight / total
             moved = np.stack([world[node] for node in carriers.tolist()])
             if "inverseBindMatrices" in skin:
-                # Matrices are written column by column.
-                bound = read_array(said, data, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
+                # Matrices are stored column by column.
+                bound = read_array(document, data, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
                 moved = moved @ bound[: len(carriers)].transpose(0, 2, 1)
             placed = np.zeros_like(points)
             for share, of in zip(weight.T, joint.T, strict=True):
@@ -139,12 +139,12 @@ def read_parts(said: Any, data: bytes) -> Iterator[Part]:
             yield Part(k, placed, faces, carriers[joint], weight)
 
 
-def _shown(said: Any) -> list[int]:
-    """The nodes of the scene that is shown, ascending; all, where the file has none."""
-    nodes, scenes = said.get("nodes", []), said.get("scenes")
+def _shown(document: Any) -> list[int]:
+    """Return the nodes of the scene that is shown, ascending; all if the file has none."""
+    nodes, scenes = document.get("nodes", []), document.get("scenes")
     if not scenes:
         return list(range(len(nodes)))
-    waiting, found = list(scenes[said.get("scene", 0)].get("nodes", ())), set[int]()
+    waiting, found = list(scenes[document.get("scene", 0)].get("nodes", ())), set[int]()
     while waiting:
         node = waiting.pop()
         if node not in found:
@@ -154,7 +154,7 @@ def _shown(said: Any) -> list[int]:
 
 
 def _faces(own: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """(f, 3) of a list of triangles, a strip or a fan."""
+    """Return triangles (f, 3) of a list of triangles, a strip or a fan."""
     if mode == 4:
         return own.reshape(-1, 3)
     if mode == 6:
@@ -164,26 +164,26 @@ def _faces(own: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     return faces
 
 
-def read_array(said: Any, data: bytes, number: int) -> Float:
-    """The rows (n, w) of an accessor, as numbers."""
-    accessor = said["accessors"][number]
+def read_array(document: Any, data: bytes, number: int) -> Float:
+    """Return the rows (n, w) of an accessor, as numbers."""
+    accessor = document["accessors"][number]
     width, rows = WIDTHS[accessor["type"]], accessor["count"]
     if "bufferView" not in accessor and rows > MOST_ROWS:
         raise ValueError(f"an array of {rows} rows that are not in it")
-    found = _rows(said, data, accessor, rows, width) if "bufferView" in accessor else np.zeros((rows, width))
+    found = _rows(document, data, accessor, rows, width) if "bufferView" in accessor else np.zeros((rows, width))
     if "sparse" in accessor:
         sparse = accessor["sparse"]
-        place = _rows(said, data, sparse["indices"], sparse["count"], 1).astype(int)[:, 0]
+        place = _rows(document, data, sparse["indices"], sparse["count"], 1).astype(int)[:, 0]
         values = sparse["values"] | {"componentType": accessor["componentType"]}
-        found[place] = _rows(said, data, values, sparse["count"], width)
+        found[place] = _rows(document, data, values, sparse["count"], width)
     kind = np.dtype(TYPES[accessor["componentType"]])
     return np.maximum(found / np.iinfo(kind).max, -1.0) if accessor.get("normalized") and kind.kind in "iu" else found
 
 
-def _rows(said: Any, data: bytes, array: Any, rows: int, width: int) -> Float:
-    """Rows (n, w) of an accessor, or of a part of one, from its buffer."""
-    view = said["bufferViews"][array["bufferView"]]
-    if view.get("buffer", 0) != 0 or "uri" in said["buffers"][0]:
+def _rows(document: Any, data: bytes, array: Any, rows: int, width: int) -> Float:
+    """Return rows (n, w) of an accessor, or of a part of one, from its buffer."""
+    view = document["bufferViews"][array["bufferView"]]
+    if view.get("buffer", 0) != 0 or "uri" in document["buffers"][0]:
         raise ValueError("it has arrays in other files, which are not read")
     kind = np.dtype("<" + TYPES[array["componentType"]])
     start = view.get("byteOffset", 0) + array.get("byteOffset", 0)
@@ -195,7 +195,7 @@ def _rows(said: Any, data: bytes, array: Any, rows: int, width: int) -> Float:
 
 
 def find_places(nodes: Any) -> dict[int, Float]:
-    """(4, 4) of each node in the scene. Raises ValueError for nodes that hang on each other."""
+    """Return the matrix (4, 4) of each node in the scene. Raises ValueError for nodes in a cycle."""
     parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
     found: dict[int, Float] = {}
     for k in range(len(nodes)):
@@ -207,7 +207,7 @@ def find_places(nodes: Any) -> dict[int, Float]:
 
 
 def way_up(node: int, parents: dict[int, int]) -> list[int]:
-    """A node, its parent, and so on. Raises ValueError for nodes that hang on each other."""
+    """Return a node, its parent, and so on. Raises ValueError for nodes in a cycle."""
     way = [node]
     while way[-1] in parents:
         way.append(parents[way[-1]])
@@ -217,7 +217,7 @@ def way_up(node: int, parents: dict[int, int]) -> list[int]:
 
 
 def _local(node: Any) -> Float:
-    """(4, 4) of a node in its parent."""
+    """Return the matrix (4, 4) of a node in its parent."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     matrix, (x, y, z, w) = np.eye(4), node.get("rotation", (0.0, 0.0, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""A harmonic field on a triangle mesh: as smooth as the values that are given on some vertices allow.
+"""A harmonic field on a triangle mesh: as smooth as the given values on some vertices allow.
 
 With linear elements the field solves sum_j w_ij (u_i - u_j) = 0 on every other vertex, w_ij = (cot a + cot b) / 2 of
 the two angles opposite to the edge (U. Pinkall, K. Polthier, Computing discrete minimal surfaces and their conjugates,
@@ -18,14 +18,14 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
 LEAST = 1e-3
-"""Least weight of an edge; equilateral triangles have 0.58."""
+"""least weight of an edge; equilateral triangles have 0.58"""
 ACCURACY = 1e-8
-"""Residual that the solution is left with, as a share of that at the start."""
+"""residual of the solution, as a share of that at the start"""
 ROUNDS = 20_000
 
 
 def edge_weights(x: Float, faces: Int) -> tuple[Int, Float]:
-    """(e, 2) edges of a mesh and their weights (e,), `LEAST` at least."""
+    """Return edges (e, 2) of a mesh and their weights (e,), `LEAST` at least."""
     numbers, pairs = edge_numbers(faces)
     corner = x[faces]
     weight = np.zeros(len(pairs))
@@ -38,30 +38,30 @@ def edge_weights(x: Float, faces: Int) -> tuple[Int, Float]:
     return pairs, np.maximum(weight, LEAST)
 
 
-def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
-    """(n,) the field that is `value` on the vertices `given` (n,) and harmonic elsewhere.
+def solve_harmonic(x: Float, faces: Int, fixed: Bool, value: Float) -> Float:
+    """Return the field (n,) that is `value` on the vertices `fixed` (n,) and harmonic elsewhere.
 
     Vertices that no edges join to a given one stay 0. Raises BadInput for a mesh on which it is not found.
     """
     pairs, weight = edge_weights(x, faces)
-    used = ~(given[pairs[:, 0]] & given[pairs[:, 1]])
+    used = ~(fixed[pairs[:, 0]] & fixed[pairs[:, 1]])
     (i, j), w, n = pairs[used].T, weight[used], len(x)
     diagonal = np.maximum(np.bincount(i, w, n) + np.bincount(j, w, n), LEAST)
 
     def apply(u: Float) -> Float:
         return np.asarray(diagonal * u - np.bincount(i, w * u[j], n) - np.bincount(j, w * u[i], n))
 
-    u = np.where(given, value, 0.0)
-    residual = np.where(given, 0.0, -apply(u))
+    u = np.where(fixed, value, 0.0)
+    residual = np.where(fixed, 0.0, -apply(u))
     what = "smooth field was found on the mesh, from which a limb's rows follow"
-    return solve_gradients(lambda p: np.where(given, 0.0, apply(p)), diagonal, residual, u, ACCURACY, ROUNDS, what)
+    return solve_gradients(lambda p: np.where(fixed, 0.0, apply(p)), diagonal, residual, u, ACCURACY, ROUNDS, what)
 
 
 def solve_gradients(
     apply: Callable[[Float], Float], diagonal: Float, residual: Float, u: Float, accuracy: float, rounds: int, what: str
 ) -> Float:
-    """Conjugate gradients, preconditioned with the diagonal, from u (n,) or (n, k) on, of each column; a symmetric
-    positive definite matrix is what `apply` multiplies by it.
+    """Solve by conjugate gradients, preconditioned with the diagonal, from u (n,) or (n, k) on, for each column;
+    `apply` multiplies by a symmetric positive definite matrix.
 
     Ends when each residual is no more than so small a share of its first; raises BadInput, for a mesh that has no
     `what`, after so many rounds. Not a factorisation, whose bits differ between processors.

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from nuno_schemas.fabric import Bool, Float, Int
 
 Field = Callable[[Float, Float, Float], Float]
-"""A function (x, y, z) [m], arrays that broadcast, -> about the signed distance [m], negative inside."""
+"""a function (x, y, z) [m], arrays that broadcast, -> about the signed distance [m], negative inside"""
 ROUNDS = 7
-"""Steps of Newton's method; before all but the last two, vertices are evened out."""
+"""steps of Newton's method; before all but the last two, vertices are evened out"""
 SLIGHT = 1e-6
-"""Of the largest value, what nodes have that are put inside: the surface passes close by them."""
+"""share of the largest value that nodes put inside get: the surface passes close by them"""
 STEP = 1e-5
-"""Of the differences by which a field's gradient is found [m]."""
+"""step of the differences for a field's gradient [m]"""
 
 
 def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3), outwards, of field = 0 in the box from low to high (3,).
+    """Return vertices (n, 3) [m] and triangles (f, 3), outwards, of field = 0 in the box from low to high (3,).
 
     The box must hold the whole surface, and cells of `spacing` [m] must resolve it: two sheets of it that cross one
     cell may be joined there.
@@ -47,22 +47,22 @@ def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tu
 
 
 def net_of(value: Float, low: Float, spacing: float) -> tuple[Float, Int]:
-    """Vertices (n, 3) [m] and triangles (f, 3), outwards, of the surface on which values (i, j, k) at the nodes of a
-    grid are zero, no nearer to it than a cell. They are below zero inside, and not so on the grid's outside.
+    """Return vertices (n, 3) [m] and triangles (f, 3), outwards, of the surface on which values (i, j, k) at the nodes
+    of a grid are zero, no nearer to it than a cell. Values are negative inside, and nonnegative on the grid's outside.
     """
     x, quads = _net(_without_pinches(value))
     return low + spacing * x, _cut(x, quads)
 
 
 def find_gradient(field: Field, x: Float) -> Float:
-    """(n, 3) gradient of a field at places x (n, 3) [m], by central differences."""
+    """Return the gradient (n, 3) of a field at places x (n, 3) [m], by central differences."""
     steps = STEP * np.eye(3)
     return np.stack([(field(*(x + step).T) - field(*(x - step).T)) / (2.0 * STEP) for step in steps], axis=1)
 
 
 def _without_pinches(value: Float) -> Float:
-    """Values (i, j, k) of which some more are below zero, so that the net is a surface: no square of the grid, and no
-    cube, has just two opposite corners inside, or outside, where two sheets would share a cell.
+    """Lower some values (i, j, k) below zero so that the net is a surface: no square of the grid, and no cube, has just
+    two opposite corners inside, or outside, where two sheets would share a cell.
     """
     inside = value < 0.0
     while True:
@@ -84,7 +84,7 @@ def _without_pinches(value: Float) -> Float:
 
 
 def _halves(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Views of all but the last, and of all but the first, along an axis."""
+    """Return views of all but the last, and of all but the first, along an axis."""
     n = values.shape[axis]
     index = [slice(None)] * values.ndim
     first, last = index.copy(), index
@@ -93,12 +93,12 @@ def _halves(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]
 
 
 def _corners(values: NDArray[Any], one: int, other: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Views of the four corners of each square along two axes."""
+    """Return views of the four corners of each square along two axes."""
     return [_halves(half, other) for half in _halves(values, one)]
 
 
 def _net(value: Float) -> tuple[Float, Int]:
-    """Vertices (n, 3), in cells from the grid's first node, and quads (q, 4) of values (i, j, k) at the nodes."""
+    """Return vertices (n, 3), in cells from the first node, and quads (q, 4) of values (i, j, k) at the nodes."""
     inside = value < 0.0
     total, count = np.zeros((*(n - 1 for n in value.shape), 3)), np.zeros([n - 1 for n in value.shape], int)
     crossed = []
@@ -123,7 +123,7 @@ def _net(value: Float) -> tuple[Float, Int]:
 
 
 def _quads(number: Int, cut: Bool, inside: Bool, axis: int) -> Int:
-    """(q, 4) vertices about the crossed edges along an axis, counter-clockwise seen from outside."""
+    """Return vertices (q, 4) about the crossed edges along an axis, counter-clockwise seen from outside."""
     one, other = (axis + 1) % 3, (axis + 2) % 3
     at = np.stack(np.nonzero(cut), axis=1)
     corners = []
@@ -137,7 +137,7 @@ def _quads(number: Int, cut: Bool, inside: Bool, axis: int) -> Int:
 
 
 def _even(x: Float, quads: Int, normal: Float) -> Float:
-    """Vertices moved halfway to the mean of their neighbours, across the normals (n, 3) of any length."""
+    """Move vertices halfway to the mean of their neighbours, across the normals (n, 3) of any length."""
     ends = np.concatenate([quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1)])
     others = np.concatenate([np.roll(quads, -1, axis=1).reshape(-1), quads.reshape(-1)])
     count = np.bincount(ends, minlength=len(x))
@@ -148,7 +148,7 @@ def _even(x: Float, quads: Int, normal: Float) -> Float:
 
 
 def _cut(x: Float, quads: Int) -> Int:
-    """Two triangles of each quad, along its shorter diagonal."""
+    """Return two triangles of each quad, along its shorter diagonal."""
     a, b, c, d = quads.T
     short = np.linalg.norm(x[a] - x[c], axis=1) <= np.linalg.norm(x[b] - x[d], axis=1)
     first = np.where(short[:, None], np.stack([a, b, c], 1), np.stack([a, b, d], 1))

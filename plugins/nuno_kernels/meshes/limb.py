@@ -24,13 +24,13 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import dot, norm
 
 SAMPLES, AROUND = 160, 32
-"""Rings, and points of each, from which heights are found."""
+"""rings, and points of each, from which heights are found"""
 ENDS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
-"""Shares of the limb's length over the surface at which the automatic axis may begin and end."""
+"""shares of the limb's length over the surface at which the automatic axis may begin and end"""
 DEEP = 0.4
-"""It does so where the limb is round: its middle so many radii, girth / (2 pi), below the surface at least."""
+"""least depth of the axis's ends below the surface, in radii girth / (2 pi)"""
 FINER = 3
-"""Times that edges are halved, at most, where the mesh has none between the two ends."""
+"""most halvings of edges, if the mesh has none between the two ends"""
 TIP, DRAWN = 0.02, 0.2
 """The first ring towards a tip is that of a level so near to it, as a share of the way to the first section, drawn
 together to this share and moved beyond the tip, by as much as the tip lies beyond the level."""
@@ -51,7 +51,7 @@ class Rows:
 
 
 def find_limb(x: Float, faces: Int) -> Centreline:
-    """The axis of a mesh that is one limb, from its thinner end to the other, found from the mesh alone.
+    """Find the axis of a mesh that is one limb, from its thinner end to the other, from the mesh alone.
 
     Its ends are about the two vertices farthest apart over the surface. Where the limb ends in a flat cap, such a
     vertex is on its rim, and levels of the way from there stand askew; those of the way from the other end do not.
@@ -67,13 +67,13 @@ def find_limb(x: Float, faces: Int) -> Centreline:
 
 
 def _round_places(x: Float, faces: Int, ways: list[Float], tree: Tree) -> Float:
-    """(2, 3) where the axis begins, the thinner end, and where it ends, by the way (n,) from each end [m]."""
+    """Return the axis's beginning, the thinner end, and its end (2, 3), by the way (n,) from each end [m]."""
     loops = sorted((_round_place(x, faces, way, tree) for way in ways), key=lambda loop: loop.girth)
     return np.array([loop.centroid() for loop in loops])
 
 
 def _round_place(x: Float, faces: Int, way: Float, tree: Tree) -> Loop:
-    """The first level of the way (n,) from an end round a middle that lies deep enough."""
+    """Return the first level of the way (n,) from an end round a middle that lies deep enough."""
     length = float(way[np.isfinite(way)].max())
     for share in ENDS:
         level = np.where(np.isfinite(way), way, 2.0 * length) - share * length
@@ -91,7 +91,7 @@ def _farthest(x: Float, faces: Int, vertex: int) -> int:
 
 
 def lay_rows(x: Float, faces: Int, line: Float, rows: int, columns: int, to_tip: bool) -> Rows:
-    """Rows over a limb from the first to the last point of the line (k, 3) [m] inside of it; `to_tip`: from the tip
+    """Lay rows over a limb from the first to the last point of the line (k, 3) [m] inside of it; `to_tip`: from the tip
     of the limb beyond the first point.
 
     Raises BadInput where the surface between the two ends is not one tube.
@@ -109,8 +109,8 @@ def lay_rows(x: Float, faces: Int, line: Float, rows: int, columns: int, to_tip:
 def _lay_rings(
     x: Float, faces: Int, field: Float, levels: Float, columns: int, tip: float
 ) -> tuple[Float, Float, Float]:
-    """Points and outward normals (r, columns, 3) and girths (r,) of rings at levels (r,); at the level `tip` the ring
-    is drawn together, and lies twice as far out as the surface reaches.
+    """Return points and outward normals (r, columns, 3) and girths (r,) of rings at levels (r,); at the level `tip` the
+    ring is drawn together, and lies twice as far out as the surface reaches.
     """
     loops = [_loops_at(x, faces, field - level) for level in levels]
     centres = np.array([max(found, key=lambda loop: loop.girth).centroid() for found in loops])
@@ -128,14 +128,14 @@ def _lay_rings(
 
 
 def line_length(line: Float) -> float:
-    """Length of a line of points (k, 3) [m]."""
+    """Return the length of a line of points (k, 3) [m]."""
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float, Int, Float, float]:
-    """The mesh, finer where the ends are so close that it must be, the field (n,) on it, and its value at the first
-    ring: 0 at the plane through the line's first point, and the line's length at that through its last; beyond the
-    first plane the distance from it, towards the tip.
+    """Return the mesh, refined if the ends are close, the field (n,) on it, and its value at the first ring: 0 at the
+    plane through the line's first point, and the line's length at that through its last; beyond the first plane the
+    distance from it, towards the tip.
 
     Vertices beyond the ends get values beyond those.
     """
@@ -155,8 +155,8 @@ def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float,
 
 
 def _part(x: Float, faces: Int, across: list[tuple[Float, Float]]) -> tuple[Float, Int, list[Loop], tuple[Bool, Bool]]:
-    """The mesh, as fine as it must be, the sections by planes `across` it at both ends, and which vertices lie beyond
-    each. Raises BadInput where they do not part the mesh so.
+    """Return the mesh, refined as needed, the sections by planes `across` it at both ends, and which vertices lie
+    beyond each. Raises BadInput if they do not part the mesh so.
     """
     for _ in range(FINER + 1):
         found = [section_about(x, faces, point, way) for point, way in across]
@@ -177,28 +177,28 @@ def _part(x: Float, faces: Int, across: list[tuple[Float, Float]]) -> tuple[Floa
 
 
 def _in_one_ring(first: Loop, last: Loop, across: list[tuple[Float, Float]]) -> bool:
-    """Whether two sections that do not cross have no row of edges between them, for the mesh is too coarse there."""
+    """Whether two sections that do not cross have no row of edges between them, since the mesh is too coarse there."""
     sides = [dot(loop.points - point, way) for loop, (point, way) in zip((last, first), across, strict=True)]
     apart = any((side > 0.0).all() or (side < 0.0).all() for side in sides)
     return apart and bool(np.isin(first.edges, last.edges).any())
 
 
 def _halve(x: Float, faces: Int) -> tuple[Float, Int]:
-    """The same surface of edges half as long."""
+    """Halve all edges of a surface."""
     from trimesh.remesh import subdivide
 
     x, faces = subdivide(x, faces)
     return np.ascontiguousarray(x, np.float64), np.ascontiguousarray(faces, np.int32)
 
 
-def _give(given: Bool, value: Float, loop: Loop, own: Float) -> None:
-    """Give the ends of the edges that a section cuts the values `own` (n,), in place."""
+def _give(fixed: Bool, value: Float, loop: Loop, values: Float) -> None:
+    """Set the ends of the edges that a section cuts to `values` (n,), in place."""
     ends = np.unique(loop.edges)
-    given[ends], value[ends] = True, own[ends]
+    fixed[ends], value[ends] = True, values[ends]
 
 
 def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tuple[Bool, Bool] | None:
-    """Which vertices (n,) lie beyond the first section, and which beyond the second; None where the sections do not
+    """Return which vertices (n,) lie beyond the first section, and which beyond the second; None if the sections do not
     part the mesh so.
     """
     from scipy.sparse import coo_array
@@ -228,8 +228,8 @@ def _loops_at(x: Float, faces: Int, value: Float) -> list[Loop]:
 
 
 def _carry_seam(centres: Float) -> list[tuple[Float, Float]]:
-    """(seam, tangent) of every row: directions in which columns begin, turned along from the last row to the first
-    as little as the axis turns. At the last row the seam points to -z, or to -y where the limb does so itself.
+    """Return (seam, tangent) of every row: directions in which columns begin, turned along from the last row to the
+    first as little as the axis turns. At the last row the seam points to -z, or to -y if the limb does so itself.
     """
     few = max(1, len(centres) // 24)
     ahead = np.minimum(np.arange(len(centres)) + few, len(centres) - 1)
@@ -246,8 +246,8 @@ def _carry_seam(centres: Float) -> list[tuple[Float, Float]]:
 
 
 def spread_hull(around: Float, centre: Float, seam: Float, side: Float, columns: int) -> tuple[Float, Float, float]:
-    """(columns, 3) points in equal steps along the convex hull of places (k, 3), as seen across the unit directions
-    `seam` and `side`, from the seam on towards the side; the hull's normals there, and its length.
+    """Return points (columns, 3) in equal steps along the convex hull of places (k, 3), as seen across the unit
+    directions `seam` and `side`, from the seam on towards the side; the hull's normals there, and its length.
     """
     flat = np.stack([dot(around - centre, way) for way in (seam, side)], axis=1)
     hull = convex_hull(flat)
@@ -268,8 +268,8 @@ def spread_hull(around: Float, centre: Float, seam: Float, side: Float, columns:
 
 
 def convex_hull(points: Float) -> list[int]:
-    """Numbers of the corners of the convex hull of points (k, 2), counter-clockwise (A. M. Andrew, Information
-    Processing Letters 9(5), 1979).
+    """Return the numbers of the corners of the convex hull of points (k, 2), counter-clockwise (A. M. Andrew,
+    Information Processing Letters 9(5), 1979).
     """
     order = np.lexsort((points[:, 1], points[:, 0])).tolist()
     x, y = points.T.tolist()

@@ -22,11 +22,11 @@ class Loop:
 
     @property
     def girth(self) -> float:
-        """Length round it [m]."""
+        """Return the length round it [m]."""
         return float(np.linalg.norm(self.points - np.roll(self.points, 1, axis=0), axis=1).sum())
 
     def centroid(self) -> Float:
-        """(3,) centroid of the area that it encloses [m], by triangles about the mean of its corners.
+        """Return the centroid (3,) of the enclosed area [m], by triangles about the mean of its corners.
 
         Independent of how the corners lie on the outline; the mean of the corners where there is no area.
         """
@@ -42,7 +42,7 @@ class Loop:
 
 
 def cut_mesh(x: Float, faces: Int, value: Float) -> list[Loop]:
-    """Loops in which the level 0 of values (n,) on the vertices cuts a closed mesh (n, 3), (f, 3).
+    """Return the loops in which the level 0 of values (n,) on the vertices cuts a closed mesh (n, 3), (f, 3).
 
     A vertex of value 0 counts as above, so that no loop ever passes through a vertex and each triangle that is
     cut joins just two cut edges.
@@ -64,29 +64,29 @@ def cut_mesh(x: Float, faces: Int, value: Float) -> list[Loop]:
 
 
 def _chain(links: Int) -> list[list[int]]:
-    """Closed chains of links (m, 2) between numbers, every one of which has two links; from the lowest number on."""
-    beside: dict[int, list[int]] = {}
+    """Return closed chains of links (m, 2) between numbers with two links each; from the lowest number on."""
+    neighbours: dict[int, list[int]] = {}
     for a, b in links.tolist():
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
     chains, used = [], set()
-    for first in sorted(beside):
+    for first in sorted(neighbours):
         if first in used:
             continue
-        chain, here, last = [first], beside[first][0], first
+        chain, here, last = [first], neighbours[first][0], first
         used.add(first)
         while here != first:
             chain.append(here)
             used.add(here)
-            one, other = beside[here]
+            one, other = neighbours[here]
             here, last = (other if one == last else one), here
         chains.append(chain)
     return chains
 
 
 def section_about(x: Float, faces: Int, point: Float, normal: Float) -> Loop | None:
-    """The loop that the plane through `point` (3,) across `normal` (3,) cuts round it; the one whose middle is nearest
-    where none goes round it, and None where the plane meets nothing.
+    """Return the loop that the plane through `point` (3,) across `normal` (3,) cuts round it; if none goes round it,
+    that with the nearest middle, and None if the plane cuts nothing.
     """
     loops = cut_mesh(x, faces, dot(x - point, normal))
     if not loops:

@@ -17,7 +17,7 @@ from nuno_schemas.fabric import Float, Int
 
 
 def face_normals(x: Float, faces: Int) -> Float:
-    """(f, 3) unit normals of triangles (f, 3); zero where a triangle has no area."""
+    """Return unit normals (f, 3) of triangles (f, 3); zero for a triangle without area."""
     a, b, c = (x[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -26,7 +26,7 @@ def face_normals(x: Float, faces: Int) -> Float:
 
 
 def edge_numbers(faces: Int) -> tuple[Int, Int]:
-    """Numbers (f, 3) int32 of the edges a-b, b-c, c-a of triangles, and the edges' vertices (e, 2), lower first."""
+    """Return edge numbers (f, 3) int32 of triangles' sides a-b, b-c, c-a, and edges' vertices (e, 2), lower first."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
     span = int(faces.max(initial=0)) + 1
     keys, numbers = np.unique(ends[:, 0] * span + ends[:, 1], return_inverse=True)
@@ -35,14 +35,14 @@ def edge_numbers(faces: Int) -> tuple[Int, Int]:
 
 
 def edge_normals(x: Float, faces: Int, numbers: Int, count: int) -> Float:
-    """(e, 3) sums of the unit normals of the faces at each of `count` edges."""
+    """Return the sums (e, 3) of the unit normals of the faces at each of `count` edges."""
     normals = np.repeat(face_normals(x, faces), 3, axis=0)
     flat = numbers.reshape(-1)
     return np.stack([np.bincount(flat, normals[:, k], count) for k in range(3)], axis=1)
 
 
 def vertex_normals(x: Float, faces: Int) -> Float:
-    """(n, 3) sums of the faces' unit normals, weighted by the faces' angles at the vertex."""
+    """Return the sums (n, 3) of the faces' unit normals, weighted by the faces' angles at the vertex."""
     corner = x[faces]
     forward, back = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
     sine = np.linalg.norm(np.cross(forward, back), axis=-1)
@@ -54,7 +54,7 @@ def vertex_normals(x: Float, faces: Int) -> Float:
 
 @kernel
 def blend_normals(normals: Float, faces: Int, face: Int, weights: Float, out: Float) -> None:
-    """Unit normals (m, 3) at barycentric coordinates weights (m, 3) in triangles face (m,), from vertices' (n, 3)."""
+    """Write unit normals (m, 3) at barycentric weights (m, 3) in triangles face (m,), from vertices' (n, 3)."""
     for i in range(face.shape[0]):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
         size = 0.0

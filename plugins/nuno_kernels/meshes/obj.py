@@ -13,14 +13,14 @@ from nuno_schemas.reading import with_point
 
 
 def read_obj(data: bytes) -> RawMesh:
-    """What an OBJ file holds: faces with their texture coordinates, and lines; all else is left out.
+    """Read an OBJ file: faces with their texture coordinates, and lines; all else is left out.
 
     Raises BadInput with the line of what cannot be read.
     """
-    # A line goes on after a backslash: joined by a vertical tab, which is a blank, lines can still be counted.
+    # A backslash continues a line: joined by a vertical tab, which is a blank, lines can still be counted.
     text = re.sub(rb"#[^\n]*", b"", plain(data)).replace(b"\\\n", b"\v")
     points: list[tuple[float, float, float]] = []
-    texture: list[tuple[float, float]] = [(np.nan, np.nan)]  # the first is of corners that have none
+    texture: list[tuple[float, float]] = [(np.nan, np.nan)]  # the first is of corners without any
     corner: list[int] = []
     drawn: list[int] = []
     count: list[int] = []
@@ -59,12 +59,12 @@ def read_obj(data: bytes) -> RawMesh:
             shown = b" ".join(words).decode("utf-8", "replace")
             problem, remedy = f"cannot be read as OBJ: {reason}", with_point(reason)
             raise BadInput(problem, line=number, field="file", value=shown, remedy=remedy) from None
-    for what, numbers, known in (("vertex", corner, len(points)), ("texture coordinate", drawn, len(texture))):
-        if max(numbers, default=0) >= max(known, 1):
+    for what, numbers, available in (("vertex", corner, len(points)), ("texture coordinate", drawn, len(texture))):
+        if max(numbers, default=0) >= max(available, 1):
             at = int(np.searchsorted(np.cumsum(count), numbers.index(max(numbers)), side="right"))
             raise BadInput(
                 f"cannot be read as OBJ: a triangle of a {what} that is not there", field="file", line=lines[at],
-                value=max(numbers) + (what == "vertex"), limit=f"the file has {known - (what != 'vertex')}",
+                value=max(numbers) + (what == "vertex"), limit=f"the file has {available - (what != 'vertex')}",
             )  # fmt: skip
     x, corners = np.array(points, np.float64).reshape(-1, 3), np.array(corner, np.int64)
     place = triangulate(x, corners, np.array(count, np.int64), lines)
@@ -72,9 +72,9 @@ def read_obj(data: bytes) -> RawMesh:
     return RawMesh(x, corners[place].astype(np.int32), uv, tuple(np.array(stroke) for stroke in strokes))
 
 
-def _index(word: bytes, known: int, what: str) -> int:
-    """From 0, of a number from 1, or of one below 0 that counts back from the last of those known where it stands."""
+def _index(word: bytes, available: int, what: str) -> int:
+    """Return a number from 1, or from -1 backwards among those available, as one from 0."""
     number = int(word)
-    if number == 0 or number < -known:
+    if number == 0 or number < -available:
         raise ValueError(f"a triangle of a {what} that is not there")
-    return number - 1 if number > 0 else known + number
+    return number - 1 if number > 0 else available + number

@@ -17,9 +17,9 @@ TYPES = {
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 END = "end_header"
 DRAWN = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
-"""What programs call texture coordinates of vertices."""
+"""common names of texture coordinates of vertices"""
 Table = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
-"""Of each property all numbers of an element, and how many each row has (rows,)."""
+"""all numbers of each property of an element, and how many each row has (rows,)"""
 NOTHING = np.zeros(0), np.zeros(0, np.int64)
 
 
@@ -32,12 +32,12 @@ class Property(NamedTuple):
 
 
 def read_ply(data: bytes) -> RawMesh:
-    """The surface of a PLY file, with the texture coordinates of its vertices or of its faces' corners.
+    """Read a PLY file's surface, with the texture coordinates of its vertices or of its faces' corners.
 
     Raises ValueError or LookupError for a file that is none, and BadInput as `triangulate`.
     """
-    head, found, text = plain(data).partition(b"\n" + END.encode() + b"\n")
-    if not head.startswith(b"ply\n") or not found:
+    head, pairs, text = plain(data).partition(b"\n" + END.encode() + b"\n")
+    if not head.startswith(b"ply\n") or not pairs:
         raise ValueError("it has no header")
     order, elements = _header(head.decode("utf-8", "replace").splitlines()[1:])
     if order:
@@ -75,7 +75,7 @@ def read_ply(data: bytes) -> RawMesh:
 
 
 def _header(lines: list[str]) -> tuple[str, dict[str, tuple[int, list[Property]]]]:
-    """The order of bytes, "" for words, and of each element how many rows it has and what is in a row."""
+    """Return the order of bytes, "" for words, and the number of rows and the properties of each element."""
     order, elements = None, dict[str, tuple[int, list[Property]]]()
     for words in (line.split() for line in lines):
         match words:
@@ -97,7 +97,7 @@ def _header(lines: list[str]) -> tuple[str, dict[str, tuple[int, list[Property]]
 
 
 def _read(data: bytes, at: int, rows: int, row: list[Property], order: str) -> tuple[Table, int]:
-    """The numbers of an element that begins at a byte, and where the next one does."""
+    """Return the numbers of an element that begins at a byte, and the place of the next one."""
     if not any(one.length for one in row):
         kind = np.dtype([(one.name, order + one.kind) for one in row])
         table = np.frombuffer(data, kind, rows if row else 0, at)

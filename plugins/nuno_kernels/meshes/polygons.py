@@ -1,4 +1,4 @@
-"""What a mesh file holds, and triangles of its polygons: convex or not, flat or not, the same ones whichever corner
+"""The content of a mesh file, and triangles of its polygons: convex or not, flat or not, the same ones whichever corner
 comes first.
 
 A fan is right where a polygon is convex; a quad with one corner that is not convex is a fan from there. All else loses
@@ -21,14 +21,14 @@ from nuno_schemas.fabric import Bool, Float, Int
 
 Places = NDArray[np.int64]
 ROUNDING = 1e-10
-"""Share of the squared extent that an area is off by at most."""
+"""share of the squared extent that an area is off by at most"""
 STRAIGHT = 1e-3
 """Sine of the turn at a corner on a straight side, or less, as files round it; and the share of a triangle's side that
 no other corner lies nearer to it than, if it can be. Else triangles would be slivers."""
 FLAT = 1e-6
-"""Share of the extent that corners of a flat polygon may lie off its plane."""
+"""share of the extent by which corners of a flat polygon may lie off its plane"""
 MOST_CORNERS = 2048
-"""Of a polygon that is not convex; ears take a time that goes with the square."""
+"""most corners of a polygon that is not convex: ears take quadratic time"""
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ def plain(data: bytes) -> bytes:
 
 
 def triangulate(points: Float, corner: Places, count: Places, lines: Sequence[int] = ()) -> Places:
-    """(t, 3) places among `corner` (c,), the vertices of points (n, 3) of polygons that have `count` (p,) corners each,
-    one after the other: their triangles, polygon by polygon, counter-clockwise as these are.
+    """Return the triangles (t, 3) of polygons with `count` (p,) corners each, `corner` (c,) vertices of points (n, 3),
+    as places in `corner`: polygon by polygon, counter-clockwise as these are.
 
     Corners that repeat the one before them are left out. Raises BadInput, with the polygon's number and its line in the
     file, for one that passes through itself.
@@ -69,33 +69,33 @@ def triangulate(points: Float, corner: Places, count: Places, lines: Sequence[in
     first = np.cumsum(count) - count
     found, of = [], []
     for n in np.unique(count[count >= 3]).tolist():
-        own = np.flatnonzero(count == n)
-        each = place[first[own, None] + np.arange(n)]
+        corners = np.flatnonzero(count == n)
+        each = place[first[corners, None] + np.arange(n)]
         x = points[corner[each]]
-        fan, start = _fans(x) if n > 3 else (np.ones(len(own), bool), np.zeros(len(own), np.int64))
+        fan, start = _fans(x) if n > 3 else (np.ones(len(corners), bool), np.zeros(len(corners), np.int64))
         turned = np.take_along_axis(each, (start[:, None] + np.arange(n)) % n, axis=1)
         fans = np.stack([np.repeat(turned[:, :1], n - 2, axis=1), turned[:, 1:-1], turned[:, 2:]], axis=2)[fan]
         found.append(fans.reshape(-1, 3))
-        of.append(np.repeat(own[fan], n - 2))
+        of.append(np.repeat(corners[fan], n - 2))
         for k in np.flatnonzero(~fan).tolist():
             try:
                 ears = _clip(np.roll(x[k], -start[k], axis=0))
             except ValueError as error:
-                number = int(own[k])
+                number = int(corners[k])
                 raise BadInput(
                     f"a polygon {error}", field=f"face {number}", value=f"{n} corners",
                     line=lines[number] if number < len(lines) else None,
                     remedy="triangulate it in the program that it comes from",
                 ) from None  # fmt: skip
             found.append(turned[k][ears])
-            of.append(np.full(len(ears), own[k]))
+            of.append(np.full(len(ears), corners[k]))
     if not found:
         return np.zeros((0, 3), np.int64)
     return np.concatenate(found)[np.argsort(np.concatenate(of), kind="stable")]
 
 
 def _fans(x: Float) -> tuple[Bool, Places]:
-    """Of polygons (m, n, 3): whether they are a fan from one of their corners (m,), and the corner to begin at (m,).
+    """Return whether polygons (m, n, 3) are a fan from one of their corners (m,), and the corner to begin at (m,).
 
     A flat one begins where its file does. How one bends that is not flat follows from where it is cut, so it begins at
     the corner nearest to its middle, of equally near ones the first by x, y and z.
@@ -118,7 +118,7 @@ def _fans(x: Float) -> tuple[Bool, Places]:
         fan: Bool = np.asarray(left.all(axis=1))
         if (
             n > 4
-        ):  # all corners turn left in a star too: only of a convex polygon is each side seen alike from the first
+        ):  # all corners turn left in a star too: only in a convex polygon is each side seen alike from the first
             first, beyond = y[:, 1:-1] - y[:, :1], y[:, 2:] - y[:, :1]
             fan &= (turns(first, beyond, ROUNDING) & turns(first[:, :1], beyond, ROUNDING)).all(axis=1)
         flat = (np.abs((y * normal).sum(axis=2)) <= FLAT * extent).all(axis=1)
@@ -133,7 +133,7 @@ def _fans(x: Float) -> tuple[Bool, Places]:
 
 
 def _clip(x: Float) -> Places:
-    """(n - 2, 3) corners of the triangles of a polygon (n, 3). Raises ValueError for one that passes through itself."""
+    """Return the corners (n - 2, 3) of a polygon's (n, 3) triangles. Raises ValueError for one that crosses itself."""
     n = len(x)
     if n > MOST_CORNERS:
         raise ValueError(f"has more than {MOST_CORNERS} corners")
@@ -152,7 +152,7 @@ def _clip(x: Float) -> Places:
     left, ears, width = list(range(n)), [], [_width(p, k, list(range(n)), least) for k in range(n)]
     while len(left) > 3:
         k = int(np.argmax(width))
-        if not width[k] > 0.0:  # what was in the way may be gone
+        if not width[k] > 0.0:  # its obstacle may be gone
             width = [_width(p, j, left, least) for j in range(len(left))]
             k = int(np.argmax(width))
         if not width[k] > 0.0:
@@ -165,14 +165,14 @@ def _clip(x: Float) -> Places:
 
 
 def _cross(a: Float, b: Float, c: Float) -> Float:
-    """Twice the area of triangles in the plane."""
+    """Return twice the area of triangles in the plane."""
     return np.asarray(
         (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
     )
 
 
 def _check_simple(p: Float, least: float) -> None:
-    """Raises ValueError for a polygon in the plane (n, 2) two of whose sides cross; they may touch, as a slit's do."""
+    """Raise ValueError for a polygon in the plane (n, 2) two of whose sides cross; they may touch, as a slit's do."""
     end = np.roll(p, -1, axis=0)
     for k in range(len(p) - 2):
         a, b, c, d = p[k], end[k], p[k + 2 :], end[k + 2 :]
@@ -183,8 +183,8 @@ def _check_simple(p: Float, least: float) -> None:
 
 
 def _width(p: Float, k: int, left: list[int], least: float) -> float:
-    """How round the ear at the k-th corner left is, its area over its longest side squared; 0 where there is none, and
-    little where a corner lies next to the side that is cut, for that would leave a sliver.
+    """Return the roundness of the ear at the k-th corner left, its area over its longest side squared; 0 for none, and
+    little if a corner lies next to the side that is cut, for that would leave a sliver.
     """
     a, b, c = p[left[k - 1]], p[left[k]], p[left[(k + 1) % len(left)]]
     area = float(_cross(a, b, c))

@@ -22,11 +22,11 @@ from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 
 STEPS = 512
-"""Triangles that a walk passes at most."""
+"""triangles that a walk passes at most"""
 SLACK = 1e-3
-"""How high the mesh may stand above an end of a chord, as a share of its length, for rounding's sake."""
+"""height of the mesh above an end of a chord that is rounding, as a share of its length"""
 UPRIGHT = 0.05
-"""Sine of the least angle between chord and normal that makes a plane."""
+"""sine of the least angle between chord and normal that makes a plane"""
 
 
 class Joined(NamedTuple):
@@ -45,7 +45,7 @@ class Joined(NamedTuple):
 
 
 def join_faces(vertices: Float, faces: Int) -> Joined:
-    """A mesh of vertices (n, 3) [m] and triangles (f, 3) with what lies beside what."""
+    """Return a mesh of vertices (n, 3) [m] and triangles (f, 3) with its adjacency."""
     numbers = edge_numbers(faces)[0].reshape(-1)
     order = np.argsort(numbers, kind="stable")
     twin = np.full(len(numbers), -1)
@@ -61,7 +61,7 @@ def join_faces(vertices: Float, faces: Int) -> Joined:
 
 
 class Chord(NamedTuple):
-    """A plane: where it begins, its direction along (u), above (w) and across, and how long it is [m]."""
+    """A plane: its origin, its direction along (u), above (w) and across, and its length [m]."""
 
     ax: float
     ay: float
@@ -80,7 +80,7 @@ class Chord(NamedTuple):
 
 @kernel
 def make_chord(points: Float, normals: Float, i: int, j: int) -> Chord:
-    """The plane through points i and j along the mean of their normals; of length 0 where there is none."""
+    """Return the plane through points i and j along the mean of their normals; of length 0 if there is none."""
     ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
     ux, uy, uz = points[j, 0] - ax, points[j, 1] - ay, points[j, 2] - az
     length = math.sqrt(ux * ux + uy * uy + uz * uz)
@@ -100,7 +100,7 @@ def make_chord(points: Float, normals: Float, i: int, j: int) -> Chord:
 
 @kernel
 def side_of(chord: Chord, v: int, vertices: Float) -> float:
-    """How far to the left of the plane a vertex is [m], seen from above along the chord."""
+    """Return how far to the left of the plane a vertex is [m], seen from above along the chord."""
     return float(
         (vertices[v, 0] - chord.ax) * chord.vx
         + (vertices[v, 1] - chord.ay) * chord.vy
@@ -110,7 +110,7 @@ def side_of(chord: Chord, v: int, vertices: Float) -> float:
 
 @kernel
 def crossed_edge(chord: Chord, face: int, onward: bool, vertices: Float, faces: Int) -> int:
-    """Edge of a triangle by which the plane's line leaves it, or came into it if not `onward`; -1 if it is not cut.
+    """Return the edge by which the plane's line leaves a triangle, or enters it if not `onward`; -1 if it is not cut.
 
     Triangles turn counter-clockwise seen from above, so the line leaves where the corner after is on the left.
     """
@@ -128,14 +128,14 @@ def crossed_edge(chord: Chord, face: int, onward: bool, vertices: Float, faces: 
 
 @kernel
 def edge_share(chord: Chord, i: int, j: int, vertices: Float) -> float:
-    """Share of the way from vertex i to vertex j, on both sides of the plane, at which it is met."""
+    """Return the share of the way from vertex i to vertex j, on both sides of the plane, at which it is met."""
     si = side_of(chord, i, vertices)
     return si / (si - side_of(chord, j, vertices))
 
 
 @kernel
 def crossing(chord: Chord, face: int, edge: int, vertices: Float, faces: Int) -> tuple[float, float]:
-    """(u, w) [m] of the point at which the plane meets an edge of a triangle."""
+    """Return (u, w) [m] of the point at which the plane meets an edge of a triangle."""
     i, j = faces[face, edge], faces[face, (edge + 1) % 3]
     t = edge_share(chord, i, j, vertices)
     x = vertices[i, 0] + t * (vertices[j, 0] - vertices[i, 0]) - chord.ax
@@ -146,10 +146,10 @@ def crossing(chord: Chord, face: int, edge: int, vertices: Float, faces: Int) ->
 
 @kernel
 def find_start(chord: Chord, face: int, vertices: Float, faces: Int, ptr: Int, around: Int) -> int:
-    """A triangle that the plane cuts, near the given one; -1 if none is found.
+    """Return a triangle that the plane cuts, near the given one; -1 if none is found.
 
-    From the corner nearest to the plane to the one nearest to it among its neighbours, until a triangle there is
-    cut: of these the one whose line passes nearest to the chord's beginning.
+    From the corner nearest to the plane to the one nearest to it among its neighbours, until a triangle there is cut:
+    of these the one whose line passes nearest to the chord's beginning.
     """
     if crossed_edge(chord, face, True, vertices, faces) >= 0:
         return face
@@ -178,7 +178,7 @@ def find_start(chord: Chord, face: int, vertices: Float, faces: Int, ptr: Int, a
 def follow_section(
     chord: Chord, start: int, below: float, vertices: Float, faces: Int, across: Int, u: Float, w: Float, met: Long
 ) -> int:  # fmt: skip
-    """Points of the plane's line between the ends of a chord: how many there are, -1 if it does not lead to its end.
+    """Write the points of the plane's line between the ends of a chord; return their number, -1 if it misses its end.
 
     `below` [m] is how far beneath the mesh the ends of the chord are allowed to be. Of each point u, w (STEPS,) and the
     triangle and its edge in met (STEPS, 2).
@@ -201,7 +201,7 @@ def follow_section(
         edge = crossed_edge(chord, face, True, vertices, faces)
         u1, w1 = crossing(chord, face, edge, vertices, faces)
         for end in (0.0, chord.length):
-            # Where the line passes an end of the chord it lies below it, or the end is inside, or under something.
+            # At an end of the chord the line lies below it, or the end is inside, or under something.
             if u0 <= end < u1 and w0 + (end - u0) / (u1 - u0) * (w1 - w0) > allowed:
                 return -1
         if u1 >= chord.length:

@@ -10,18 +10,18 @@ import numpy as np
 from nuno_kernels.meshes.polygons import RawMesh, plain
 
 HEADER, TRIANGLE = 84, 50
-"""Bytes before the first triangle of a binary file, and of each."""
+"""bytes before the first triangle of a binary file, and of each"""
 
 
 def read_stl(data: bytes) -> RawMesh:
-    """The surface of an STL file: each triangle has vertices of its own.
+    """Read an STL file's surface: each triangle has vertices of its own.
 
-    Bytes behind the last triangle of a binary file are left out where they are less than a triangle, and `endsolid` may
-    be missing. Raises ValueError for a file that is none, or whose triangles are not as many as it says.
+    Bytes after the last triangle of a binary file are ignored if fewer than a triangle, and `endsolid` may be missing.
+    Raises ValueError for another file, or one whose triangles are not as many as its header says.
     """
     room = max(len(data) - HEADER, 0) // TRIANGLE
-    said = struct.unpack_from("<I", data, HEADER - 4)[0] if len(data) >= HEADER else -1
-    if said == room:
+    count = struct.unpack_from("<I", data, HEADER - 4)[0] if len(data) >= HEADER else -1
+    if count == room:
         kind = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("attribute", "<u2")])
         points = np.frombuffer(data, kind, room, HEADER)["points"].astype(np.float64).reshape(-1, 3)
     elif (text := plain(data)).lstrip()[:5].lower() == b"solid" and b"\0" not in text[:1024]:
@@ -29,8 +29,8 @@ def read_stl(data: bytes) -> RawMesh:
         if len(words) != 3 * len(re.findall(rb"(?i)\bendfacet\b", text)):
             raise ValueError("it ends within a triangle, or has polygons or vertices of other than three numbers")
         points = np.array(words, dtype="S").astype(np.float64).reshape(-1, 3)
-    elif said < 0:
+    elif count < 0:
         raise ValueError("it is shorter than a header")
     else:
-        raise ValueError(f"its header says that it has {said} triangles, and there is room for {room}")
+        raise ValueError(f"its header says that it has {count} triangles, and there is room for {room}")
     return RawMesh(points, np.arange(len(points), dtype=np.int32).reshape(-1, 3))

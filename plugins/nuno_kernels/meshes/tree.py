@@ -21,11 +21,11 @@ from nuno_kernels.meshes.normals import edge_normals, edge_numbers, vertex_norma
 from nuno_schemas.fabric import Float, Int
 
 ROUNDING = 2.0**-46
-"""Boxes are wider than their triangles by this share of the mesh's size, 64 ulp: the distance computed to a
-triangle is then never less than that computed to its boxes, so that what a search passes over changes no bit."""
+"""Boxes are wider than their triangles by this share of the mesh's size, 64 ulp: the distance computed to a triangle is
+then never less than that computed to its boxes, so that skipped boxes change no bit."""
 DEPTH = 192
-"""Nodes that wait to be looked at: at most seven a level on the way up and seven on the way down, and twelve levels
-hold 5e11 triangles."""
+"""capacity of the stack of nodes: at most seven a level on the way up and seven on the way down, and twelve levels hold
+5e11 triangles"""
 
 
 class Tree(NamedTuple):
@@ -60,7 +60,7 @@ class Tree(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Scratch of a search: nodes that wait to be looked at, and how far each is away."""
+    """Scratch of a search: nodes on the stack, and their distances."""
 
     waiting: NDArray[np.int64]
     """(DEPTH,)"""
@@ -70,7 +70,7 @@ class Room(NamedTuple):
 
 @forced_inline
 def make_room() -> Room:
-    """Room for one search at a time."""
+    """Allocate the scratch of one search at a time."""
     return Room(np.empty(DEPTH, np.int64), np.empty(DEPTH))
 
 
@@ -113,7 +113,7 @@ def order_triangles(centre: Float, capacity: int, order: NDArray[np.int64]) -> N
 
 
 def in_eights(values: Float, fill: float) -> Float:
-    """(m, c) -> (c ceil(m / 8), 8): rows of eight, c for each group, the last group filled up."""
+    """Reshape (m, c) -> (c ceil(m / 8), 8): rows of eight, c for each group, the last group filled up."""
     groups = -(-len(values) // WIDTH)
     full = np.full((groups * WIDTH, values.shape[1]), fill)
     full[: len(values)] = values
@@ -121,7 +121,7 @@ def in_eights(values: Float, fill: float) -> Float:
 
 
 def build_tree(vertices: Float, faces: Int) -> Tree:
-    """The tree of a mesh of vertices (n, 3) [m] and at least one triangle (f, 3), counter-clockwise seen from outside.
+    """Return the tree of a mesh: vertices (n, 3) [m], at least one triangle (f, 3), counter-clockwise from outside.
 
     Degenerate triangles are allowed. Signs of distances need a closed mesh whose vertices are shared.
     """
@@ -157,7 +157,7 @@ def build_tree(vertices: Float, faces: Int) -> Tree:
 
 
 def stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]]:
-    """Boxes and children of all nodes, root first, over items (8 L, c, 3) in the order of their leaves.
+    """Return the boxes and children of all nodes, root first, over items (8 L, c, 3) in the order of their leaves.
 
     An item is whatever lies between the lowest and the highest of its c points; boxes are wider by `margin` [m].
     """
@@ -178,13 +178,13 @@ def stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]
 
 
 def find_parents(child: NDArray[np.int64], leaves: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Parents (N,) of nodes whose children `stack_boxes` has said, and (L,) of so many leaves."""
-    inner = int((child >= 0).sum())  # those whose children are leaves come last
+    """Return the parents (N,) of nodes with the children of `stack_boxes`, and (L,) of so many leaves."""
+    inner = int((child >= 0).sum())  # nodes whose children are leaves come last
     of_nodes = np.searchsorted(child[:inner], np.arange(len(child)), side="right") - 1
     return of_nodes.astype(np.int64), inner + np.arange(leaves) // WIDTH
 
 
 def _enclose(rows: Float) -> Float:
-    """(6 N, 8) boxes of children, NaN where there is none -> (N, 6) boxes around them."""
+    """Return boxes (N, 6) around the boxes of children (6 N, 8), NaN for missing ones."""
     groups = rows.reshape(-1, 6, WIDTH)
     return np.concatenate([np.nanmin(groups[:, :3], axis=2), np.nanmax(groups[:, 3:], axis=2)], axis=1)

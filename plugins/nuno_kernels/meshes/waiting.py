@@ -1,4 +1,4 @@
-"""Nodes of a tree that wait to be looked at, the nearest of each node's children first."""
+"""The stack of a tree search, the nearest of each node's children on top."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from nuno_schemas.fabric import Float
 
 @forced_inline
 def push_children(away: Lanes, bits: int, first: int, waiting: NDArray[np.int64], bound: Float, top: int) -> int:
-    """Let those of a node's eight children wait whose `bits` are set, the nearest last; how many wait then, `top`
+    """Push those of a node's eight children whose `bits` are set, the nearest last; return the new height, `top`
     before.
 
-    `away` is how far each is, which `bound` notes; `first` is the first child, and counts down where it is negative, as
+    `away` are their distances, written to `bound`; `first` is the first child, and counts down where it is negative, as
     numbers of leaves do.
     """
     base = top

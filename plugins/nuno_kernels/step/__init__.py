@@ -1,3 +1,3 @@
-"""What every solver's step needs: a system in the kernels' layout, blocks of vertices, the acceleration. Methods that
-step are plugins.
+"""The common parts of solvers' steps: a system in the kernels' layout, blocks of vertices, the acceleration. Methods
+are plugins.
 """

@@ -28,7 +28,7 @@ slow_bodies = each("slow", "x, v, threads")
 
 
 Extra = Callable[[Float, Float, float, Float], None] | None
-"""Forces written in Python, None where there are none: extra(x, v, s, a) adds newtons to a (3, n)."""
+"""forces written in Python, None without any: extra(x, v, s, a) adds newtons to a (3, n)"""
 
 
 @by_reference
@@ -67,14 +67,14 @@ class Packed(NamedTuple):
 
 @block_kernel
 def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
-    """Turn a block's forces into accelerations, in place; pinned vertices get none."""
+    """Turn a block's forces into accelerations, in place; 0 for pinned vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
     for row in range(3):
         g = gravity[row]
         for p in range(np.uint64(low), np.uint64(high)):
             w = inverse_mass[p]
-            own = g - damping * v[row, p]
-            a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
+            factor = g - damping * v[row, p]
+            a[row, p] = w * a[row, p] + (factor if w > 0.0 else 0.0)
 
 
 @block_kernel
@@ -82,8 +82,8 @@ def step_block(
     block: int, x: Float, v: Float, force: Float, inverse_mass: Float, gravity: Float, damping: float, dt: float,
     to_x: Float, to_v: Float,
 ) -> None:  # fmt: skip
-    """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
-    and `add_twice`, but in one pass.
+    """Take a step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block` and
+    `add_twice`, but in one pass.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     for row in range(3):
@@ -99,8 +99,8 @@ def step_block(
 
 @block_kernel
 def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Float, to_v: Float) -> None:
-    """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
-    or, where dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind would compile all
+    """Compute forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3,
+    n), or, if dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind would compile all
     forces anew.
     """
     origin = block * BLOCK
@@ -124,8 +124,8 @@ force_blocks = over_blocks(force_block, "p, dt, x, v, to_x, to_v")
 
 @block_kernel
 def add_forces(x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float, p: Packed) -> None:
-    """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless p.late, or, where dt is not 0,
-    a whole step into to_x and to_v. Puts carried vertices in their place first.
+    """Compute forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless p.late, or, if dt is not
+    0, a whole step into to_x and to_v. Places carried vertices first.
     """
     place(p.bodies, p.bodies_on, x, v, s)
     look_at(p.bodies, p.bodies_on, x, v)
@@ -135,15 +135,15 @@ def add_forces(x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float
 
 @block_kernel
 def finish(v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float, threads: int | None) -> None:
-    """Forces in a (3, n) become accelerations [m/s^2]. It is not given a system, or each kind of one would have its own
-    version compiled.
+    """Turn forces in a (3, n) into accelerations [m/s^2]. The system is no argument, or each kind of one would have its
+    own version compiled.
     """
     finish_blocks(v, a, inverse_mass, gravity, damping, (a.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @shared_source
 def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
-    """a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
+    """Compute a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
     """

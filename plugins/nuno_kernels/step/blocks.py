@@ -21,32 +21,32 @@ BLOCK = 2048
 out better, larger ones compute fewer springs twice: of a grid 256 wide 10 %, against 5 % at 4,096."""
 
 PADDING = 8
-"""Columns after a block's forces that take what belongs to other blocks' vertices."""
+"""columns after a block's forces that take those of other blocks' vertices"""
 
 SHORTEST = 6
-"""Runs with fewer elements than this go through lists of indices, unless they are FEW."""
+"""runs with fewer elements than this go through lists of indices, unless they are FEW"""
 
 FEW = 1 / 16
-"""Short runs that hold no more than this share of all elements are computed as runs too, and the kernel for lists is
-not even compiled. A grid's borders are such."""
+"""Short runs with no more than this share of all elements are computed as runs too, and the kernel for lists is not
+even compiled. A grid's borders are such."""
 
 SMALL = 1024
-"""With fewer elements all go through lists, which take any constants: a step has microseconds to win by runs, and each
-combination of what a net has or lacks takes seconds to compile."""
+"""With fewer elements all go through lists, which take any constants: a step could gain microseconds by runs, and each
+combination of features takes seconds to compile."""
 
 
 def is_small(elements: int) -> bool:
-    """Whether so many springs or hinges are not worth a kernel for just what they are."""
+    """Whether so many springs or hinges are not worth a specialised kernel."""
     return elements < SMALL
 
 
 def block_count(vertices: int) -> int:
-    """Blocks that `vertices` make."""
+    """Return the number of blocks of so many vertices."""
     return -(-vertices // BLOCK)
 
 
 def owned_copies(indices: Long | Int, blocks: int) -> tuple[Long, Long]:
-    """Elements each block has to compute, for (w, m) vertices of m elements.
+    """Return the elements that each block has to compute, for (w, m) vertices of m elements.
 
     Returns (p,) element numbers, grouped by block, and (blocks + 1,) bounds: an element appears
     once in each block that owns one of its vertices.
@@ -63,7 +63,7 @@ def owned_copies(indices: Long | Int, blocks: int) -> tuple[Long, Long]:
 
 
 def pad_lists(element: Long, bounds: Long) -> tuple[Long, Long]:
-    """Make every block's list a whole number of vectors; the added places hold -1."""
+    """Pad every block's list to whole vectors; the added places hold -1."""
     length = np.diff(bounds)
     padded = -(-length // WIDTH) * WIDTH
     start = np.concatenate([[0], np.cumsum(padded)]).astype(np.int64)
@@ -74,17 +74,17 @@ def pad_lists(element: Long, bounds: Long) -> tuple[Long, Long]:
 
 
 def local_targets(indices: Long | Int, start: Long, vertices: int) -> Int:
-    """(w, p) columns in the block's own forces; others' vertices, and -1, go to the padding."""
+    """Return columns (w, p) in the block's own forces; others' vertices, and -1, go to the padding."""
     origin = BLOCK * np.repeat(np.arange(start.shape[0] - 1), np.diff(start))
     width = np.minimum(BLOCK, vertices - origin)
     local = indices - origin
-    own = (indices >= 0) & (local >= 0) & (local < width)
-    return np.ascontiguousarray(np.where(own, local, width), np.int32)
+    inside = (indices >= 0) & (local >= 0) & (local < width)
+    return np.ascontiguousarray(np.where(inside, local, width), np.int32)
 
 
 def list_copies(indices: Long | Int, vertices: int) -> tuple[Long, Long, Int]:
-    """Lists per block of elements with vertices (w, m): the element (p,) in each place, -1 where it only fills a vector
-    up; bounds (blocks + 1,); and (2 w, p) int32 the vertices, then their columns in the block's own forces.
+    """Return lists per block of elements with vertices (w, m): the element (p,) in each place, -1 for padding; bounds
+    (blocks + 1,); and (2 w, p) int32 the vertices, then their columns in the block's own forces.
     """
     element, start = pad_lists(*owned_copies(indices, block_count(vertices)))
     filled = element >= 0
@@ -116,7 +116,7 @@ def cut_runs(runs: Long, longest: int) -> Long:
 
 
 def assign_runs(cut: Long, blocks: int) -> tuple[Long, Long]:
-    """Tasks from pieces (p, w + 2) of runs: one for every block that owns a corner.
+    """Return tasks from pieces (p, w + 2) of runs: one for every block that owns a corner.
 
     Returns (t, w + 3), the piece and a mark of the corners to add to (bit c for corner c), and
     (blocks + 1,) bounds. A block's tasks go by vertex, so that all work on a row finds it in the
@@ -137,7 +137,7 @@ def assign_runs(cut: Long, blocks: int) -> tuple[Long, Long]:
 
 
 def choose_runs(count: Int, stride: Int) -> Bool:
-    """(m,) which of the runs with (m,) counts and strides are taken as they are."""
+    """Return which of the runs (m,) with (m,) counts and strides are taken unchanged."""
     if is_small(int(count.sum())):
         return np.zeros(count.shape, bool)
     straight: Bool = stride == 1

@@ -1,4 +1,4 @@
-"""From a System to the layout of the kernels, and back."""
+"""Packing a System into the layout of the kernels."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
 PARALLEL_FROM, OF_CLOTH = 4096, 1024
-"""Fewest vertices that run on several threads, two blocks, and fewest of them that are the cloth's: what meets a fine
-body has far more to do than steps alone. Whether they do in a frame is found by trying."""
+"""Fewest vertices that run on several threads, two blocks, and fewest of them that are the cloth's: contact with a fine
+body does far more than steps alone. Whether several run in a frame is found by trying."""
 
 
 def to_rows(array: Float, out: Float | None = None) -> Float:
-    """(n, 3) -> C-contiguous (3, n) that shares no memory with it.
+    """Return (n, 3) as C-contiguous (3, n) that shares no memory with it.
 
     Not np.ascontiguousarray: one vertex transposed is contiguous as it is, and would be handed back as a view.
     """
@@ -34,7 +34,7 @@ def to_rows(array: Float, out: Float | None = None) -> Float:
 
 
 def thread_count(system: System) -> int:
-    """Threads that this system's kernels run on."""
+    """Return the number of threads that this system's kernels run on."""
     number, terms = system.fabric.number, [term.data for term in system.terms if not callable(term.data)]
     looked = max([number, *(kernels_of(part).vertices(part) for data in terms for part in data)])
     if looked < PARALLEL_FROM or number < min(OF_CLOTH, PARALLEL_FROM):
@@ -42,14 +42,14 @@ def thread_count(system: System) -> int:
     return max(1, min(system.threads, threads_available()[0]))
 
 
-def pack(system: System, own: bool = True) -> Packed:
-    """Kernel layout of a system. Raises BadInput for a force of a type without kernels; those in Python are left to
-    `python_terms`. Without `own` its terms' arrays are the system's: for what takes no steps.
+def pack(system: System, copy: bool = True) -> Packed:
+    """Return the kernel layout of a system. Raises BadInput for a force of a type without kernels; `python_terms` takes
+    those in Python. Without `copy` its terms' arrays are the system's: for callers that take no steps.
     """
     fabric = system.fabric
-    given = [part for term in system.terms if not callable(term.data) for part in term.data]
-    given = [own_copy(part) for part in given] if own else given
-    given = [part._replace(leave=system.leave) if "leave" in part._fields else part for part in given]
+    packed_terms = [part for term in system.terms if not callable(term.data) for part in term.data]
+    packed_terms = [copy_term(part) for part in packed_terms] if copy else packed_terms
+    packed_terms = [part._replace(leave=system.leave) if "leave" in part._fields else part for part in packed_terms]
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),
@@ -58,8 +58,8 @@ def pack(system: System, own: bool = True) -> Packed:
     )
     friction = pack_friction(fabric.friction, n)
     forces += (*pack_bending(fabric.bending, n), *friction, *_pack_yarns(fabric))
-    forces += tuple(part for part in given if kernels_of(part).block is not None)
-    bodies = (*_pack_carried(system), *friction, *(part for part in given if _has_steps(kernels_of(part))))
+    forces += tuple(part for part in packed_terms if kernels_of(part).block is not None)
+    bodies = (*_pack_carried(system), *friction, *(part for part in packed_terms if _has_steps(kernels_of(part))))
     threads = thread_count(system)
     python = any(term.in_python for term in system.terms)
     adds = any(kernels_of(part).after is not None for part in bodies)
@@ -80,17 +80,17 @@ def pack(system: System, own: bool = True) -> Packed:
     return packed._replace(velocity_matters=python or reads_velocity(packed))
 
 
-def own_terms(packed: Packed) -> Packed:
-    """The same system, of the same types, whose bodies have arrays of their own. A term that is among the forces, too,
-    is one term still: what it finds in one role it reads in the other. What only adds to forces writes nothing.
+def copy_terms(packed: Packed) -> Packed:
+    """Return the system, of the same types, whose bodies have copies of arrays. A term that is among the forces, too,
+    stays one term: what it finds in one role it reads in the other. A term that only adds to forces writes nothing.
     """
-    own = {id(term): own_copy(term) for term in packed.bodies}
-    forces, bodies = (tuple(own.get(id(term), term) for term in terms) for terms in (packed.forces, packed.bodies))
+    copies = {id(term): copy_term(term) for term in packed.bodies}
+    forces, bodies = (tuple(copies.get(id(term), term) for term in terms) for terms in (packed.forces, packed.bodies))
     return packed._replace(forces=forces, bodies=bodies)
 
 
 def hold_over(packed: Packed) -> Packed:
-    """The same system, whose softest forces are held over several steps."""
+    """Return the system, whose softest forces are held over several steps."""
     terms = {id(term): term for term in (*packed.forces, *packed.bodies)}
     for key, term in terms.items():
         hold = role_of(type(term), "hold_over")
@@ -100,19 +100,19 @@ def hold_over(packed: Packed) -> Packed:
 
 
 def making_lists(packed: Packed) -> tuple[str, ...]:
-    """Names of the terms of which only real steps tell what they cost."""
+    """Return the names of the terms whose cost only real steps show."""
     terms = (*packed.forces, *packed.bodies)
     return tuple(dict.fromkeys(kernels_of(term).name for term in terms if kernels_of(term).lists))
 
 
 def parts(packed: Packed) -> tuple[str, ...]:
-    """Names of what a step's forces can be told apart into."""
+    """Return the names of the parts of a step's forces."""
     felt = [term for term in packed.bodies if kernels_of(term).after is not None]
     return tuple(dict.fromkeys(kernels_of(term).name for term in (*packed.forces, *felt)))
 
 
 def silence(packed: Packed, *names: str) -> Packed:
-    """The same system, of the same types, in which the terms of these names do nothing.
+    """Return the system, of the same types, in which the terms of these names do nothing.
 
     Being of the same types, it runs the kernels that are compiled already.
     """
@@ -126,8 +126,8 @@ def silence(packed: Packed, *names: str) -> Packed:
 
 
 def silence_bodies(packed: Packed) -> Packed:
-    """The same system, of the same types, in which no body carries, meets or holds vertices. Cloth contact, which adds
-    to forces, acts without bodies too: those that it has stay where they are.
+    """Return the system, of the same types, in which no body carries, meets or holds vertices. Cloth contact, which
+    adds to forces, acts without bodies too: its own stay in place.
     """
     alone = [kernels_of(term).interval is None or kernels_of(term).block is not None for term in packed.bodies]
     return packed._replace(bodies_on=packed.bodies_on & np.array(alone, np.bool_))
@@ -141,9 +141,7 @@ def reads_velocity(packed: Packed) -> bool:
 
 
 def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
-    """What the terms of a system give that have this role (nuno_kernels.terms.Kernels), in their order; those that
-    are silent do nothing.
-    """
+    """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
     terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
     acting = {id(term): term for term, on in terms if on}
     calls = [(role_of(type(term), role), term) for term in acting.values()]
@@ -151,19 +149,17 @@ def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
 
 
 def _has_steps(kernels: Kernels) -> bool:
-    """Whether terms have a part in steps beside a force by blocks."""
+    """Whether terms have a part in steps besides a force by blocks."""
     return kernels.block is None or kernels.hold is not None
 
 
 def _disturbs(kernels: Kernels) -> bool:
-    """Whether what such terms do after a step changes forces: a force that only remembers how far it has slipped is
-    then as it was.
-    """
+    """Whether such terms change forces after a step: a force that only remembers how far it has slipped does not."""
     return kernels.hold is not None or (kernels.settle is not None and kernels.block is None)
 
 
 def _pack_carried(system: System) -> tuple[Any, ...]:
-    """The vertices that frames carry."""
+    """Return the bindings of vertices that frames carry."""
     if not system.carried:
         return ()
     from nuno_kernels.bodies.bindings import make_bindings
@@ -172,25 +168,25 @@ def _pack_carried(system: System) -> tuple[Any, ...]:
 
 
 def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:
-    """Pairs of links between which tension passes, none where none does: their kernel is then not loaded."""
+    """Return pairs of links between which tension passes, () without any: their kernel is then not loaded."""
     if fabric.yarns is None or fabric.springs is None:
         return ()
     from nuno_kernels.forces.yarns import pack_yarns
 
-    found = pack_yarns(fabric.yarns, fabric.springs, fabric.number)
-    return () if found is None else (found,)
+    pairs = pack_yarns(fabric.yarns, fabric.springs, fabric.number)
+    return () if pairs is None else (pairs,)
 
 
-def own_copy(data: Any) -> Any:
-    """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory. What is read only
-    is nobody's.
+def copy_term(data: Any) -> Any:
+    """Copy a term's tuple with its arrays: anchors and scratch belong to one solver's memory. Read-only arrays are
+    shared.
     """
     return type(data)(*(value.copy() if isinstance(value, np.ndarray) and value.flags.writeable else value
                         for value in data))  # fmt: skip
 
 
 def python_terms(system: System, start: float, end: float) -> Extra:
-    """One function that adds all forces written in Python to rows, or None where there are none.
+    """Return one function that adds all forces written in Python to rows, or None without any.
 
     They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
     """

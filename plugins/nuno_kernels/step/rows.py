@@ -20,7 +20,7 @@ def copy_rows(x: Float, to: Float) -> None:
 
 @block_kernel
 def same_rows(a: Float, b: Float) -> bool:
-    """Whether two arrays hold the same numbers; NaN is none."""
+    """Whether two arrays hold the same numbers; NaN equals none."""
     for row in range(a.shape[0]):
         for i in range(a.shape[1]):
             if a[row, i] != b[row, i]:
@@ -30,7 +30,7 @@ def same_rows(a: Float, b: Float) -> bool:
 
 @block_kernel
 def all_finite(x: Float) -> bool:
-    """Whether all is finite."""
+    """Whether all entries are finite."""
     for row in range(x.shape[0]):
         for i in range(x.shape[1]):
             if not math.isfinite(x[row, i]):
@@ -40,7 +40,7 @@ def all_finite(x: Float) -> bool:
 
 @block_kernel
 def sum_rows(a: Float, share: float, b: Float) -> Float:
-    """a + share b."""
+    """Return a + share b."""
     out = np.empty(a.shape)
     for row in range(a.shape[0]):
         for i in range(a.shape[1]):

@@ -22,11 +22,11 @@ from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import is_thorough, pass_by
 from nuno_contact.offset.contact_state import ContactState
-from nuno_contact.offset.impulse import SWEEPS, brake, farthest_way
+from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import own_copy, silence
+from nuno_kernels.step.packing import copy_term, silence
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
@@ -200,7 +200,7 @@ class Parts:
     def look(self) -> None:
         """Time the parts as the cloth lies now; the run goes on as if it had not been looked at."""
         packed, state, dt = self._packed, self.simulation.state, self.simulation.dt
-        m, threads = own_copy(self._meeting), packed.threads
+        m, threads = copy_term(self._meeting), packed.threads
         x, v = m.last.copy(), np.zeros_like(m.last)
         v[:, : len(state.v)] = state.v.T
         there = sum_rows(x, dt, v)
@@ -208,7 +208,7 @@ class Parts:
             "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
-            "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
+            "brakes": lambda: apply_impulses(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
