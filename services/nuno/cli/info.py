@@ -35,10 +35,13 @@ def main(args: argparse.Namespace) -> int:
 
 def describe(recording: Recording, lacks: Lacks) -> dict[str, Any]:
     """Return the output of `nuno info --json`: file, completeness, counts, missing messages, crossings, report."""
-    end = recording.metadata.get(END, {})
+    end, report, size = recording.metadata.get(END, {}), recording.report(), recording.path.stat().st_size
+    if isinstance(report.get("frames"), dict):  # unknown when it was written
+        report["frames"]["recorded"] = sum(recording.counts.get(topic, 0) for topic in FRAMES)
+        report["recorded_bytes"] = size
     return {
         "file": str(recording.path),
-        "bytes": recording.path.stat().st_size,
+        "bytes": size,
         "state": end.get("state", "unknown"),
         "complete": not shortcoming(recording, lacks),
         "cut": recording.recovered and not recording.growing and not recording.damage,
@@ -54,7 +57,7 @@ def describe(recording: Recording, lacks: Lacks) -> dict[str, Any]:
         "plugins": list(recording.metadata.get("plugins", {})),
         "crossings": find_spells(recording),
         "least_distance": find_nearest(recording),
-        "report": recording.report(),
+        "report": report,
     }
 
 
@@ -70,6 +73,4 @@ def _rows(recording: Recording, lacks: Lacks) -> list[tuple[str, str]]:
     rows.append(("plugins", ", ".join(facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
     report = facts["report"]
-    if isinstance(report.get("frames"), dict):  # unknown when it was written
-        report["frames"]["recorded"] = sum(facts["messages"].get(topic, 0) for topic in FRAMES)
     return [*rows, *recorded_lines(report), *([("why", str(why))] if (why := report.get("error")) else [])]
