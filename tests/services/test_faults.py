@@ -208,14 +208,18 @@ def test_a_clock_that_is_set_back_changes_nothing(tmp_path: Path, monkeypatch: p
     assert told[-1].publish_time < told[0].publish_time
 
 
-def test_a_recording_that_is_removed_stops_the_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_recording_that_is_moved_or_removed_stops_the_run(moved: bool, tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     writer = RecordingWriter(folder / "a.mcap", metadata(), {})
-    part_of(folder / "a.mcap").unlink()
-    folder.rmdir()
+    if moved:
+        folder.rename(tmp_path / "elsewhere")
+    else:
+        part_of(folder / "a.mcap").unlink()
+        folder.rmdir()
     event = next(m for m in items(Sheet(3, 2), 2) if m[0].startswith("run/event"))
-    with pytest.raises(RunFailed, match=r"its file or folder was removed; nothing is left of .*a\.mcap\.part"):
+    with pytest.raises(RunFailed, match=r"its file or folder was moved or removed; it is no longer at .*a\.mcap\.part"):
         writer.write(*event)
 
 

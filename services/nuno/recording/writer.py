@@ -189,15 +189,15 @@ class RecordingWriter:
 
     def _flush(self) -> None:
         self._file.flush()
-        if os.fstat(self._stream.fileno()).st_nlink == 0:
-            raise OSError(errno.ENOENT, "its file or folder was removed")
+        if not part_of(self.path).exists():
+            raise OSError(errno.ENOENT, "its file or folder was moved or removed")
         self._last_whole = self._stream.tell()
         self._flushed = time.monotonic()
 
     def _failure(self, error: OSError) -> RunFailed:
         part, end = part_of(self.path), self._last_whole
         self.abort()
-        kept = f"{part} reads up to byte {end}" if part.exists() else f"nothing is left of {part}"
+        kept = f"{part} reads up to byte {end}" if part.exists() else f"it is no longer at {part}"
         return RunFailed(f"recording stopped: {error.strerror or error}; {kept}")
 
 
