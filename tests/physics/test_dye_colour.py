@@ -15,8 +15,7 @@ from nuno.scene.files import SceneFiles
 from nuno_dye.cloths.coarse import Layout
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.pictures import picture as module
-from nuno_dye.pictures.colour import colour_of, mix
-from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
+from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig, colour_of, mix
 from nuno_dye.pictures.texture import Shades, TextureConfig, find_layouts
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Window, amount_seen

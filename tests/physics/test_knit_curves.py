@@ -15,8 +15,7 @@ from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.paths import find_paths
 from nuno_knit.repair import CHECKED
-from nuno_knit.smooth import PIECES, Smooth, SmoothConfig
-from nuno_knit.spline import sample_curves
+from nuno_knit.smooth import PIECES, Smooth, SmoothConfig, sample_curves
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State

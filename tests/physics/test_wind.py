@@ -10,8 +10,15 @@ from nets import wind_force
 
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
-from nuno_cloth.wind.kernels import WindRuns, add_particle_wind, prepare_wind
-from nuno_cloth.wind.plugin import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
+from nuno_cloth.wind.plugin import (
+    ParticleWindConfig,
+    ParticleWindForce,
+    Wind,
+    WindConfig,
+    WindRuns,
+    add_particle_wind,
+    prepare_wind,
+)
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

@@ -17,8 +17,7 @@ from studio_desk import NEEDS_BROWSER, studio, write_sheet
 
 import nuno
 from nuno.pages.guard import Refused
-from nuno.studio.desk import Desk
-from nuno.studio.exports import KINDS
+from nuno.studio.desk import KINDS, Desk
 from nuno_schemas.errors import BadInput
 
 

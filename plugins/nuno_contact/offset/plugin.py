@@ -2,26 +2,54 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.offset.begin import begin_interval
-from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
-from nuno_contact.offset.ccd import limit_step
+from nuno_contact.offset.bodies import (
+    STANDS,
+    copy_part,
+    find_behind,
+    is_waiting,
+    make_solids,
+    place_solids,
+    pose_solids,
+    set_solid_poses,
+)
+from nuno_contact.offset.candidate_pairs import choose_near, make_list
+from nuno_contact.offset.ccd import all_close, limit_step
 from nuno_contact.offset.contact_state import ContactState, make_contact_state, tree_of
-from nuno_contact.offset.energy import measure_pairs
-from nuno_contact.offset.force import add_pairs, is_fresh
+from nuno_contact.offset.force import STEEPEST, across, add_pairs, corners_of, faces_of, is_fresh, touch
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
-from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, NEAR, STILL, TOUCHING
-from nuno_contact.offset.plan import LONGEST
+from nuno_contact.offset.places import (
+    CUT,
+    HELD_CUT,
+    LAST_STEP,
+    LEFT_OUT,
+    LIST_BEGUN,
+    LIST_ROOM,
+    LIST_WINDOW,
+    LISTED,
+    NEAR,
+    NEAR_BEGUN,
+    NOW,
+    STILL,
+    TOUCHING,
+)
+from nuno_contact.offset.plan import LEAST, LISTS, LONGEST, MOST, WINDOW, allow, set_out
 from nuno_contact.offset.projection import project
+from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
+from nuno_contact.offset.touching import find_touching
 from nuno_contact.reaction import elastic_stiffness
 from nuno_contact.untangle.search import find_crossings
+from nuno_kernels import block_kernel, forced_inline, kernel
+from nuno_kernels.lanes.triples import dot
+from nuno_kernels.step.rows import all_finite, copy_rows, same_rows
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -30,6 +58,96 @@ from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
 from nuno_schemas.units import quantity
 from nuno_schemas.vectors import norm
+
+# The start of an interval: contact continues with its lists, or makes new ones if cloth was moved meanwhile.
+
+
+@kernel
+def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) -> None:
+    """Before an interval's first step from x (3, n), keep the lists, or begin anew if x is another state."""
+    n, goal = x.shape[1], x
+    if m.local.shape[0] > 0:
+        goal, m.still[0] = m.goal, min(m.still[0], STANDS)
+        pose_solids(m, 0.0)
+        copy_part(x, goal, 0, n)
+    begin_whole(m, goal, same_rows(x, m.last), span, threads)
+    if m.local.shape[0] > 0:
+        find_behind(m, n)
+
+
+@block_kernel
+def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
+    """Do so for cloth and bodies together; `goes_on`: the cloth is where it was left."""
+    clock, m.span[0] = m.clock, span
+    m.share[:] = 1.0  # a resumed run lacks it
+    clock[LIST_BEGUN] -= clock[NOW]
+    clock[NEAR_BEGUN] -= clock[NOW]
+    clock[NOW] = 0.0
+    if not (goes_on and all_finite(m.reference)):
+        if not all_finite(x):
+            return
+        copy_rows(x, m.last)
+        clock[LIST_BEGUN], clock[LIST_WINDOW], clock[LIST_ROOM], clock[LAST_STEP] = 0.0, LISTS, 1.0, 0.0
+        m.unrest[:] = 0.0
+        m.anchored[:] = False
+        m.number[LISTED] = 0
+        allow(m, m.spread[1], m.unrest[1], WINDOW, LEAST[1], MOST[1])
+        set_out(m, m.nothing, 1.0, WINDOW, True, threads)
+    elif not (
+        same_rows(m.listed[:6], m.reference)
+        and same_rows(m.listed[6:12], m.motion)
+        and same_rows(m.listed[12:], m.spread)
+    ):
+        make_list(m, threads)
+        choose_near(m, threads)
+    renew_planes(m)
+    all_close(m)
+    find_touching(m, threads)
+
+
+@block_kernel
+def renew_planes(m: ContactState) -> None:
+    """Give each near pair the plane across its closest points at `last`."""
+    for q in range(m.number[NEAR]):
+        p = m.near[q]
+        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
+        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
+        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n
+
+
+# The energy of contacts whose forces are in nuno_contact.offset.force.
+
+
+@forced_inline
+def stored(k: float, h: float, distance: float) -> float:
+    """Return the energy [J] of nuno_contact.offset.force.push."""
+    if distance >= 0.5 * h:
+        return 0.5 * k * (h - distance) * (h - distance)
+    d = max(distance, STEEPEST * h)
+    deeper = (d - distance) / d
+    return k * h * h * (0.125 + 0.25 * (math.log(0.5 * h / d) + deeper + 0.5 * deeper * deeper))
+
+
+@kernel
+def measure_pairs(m: ContactState, x: Float) -> float:
+    """Return the energy [J] of all contacts at x (3, n), with that of friction's springs, and bodies as they are."""
+    if m.local.shape[0] > 0:
+        copy_part(x, m.whole, 0, x.shape[1])
+        x = m.whole
+    pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
+    for q in range(m.number[NEAR]):
+        p = m.near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        corners = corners_of(x, i, j, k, l)
+        at = touch(x, i, of[p], corners, reach[p], mesh)
+        if at.distance < reach[p]:
+            total += stored(stiffness[p], reach[p], at.distance)
+            if m.anchored[p]:
+                a = (m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3])
+                e = across(weigh(a, corners), at.normal)
+                total += 0.5 * stiffness[p] * dot(e, e)
+    return total
+
 
 THINNEST = 1e-6
 """least thickness [m]: below a micrometre, distances come near to the last digits of positions"""

@@ -1,5 +1,5 @@
 """Implicit steps of any length: diffusion, limits, supplies and adsorption solved together
-(nuno_dye.solvers.implicit_sweep).
+(nuno_dye.solvers.implicit).
 
 `sdirk2` (Alexander 1977) takes two backward Euler stages of gamma = 1 - 1/sqrt(2) of the step, the second from the
 extrapolated result of the first. It is of second order and has the amplification of TR-BDF2, but needs no rate at the
@@ -17,19 +17,286 @@ do not converge either, the step is taken again as two halves, up to eight times
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numba import prange
 from pydantic import BaseModel, Field
 
 from nuno_dye.laws.adsorption import Uptake
-from nuno_dye.laws.potential import Curve, raise_levels
+from nuno_dye.laws.potential import Curve, amount, raise_levels
 from nuno_dye.solvers import solving
-from nuno_dye.solvers.implicit_cell import remove_excess
-from nuno_dye.solvers.implicit_sweep import Stage, relax, settle
+from nuno_dye.solvers.diffusion import LEFT, Rows
+from nuno_dye.solvers.implicit_cell import held_at, remove_excess, solve_level
 from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
+from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
+
+# An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
+#
+# A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
+# depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved
+# (nuno_dye.solvers.implicit_cell); the cell is then
+#
+#     at its floor   where a supply keeps it up
+#     full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,
+#                    (V_u - b + outflow + taken) / inflow; the supply replaces what flows out of a full kept-up cell
+#     free           relaxed by omega; f = 1
+#
+# As in an obstacle problem (Cryer 1971), over-relaxation beyond a bound stops at it. More dye anywhere means less room
+# and no less dye elsewhere, so that the sweeps converge to the one solution. omega goes by Chebyshev's rule to Young's
+# best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
+# weights of a cell. A multigrid method would need a coarse form of all three conditions.
+#
+# If D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only a cell's own
+# amounts are not. W is then that of the largest D.
+
+CROSSINGS = 8
+"""The most Newton steps in a cell; each but the last passes one of five neighbours, and the first may be from above."""
+
+
+class Stage(NamedTuple):
+    """One dye in a stage, (2 r, w) each, weft rows before warp rows.
+
+    level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
+    passed   f, 1 if nothing can be limited
+    begun    b
+    least    fixed dye at the step's start
+    floor    G of maintained amounts, 0 without any
+    along, down, across  weights of the faces
+    """
+
+    level: Float
+    passed: Float
+    begun: Float
+    least: Float
+    floor: Float
+    along: Float
+    down: Float
+    across: Float
+
+
+@kernel
+def root_among(
+    stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, row: int, layer: int, c: int
+) -> tuple[float, float]:
+    """Return the root of a cell's equation with f = 1 for itself, and 1 plus its sum of weights there; `most` is None
+    if nothing can be limited.
+
+    The others' factors scale outflow, so that the sum of weights falls where the cell rises above a neighbour: the
+    equation is concave, Newton steps from below its root stay below, and each passes another cell. A single step,
+    over-relaxed, would alternate between both sides of a full neighbour.
+    """
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through, x = across[row, c], level[at, c]
+    p_0, p_1, p_2, p_3 = level[at, c + 1], level[at, c - 1], level[at + 1, c], level[at - 1, c]
+    f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
+    p_4, f_4, initial, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
+    limited = False if most is None else f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
+    for _ in range(CROSSINGS):
+        g_0 = east if p_0 > x or not limited else east * f_0
+        g_1 = west if p_1 > x or not limited else west * f_1
+        g_2 = south if p_2 > x or not limited else south * f_2
+        g_3 = north if p_3 > x or not limited else north * f_3
+        g_4 = through if p_4 > x or not limited else through * f_4
+        ways = 1.0 + (((g_0 + g_1) + (g_2 + g_3)) + g_4)
+        total = initial + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
+        previous, x = x, solve_level(total, ways, x, curve, stage.least[at, c], uptake, at, c)
+        low, high = min(previous, x), max(previous, x)
+        if not limited or not (
+            low < p_0 <= high or low < p_1 <= high or low < p_2 <= high or low < p_3 <= high or low < p_4 <= high
+        ):
+            break
+    return x, ways
+
+
+@kernel
+def flows_at(level: float, weight: float, other: float, factor: float) -> tuple[float, float, float]:
+    """Return the inflow, the outflow and the weight of outflow of one face of a cell that holds `level`."""
+    flux = weight * (other - level)
+    return (flux, 0.0, 0.0) if flux > 0.0 else (0.0, -flux * factor, weight * factor)
+
+
+@kernel
+def fill_cell(
+    limit: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, kept: bool, row: int, layer: int, c: int
+) -> tuple[float, float, float]:
+    """Return level, factor and inflow of a cell whose root without a factor is beyond its limit."""
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
+    at, other = row + layer * r, row + r - layer * r
+    begun = stage.begun[at, c]
+    inflow, outflow, ways = 0.0, 0.0, 0.0
+    for weight, i, k in (
+        (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+        (down[at - 1, c], at - 1, c), (across[row, c], other, c),
+    ):  # fmt: skip
+        into, out, open_weight = flows_at(limit, weight, level[i, k], passed[i, k])
+        inflow, outflow, ways = inflow + into, outflow + out, ways + open_weight
+    full = amount(limit, curve)
+    taken = held_at(full, stage.least[at, c], uptake, at, c) - uptake.fixed[at, c] if uptake is not None else 0.0
+    room = full - begun + taken + (0.0 if kept else outflow)
+    if room < 0.0 and not kept:
+        # The cell starts with more than can stay: without inflow, it keeps what does not flow out.
+        total = begun + ways * limit - outflow
+        return max(limit, solve_level(total, 1.0 + ways, limit, curve, stage.least[at, c], uptake, at, c)), 0.0, inflow
+    factor = min(max(room / inflow, 0.0), 1.0) if inflow > 0.0 else 1.0
+    return limit, factor, inflow
+
+
+@kernel
+def cell_residual(root: float, here: float, ways: float, curve: Curve | None) -> float:
+    """Return the residual of a level in its cell's equation, in amounts."""
+    if curve is None:
+        return abs(root - here) * ways
+    return abs(root - here) * (ways - 1.0) + abs(amount(root, curve) - amount(here, curve))
+
+
+@kernel
+def relax_cell(
+    stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, omega: float, row: int, layer: int,
+    c: int,
+) -> Any:  # fmt: skip
+    """Bring one cell nearer to its root. Return the previous residual of its equation, in amounts."""
+    level, passed, at = stage.level, stage.passed, row + layer * stage.across.shape[0]
+    here = level[at, c]
+    root, ways = root_among(stage, curve, uptake, most, row, layer, c)
+    least = stage.floor[at, c]
+    kept = least > 0.0 and root <= least
+    if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
+        limit = most[at, c]
+        filled, factor, inflow = fill_cell(limit, stage, curve, uptake, least >= limit > 0.0, row, layer, c)
+        residual = cell_residual(filled, here, ways, curve) + abs(factor - passed[at, c]) * inflow
+        level[at, c], passed[at, c] = filled, factor
+        return residual
+    if kept:
+        root = relaxed = least
+    else:
+        relaxed = here + omega * (root - here)
+        if least > 0.0:
+            relaxed = max(relaxed, least)
+        if most is not None:
+            relaxed = min(relaxed, most[at, c])
+    residual = cell_residual(root, here, ways, curve)
+    level[at, c] = relaxed
+    if most is not None:
+        residual += abs(1.0 - passed[at, c]) * ways * max(here, 0.0)
+        passed[at, c] = 1.0
+    return residual
+
+
+@kernel
+def relax_row(
+    colour: int, omega: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
+    row: int, largest: float,
+) -> float:  # fmt: skip
+    """Relax the cells of one colour in a row of both layers. Return the maximum of `largest` and their residuals."""
+    for layer in range(2):
+        for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
+            residual = relax_cell(stage, curve, uptake, most, omega, row, layer, c)
+            # Keep NaN.
+            if not residual <= largest and largest == largest:
+                largest = residual
+    return largest
+
+
+@parallel_kernel
+def relax_bands(
+    omega: float, second: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
+    most: Float | None, nx: int, worst: Float,
+) -> None:  # fmt: skip
+    """Relax one colour everywhere, and the other a row behind it while that is in the cache, except in the bands' outer
+    rows, whose old values the first colour of the next band still needs.
+    """
+    for b in prange(cuts.shape[0] - 1):
+        largest = 0.0
+        for row in range(cuts[b], cuts[b + 1]):
+            largest = relax_row(1, omega, stage, curve, uptake, most, nx, row, largest)
+            if row - 1 > cuts[b]:
+                largest = relax_row(0, second, stage, curve, uptake, most, nx, row - 1, largest)
+        worst[b, 0] = largest
+
+
+@parallel_kernel
+def relax_edges(
+    omega: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
+    worst: Float,
+) -> None:  # fmt: skip
+    """Relax the other colour in the bands' outer rows."""
+    for b in prange(cuts.shape[0] - 1):
+        first, last = cuts[b], cuts[b + 1] - 1
+        largest = relax_row(0, omega, stage, curve, uptake, most, nx, first, 0.0)
+        if last > first:
+            largest = relax_row(0, omega, stage, curve, uptake, most, nx, last, largest)
+        worst[b, 1] = largest
+
+
+@kernel
+def relax(
+    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
+    most: Float | None, nx: int, leave: Rows,
+) -> tuple[int, float]:  # fmt: skip
+    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0.
+    Return the number of sweeps and the last residual.
+    """
+    worst = np.zeros((cuts.shape[0] - 1, 2))
+    square, omega, residual = radius * radius, 1.0, np.inf
+    for n in range(sweeps):
+        second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
+        relax_bands(omega, second, cuts, stage, curve, uptake, most, nx, worst)
+        relax_edges(second, cuts, stage, curve, uptake, most, nx, worst)
+        omega = 1.0 / (1.0 - 0.25 * square * second)
+        residual = worst.max()
+        if residual <= bound or not np.isfinite(residual) or leave[0] != 0:
+            return n + 1, residual
+    return sweeps, residual
+
+
+@kernel
+def flow(weight: float, here: float, other: float, factor: float, other_factor: float) -> float:
+    """Return the flux from the other cell, times the receiver's factor; the same bits from both sides."""
+    return weight * (factor if other > here else other_factor) * (other - here)
+
+
+@kernel
+def settle_row(
+    out: Float, held: Float, stage: Stage, curve: Curve | None, uptake: Uptake | None, row: int,
+    layer: int, nx: int,
+) -> None:  # fmt: skip
+    """Compute mobile and fixed dye of one row of one layer from the fluxes of the solution."""
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
+    at, other = row + layer * r, row + r - layer * r
+    for c in range(LEFT, LEFT + nx):
+        here, f = level[at, c], passed[at, c]
+        inflow = 0.0
+        for weight, i, k in (
+            (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+            (down[at - 1, c], at - 1, c), (across[row, c], other, c),
+        ):  # fmt: skip
+            inflow += flow(weight, here, level[i, k], f, passed[i, k])
+        taken = 0.0
+        if uptake is not None:
+            fixed = held_at(amount(here, curve), stage.least[at, c], uptake, at, c)
+            taken = fixed - uptake.fixed[at, c]
+            held[at, c] = fixed
+        out[at, c] = stage.begun[at, c] + inflow - taken
+
+
+@parallel_kernel
+def settle(
+    out: Float, held: Float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, nx: int
+) -> None:
+    """Compute mobile and fixed dye after the stage from the fluxes, so that a residual moves dye and creates none."""
+    for b in prange(cuts.shape[0] - 1):
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                settle_row(out, held, stage, curve, uptake, row, layer, nx)
+
 
 GAMMA = 1.0 - math.sqrt(0.5)
 HALVINGS = 8

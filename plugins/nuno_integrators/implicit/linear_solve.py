@@ -20,14 +20,44 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nuno_integrators.implicit.conjugate import keep_momentum, solve
+from nuno_integrators.implicit.conjugate import along, keep_momentum, solve, turn_and_multiply
 from nuno_integrators.implicit.factor import Factor, compile_factor, factorise, make_factor, solve_factored
 from nuno_integrators.implicit.matrix import Linear, fill, make_linear
 from nuno_integrators.implicit.plan import make_plan
-from nuno_integrators.implicit.refine import refine
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
+
+# Conjugate gradients with a factorisation as preconditioner: for terms of the matrix that are not in the factor.
+
+MOST = 200
+
+
+def refine(a: Linear, factor: Factor, b: Float, tolerance: float, threads: int | None) -> int:
+    """Bring a.x, the factor's solution for b (3, n), to A^-1 b, until sqrt(r.z) is `tolerance` of sqrt(b.x). Return the
+    iterations; 0, with a.x unchanged, if the factor lacks nothing.
+    """
+    target = tolerance * tolerance * along(b, a.x)
+    x, turn, before = a.x.copy(), 0.0, 1.0
+    a.p[...], a.z[...] = 0.0, x
+    turn_and_multiply(0.0, a, threads)
+    np.subtract(b, a.q, out=a.r)
+    for iteration in range(MOST):
+        solve_factored(factor, a.r, a.z)
+        rz = along(a.r, a.z)
+        if not rz > target:
+            break
+        turn = rz / before if iteration else 0.0
+        curvature = turn_and_multiply(turn, a, threads)
+        if not curvature > 0.0:
+            break
+        step = rz / curvature
+        x += step * a.p
+        np.subtract(a.r, step * a.q, out=a.r)
+        before = rz
+    a.x[...] = x
+    return iteration
+
 
 FORCING = 0.05
 """share of the residual that conjugate gradients may leave: tighter saves few Newton steps for many products"""

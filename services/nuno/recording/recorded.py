@@ -47,7 +47,7 @@ class Checkpoint:
 
     arrays  x and v (n, 3) [m, m/s], or phi and fixed (dyes, 2, ny, nx) of dye; each array of the solver's memory as
             memory/NAME, with the vertices of renumbered cloth in the order of numbers (n,); fabric/... of objects that
-            operations have changed; energy (2,) [J], the account of nuno.simulation.energy_growth; and resist
+            operations have changed; energy (2,) [J], the account of nuno.simulation.run; and resist
             (2, ny, nx), B of the cells, where a resist was added during the run
     text    frame, t [s], digest, dt [s], steps, and further fields of the service
     """
