@@ -152,6 +152,9 @@ def test_a_refused_recording_is_not_announced(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr()
     assert said.out == "" and "would be lost" in said.err
     assert record.read_text() == "my notes"
+    record.write_bytes(b"\x89MCAP0\r\n")
+    assert main(["run", str(scene), "--no-view", "--record", str(record), "--log", str(scene)]) == 2
+    assert capsys.readouterr().out == ""
 
 
 def test_write_protected_files_stay(refused: Refused, tmp_path: Path) -> None:

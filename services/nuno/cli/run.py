@@ -92,12 +92,12 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
             raise BadInput("an animation is drawn of the recording", field="--mp4", remedy="leave --no-record out")
         check_animation(args.mp4, RATE)
     deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
-    if options.record is not None and options.record.is_file():
-        print(f"replaces {options.record} once the new one is whole", flush=True)
     beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
     files = [path for path in (options.record, options.save, args.mp4, loaded.own_path) if path is not None]
     with log.written(run, args.log or beside, [*files, *map(part_of, files), *loaded.files.used.values()]):
+        if options.record is not None and options.record.is_file():
+            print(f"replaces {options.record} once the new one is whole", flush=True)
         if loaded.scene.undecided:
             print("choosing a solver by trying it on the first frames", flush=True)
         loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
