@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from live_run import start_long
 from refusals import Refused
 from scenes import write_scene
 
@@ -97,6 +98,15 @@ def test_python_names_the_recording_that_replaced_no_other(
     with pytest.raises(RunFailed, match=re.escape(f"recording kept in {part_of(record)}")):
         nuno.run(scene, "solver.dt=20ms", "allow_unstable=true", record=record, duration=20)
     assert record.read_bytes() == before
+
+
+def test_a_run_stopped_by_control_replaces_a_recording(tmp_path: Path) -> None:
+    record = tmp_path / "long.mcap"
+    record.write_bytes(b"\x89MCAP0\r\n")
+    start_long(tmp_path, bodies=[]).stop()
+    with nuno.open(record) as recording:
+        assert recording.complete and recording.metadata["end"]["state"] == "stopped"
+    assert not part_of(record).exists()
 
 
 def test_a_log_replaces_a_log_only(refused: Refused, tmp_path: Path) -> None:
