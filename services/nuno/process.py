@@ -46,6 +46,13 @@ def working_folder() -> str:
     return ""
 
 
+def check_unprotected(path: Path, field: str | None = None) -> None:
+    """Raises BadInput for a file that this user may not write; root may write any but one that nobody may write."""
+    if path.is_file() and not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
+        remedy = "choose another name, or permit it with chmod u+w"
+        raise BadInput("the file there is write-protected", field=field, value=str(path), remedy=remedy)
+
+
 def return_large_arrays() -> None:
     """Give arrays of LARGE bytes and more back to the system when they are freed, and keep the room of smaller ones,
     up to KEPT bytes of it at a time (glibc).

@@ -258,9 +258,6 @@ def test_a_recording_that_will_be_replaced_is_named_before_the_run(
     assert said not in capsys.readouterr().out
     assert main([*command, "--no-view"]) == 0
     assert capsys.readouterr().out.startswith(f"{said}\n")
-    before = record.read_bytes()
-    assert main([*command, "--no-record", "--no-view"]) == 0
-    assert said not in capsys.readouterr().out and record.read_bytes() == before
 
 
 def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:

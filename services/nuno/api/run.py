@@ -23,6 +23,7 @@ from nuno.process import SIGNALS
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import resumed_scene
+from nuno.recording.writer import part_of
 from nuno.report.make import make_report
 from nuno.runtime_estimate import keep_up
 from nuno.scene.scene_file import Loaded
@@ -110,7 +111,7 @@ def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None
         options = replace(options, record=path, temporary=True)
         return replace(_recorded(scene, options, deployment, progress), folder=Folder(folder))
     except BaseException:
-        if not path.is_file():
+        if not any(folder.iterdir()):
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
@@ -138,6 +139,7 @@ def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress:
     assert path is not None
     with _progress_bar(scene, progress) as update:
         outcome = supervisor.supervise(scene, options, deployment, update, lambda o: make_report(scene, o))
+    path = Path(outcome.services.get("recorder", {}).get("file", part_of(path)))
     report = make_report(scene, outcome)
     for text in report["warnings"]:
         warnings.warn(text, stacklevel=4)  # at the caller of `run`

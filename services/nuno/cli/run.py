@@ -13,7 +13,7 @@ from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget
 from nuno.process import ending_at_once
 from nuno.progress import ProgressLine
 from nuno.recording.restore import resumed_scene
-from nuno.recording.writer import part_of
+from nuno.recording.writer import check_target, part_of
 from nuno.report.make import make_report
 from nuno.report.show import row, show_report
 from nuno.runtime_estimate import keep_up
@@ -31,9 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
     add_budget(parser)
     recording = parser.add_argument_group("recording")
-    recording.add_argument("--no-record", action="store_true", help="do not record")
+    either = recording.add_mutually_exclusive_group()
+    either.add_argument("--no-record", action="store_true", help="do not record")
+    add_flags(either, {"--record": ("FILE", "where the recording goes (default: recordings/<run>.mcap)", Path)})
     add_flags(recording, {
-        "--record": ("FILE", "where the recording goes (default: recordings/<run>.mcap)", Path),
         "--resume": ("FILE", "go on from the last checkpoint of a recording, or of the last, with its own scene", Path),
         "--log": ("FILE", "what happened, as lines of JSON: a file, or - for standard output (default: beside the "
                   "recording)", Path),
@@ -80,10 +81,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
-    if loaded.scene.undecided:
-        print("choosing a solver by trying it on the first frames", flush=True)
     budget = budget_of(args)
-    loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     if args.mp4 is not None:
@@ -94,11 +92,15 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
             raise BadInput("an animation is drawn of the recording", field="--mp4", remedy="leave --no-record out")
         check_animation(args.mp4, RATE)
     deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
-    if options.record is not None and options.record.is_file():
-        print(f"replaces {options.record} once the new one is whole", flush=True)
     default_log = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
-    with log.written(run, args.log or default_log):
+    files = [path for path in (options.record, options.save, args.mp4, loaded.own_path) if path is not None]
+    with log.written(run, args.log or default_log, [*files, *map(part_of, files), *loaded.files.used.values()]):
+        if options.record is not None and options.record.is_file():
+            print(f"replaces {options.record} once the new one is whole", flush=True)
+        if loaded.scene.undecided:
+            print("choosing a solver by trying it on the first frames", flush=True)
+        loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
         code = execute(loaded, options, deployment, picture, args.report)
     if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
         from nuno.exports.animations import export_animation
@@ -114,6 +116,8 @@ def _options(args: argparse.Namespace, run: str) -> Options:
         target: Path | None = args.record
         record = runs.record_path(target.parent if target else runs.RECORDINGS, run)
         record = target or record
+        if args.connect is None:  # else a recorder that was started by hand may be writing it already
+            check_target(record)
     view = choose_view(args)
     return Options(record=record, save=args.save, view=view, resume=args.resume, threads=args.threads,
                    real_time=args.real_time)  # fmt: skip
@@ -123,7 +127,9 @@ def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
     """Print which files the run has written, and not older ones of the same name."""
     files = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
     if "recorder" in files:
-        print(row("recording", files["recorder"]))
+        old = files["recorder"].removesuffix(".part")
+        stays = "" if old == files["recorder"] else f"  ({old} stays as it was: only a whole one replaces it)"
+        print(row("recording", files["recorder"] + stays))
     elif options.record is not None and (part := part_of(options.record)).exists():
         print(row("recording", f"{part}, which was not finished"))
     if "viewer" in files:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from nuno.process import check_unprotected
 from nuno.recording.writer import part_of
 from nuno.scene import yaml_lines
 from nuno.scene.edit import put
@@ -43,6 +44,7 @@ def write_whole(path: Path, text: str) -> None:
     The text is written to a file next to it, flushed to the disk, and renamed; permissions are kept, links followed.
     """
     path = path.resolve()
+    check_unprotected(path)
     part = part_of(path)
     try:
         with part.open("w", encoding="utf-8", newline="") as file:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.process import scratch
+from nuno.process import check_unprotected, scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 
@@ -83,6 +83,7 @@ def check_target(path: Path, suffix: str) -> None:
     if path.is_file() and not _is_kind(path, suffix):
         problem = f"the file there is no {suffix[1:]} export and would be lost"
         raise BadInput(problem, value=str(path), remedy="choose another name, or remove it")
+    check_unprotected(path)
 
 
 class _Together(ExitStack):

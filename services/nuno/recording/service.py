@@ -121,10 +121,10 @@ class Recorder:
             "refused": json.dumps(self._refused()),
             "complete": "true" if expected and not missing and state not in ("failed", *SIGNALS) else "false",
         }
-        path = self._writer.finish({END: end})
+        path = self._writer.finish({END: end}, end["complete"] == "true" and state in ("done", "stopped"))
         size = path.stat().st_size
         return {
-            "file": str(self._context.options.record),
+            "file": str((self._context.options.record or path).with_name(path.name)),
             "messages": sum(counts.values()),
             "counts": {topic: self._written(topic) for topic in counts},
             "payload_bytes": self._writer.bytes,

@@ -16,7 +16,7 @@ from typing import BinaryIO
 from pydantic import ValidationError
 
 from nuno.bus.encodings import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
-from nuno.process import hold
+from nuno.process import check_unprotected, hold
 from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
@@ -74,11 +74,12 @@ def _open(path: Path) -> BinaryIO:
         if path.exists() and not _is_mcap(path):
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
+        check_unprotected(path, "--record")
         stream = part.open("xb")
         hold(stream.fileno())  # readers see by the lock that it grows
         return stream
     except FileExistsError:
-        remedy = "it is being written, or its run was killed: choose another name, or move it away"
+        remedy = "it is being written, or its run ended early: choose another name, or move it away"
         raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None
     except OSError as error:
         remedy = "choose a folder that exists and can be written, with --record FILE"
@@ -150,8 +151,12 @@ class RecordingWriter:
         self.bytes += len(payload)
         self.seconds += time.perf_counter() - start
 
-    def finish(self, metadata: dict[str, dict[str, str]]) -> Path:
-        """Write closing metadata and the index, make the file durable, and rename it."""
+    def finish(self, metadata: dict[str, dict[str, str]], whole: bool = True) -> Path:
+        """Write closing metadata and the index, make the file durable, and rename it.
+
+        A file that is not `whole` replaces no other.
+        """
+        kept = self.path if whole or not self.path.exists() else part_of(self.path)
         try:
             # The last messages come before the closing metadata, also in a file cut in between.
             self._flush()
@@ -160,11 +165,11 @@ class RecordingWriter:
             self._file.finish()
             os.fsync(self._stream.fileno())
             self._stream.close()
-            part_of(self.path).replace(self.path)
+            part_of(self.path).replace(kept)
             _sync_folder(self.path.parent)
         except OSError as error:
             raise self._failure(error) from None
-        return self.path
+        return kept
 
     @property
     def closed(self) -> bool:

@@ -12,13 +12,14 @@ import json
 import logging
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from logging.handlers import MemoryHandler
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from nuno.process import check_unprotected
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
@@ -141,11 +142,18 @@ class _UntilReady(MemoryHandler):
         return self.ready
 
 
+def _is_log(path: Path) -> bool:
+    with contextlib.suppress(OSError, ValueError, TypeError, RecursionError), path.open("rb") as stream:
+        line = stream.readline(2**16)
+        return not line or {"time", "level", "run", "message"} <= dict(json.loads(line)).keys()
+    return False
+
+
 @contextlib.contextmanager
-def written(run: str, target: Path | None) -> Iterator[None]:
+def written(run: str, target: Path | None, others: Iterable[Path] = ()) -> Iterator[None]:
     """Write a run's records to a file, to standard output for -, nowhere for None.
 
-    A refused run leaves no file. Raises BadInput where the file cannot be written.
+    A refused run leaves no file. Raises BadInput where the file cannot be written, is no log, or is one of `others`.
     """
     if target is None:
         yield
@@ -154,6 +162,11 @@ def written(run: str, target: Path | None) -> Iterator[None]:
     output.setFormatter(JsonLines())
     handler: logging.Handler = output
     if str(target) != "-" and (target.is_file() or not target.exists()):  # a pipe is written immediately
+        itself = target.resolve() in [path.resolve() for path in others]
+        if itself or (target.is_file() and not _is_log(target)):
+            problem = "the run itself uses that file" if itself else "what is there is no log and would be lost"
+            raise BadInput(problem, field="--log", value=str(target), remedy="choose another name with --log FILE")
+        check_unprotected(target, "--log")
         try:
             tempfile.TemporaryFile(dir=target.resolve().parent).close()
         except OSError as error:
