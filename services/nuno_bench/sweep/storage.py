@@ -120,8 +120,8 @@ class Kept(AbstractContextManager["Kept"]):
             say(f"the finished sweep in {self.path} is replaced")
             self.lines = []
         self._stream.truncate(0)
-        for line in (head, *self.lines):
-            self.add(line)
+        for one in (head, *self.lines):
+            self.add(one)
 
     def add(self, data: Mapping[str, Any]) -> None:
         self._stream.write(json.dumps(dict(data)) + "\n")
