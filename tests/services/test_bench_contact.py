@@ -144,7 +144,7 @@ def test_what_raises_is_a_finding_about_its_scene(tmp_path: Path, monkeypatch: p
         raise ZeroDivisionError("by hand")
 
     monkeypatch.setattr(Simulation, "step", broken)
-    kept = Kept(tmp_path / "kept.jsonl", {}, False)
+    kept = Kept(tmp_path / "kept.jsonl", {}, False, print)
     (found,) = command.run_all([2], SHORT, kept, Executor(), lambda text: None)
     assert (found.verdict, found.message, found.frames) == ("crashed", "ZeroDivisionError: by hand", 0)
 

@@ -61,7 +61,7 @@ def test_scenes_that_never_began_are_begun_by_a_resumed_sweep(tmp_path: Path) ->
     assert nuno_main(["bench", "precision", str(first), str(second), *flags, "--resume"]) == 0
     assert (tmp_path / "out" / "precision-line.jsonl").read_text() == before
     content = json.loads((tmp_path / "out" / "precision-other.json").read_text())
-    assert len(content["points"]) == len(before.splitlines()) - 1
+    assert len(content["points"]) == len(before.splitlines()) - 2
 
 
 def test_what_does_not_belong_together_is_not_resumed(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
     costs = {"rk4": 40.0, "leapfrog": 0.1}
     sweep = Sweep(costs=costs)
     monkeypatch.setattr(Runner, "measure", measure)
-    run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False), 60.0, lambda text: None)
+    run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False, print), 60.0, lambda text: None)
     fast = len(solvers[1].settings)
     assert order[:fast] == ["leapfrog"] * fast and "rk4" in order[fast:]
     assert {one.solver for one in sweep.omitted} == {"rk4"}

@@ -145,7 +145,7 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     settings, omissions = settings_of(net, [])
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
-    kept = Kept(tmp_path / "rows.jsonl", {}, False)
+    kept = Kept(tmp_path / "rows.jsonl", {}, False, print)
     points, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Executor(), lambda text: None)
     assert {point.axis for point in points} == {"stiffness"}
 
@@ -156,7 +156,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 
     def sweep(resume: bool, identity: str = "a") -> list[Point]:
         told.clear()
-        kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
+        kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume, print)
         return measure_all(settings, ["leapfrog"], kept, 60.0, Executor(), told.append)[0]
 
     whole = sweep(False)
@@ -173,7 +173,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
-    kept = Kept(tmp_path / "rows.jsonl", {}, False)
+    kept = Kept(tmp_path / "rows.jsonl", {}, False, print)
     points, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Executor(), lambda text: None)
     assert points == []
     assert omissions == ["stiffness x 1, leapfrog: the budget of time"]

@@ -151,7 +151,7 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
 
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
     settings = [s for s in stability_sweep.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
-    kept = Kept(path.parent / "rows.jsonl", {}, False)
+    kept = Kept(path.parent / "rows.jsonl", {}, False, print)
     points, omissions = stability_sweep.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
     assert [text for text in omissions if "resolution" not in text] == []
     return [(p.axis, p.value, p.solver, p.dt, p.outcome, repr(p.error), repr(p.gained)) for p in points]

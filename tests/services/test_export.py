@@ -119,6 +119,18 @@ def test_every_frame_into_a_folder(path: Path, tmp_path: Path) -> None:
     assert len(list((tmp_path / "frames").iterdir())) == FRAMES
 
 
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_a_folder_does_not_mix_frames_of_two_recordings(path: Path, tmp_path: Path, suffix: str) -> None:
+    """Frames of the same numbers are replaced; where others would stay, nothing is written."""
+    first, *_ = export_meshes(path, tmp_path / "frames", suffix)
+    assert len(export_meshes(path, tmp_path / "frames", suffix)) == FRAMES
+    longer = first.rename(first.with_name(f"frame_{FRAMES:05d}{suffix}"))
+    with pytest.raises(BadInput, match=rf"(?s)would stay.*{longer.name}.*choose another folder, or empty it"):
+        export_meshes(path, tmp_path / "frames", suffix)
+    assert not first.exists() and longer.exists()
+    assert len(export_meshes(path, tmp_path / "other", suffix)) == FRAMES
+
+
 def test_glb_holds_cloth_texture_and_bodies(path: Path, tmp_path: Path) -> None:
     scene = trimesh.load(export_mesh(path, tmp_path / "out.glb", 5), process=False, force="scene")
     assert isinstance(scene, trimesh.Scene)

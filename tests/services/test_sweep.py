@@ -163,3 +163,66 @@ def test_the_command_names_its_flag(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert words in capsys.readouterr().err
     assert main(["sweep", path]) == 2
     assert "--over: nothing to sweep over" in capsys.readouterr().err
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that are done at once."""
+    monkeypatch.setattr(grid, "measure", lambda point: {"state": "done", "digest": " ".join(point.overrides)})
+
+
+def interrupt(text: str) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.usefixtures("quick")
+def test_two_sweeps_at_once_do_not_share_a_folder(roots: list[Path], tmp_path: Path) -> None:
+    """The second is refused, also with `resume`, and leaves the rows of the first as they are."""
+    out, refused = tmp_path / "out", list[str]()
+
+    def other(text: str) -> None:
+        before = (out / grid.KEPT).read_bytes()
+        for resume in (False, True):
+            with pytest.raises(BadInput, match="another sweep is writing there") as caught:
+                nuno.sweep(CHAIN, {"seed": [3]}, roots=roots, jobs=1, out=out, resume=resume)
+            refused.append(str(caught.value))
+        assert (out / grid.KEPT).read_bytes() == before
+
+    found = nuno.sweep(CHAIN, {"seed": [1, 2]}, roots=roots, jobs=1, out=out, told=other)
+    assert len(refused) == 4 and all(str(out) in text and "another out" in text for text in refused)
+    with (out / "sweep.csv").open(newline="") as stream:
+        assert [row["digest"] for row in csv.DictReader(stream)] == [row["digest"] for row in found.rows]
+    nuno.sweep(CHAIN, {"seed": [3]}, roots=roots, jobs=1, out=out)
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_interrupted_sweep_is_not_lost_to_another(roots: list[Path], tmp_path: Path) -> None:
+    """Its rows stay until they are resumed or removed; the message says which of both would work."""
+    over, out, heard = {"seed": [1, 2]}, tmp_path / "out", list[str]()
+    with pytest.raises(KeyboardInterrupt):
+        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, told=interrupt)
+    kept = (out / grid.KEPT).read_bytes()
+    with pytest.raises(BadInput, match=r"(?s)would be lost.*continue it with resume, give another out, or remove"):
+        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out)
+    for changed, what in (({"seed": [3]}, "over"), ({**over, "damping": [0.1]}, "over")):
+        with pytest.raises(BadInput, match=rf"(?s)would be lost.*has another {what}\n.*: give another out, or remove"):
+            nuno.sweep(CHAIN, changed, roots=roots, jobs=1, out=out)
+    with pytest.raises(BadInput, match=r"(?s)would be lost.*it has another scene\n"):
+        nuno.sweep(CHAIN, over, "damping=0.3", roots=roots, jobs=1, out=out)
+    assert (out / grid.KEPT).read_bytes() == kept
+    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, told=heard.append)
+    assert [text[:6] for text in heard] == ["2 of 2"]
+    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, told=heard.append)
+    assert len(heard) == 1, "a finished one has nothing left"
+    nuno.sweep(CHAIN, {"seed": [3]}, roots=roots, jobs=1, out=out, told=heard.append)
+    assert heard[1] == f"the finished sweep in {out / grid.KEPT} is replaced" and heard[2][:6] == "1 of 1"
+    (out / grid.KEPT).write_bytes(kept[: kept.index(b"\n") + 1])
+    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out)  # what has finished nothing has nothing to lose
+
+
+@pytest.mark.usefixtures("quick")
+def test_all_tables_have_the_same_columns(roots: list[Path], tmp_path: Path) -> None:
+    """Also the one for a reason, where all is well."""
+    nuno.sweep(CHAIN, {"seed": [1, 2]}, roots=roots, jobs=1, out=tmp_path)
+    with (tmp_path / "sweep.csv").open(newline="") as stream:
+        assert [list(row) for row in csv.DictReader(stream)] == [["seed", "state", "why", "digest"]] * 2

@@ -45,16 +45,21 @@ def export_meshes(
 ) -> list[Path]:
     """Write every frame into a folder, made if it is missing: frame_00000.obj, and so on.
 
-    Raises the errors of `export_mesh`.
+    Raises the errors of `export_mesh`, and BadInput where the folder has frames that would not be replaced: it would
+    mix two recordings.
     """
     _known(suffix, folder)
-    written = []
+    written, name = [], f"frame_{{:05d}}{suffix}"
     with together(), opened(source) as recording:
+        there = {path.name for path in folder.glob(f"frame_*{suffix}")}
+        if left := sorted(there and there - {name.format(frame.number) for frame in recording.frames()}):
+            problem, remedy = "frames of another recording would stay there", "choose another folder, or empty it"
+            raise BadInput(problem, field=f"--{suffix[1:]}", value=str(folder / left[0]), remedy=remedy)
         make_folder(folder)
         cloth, number = Pieces(recording), recording.counts.get("sim/state", 0)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
         for frame in following(recording.frames(), number, progress):
-            path = folder / f"frame_{frame.number:05d}{suffix}"
+            path = folder / name.format(frame.number)
             _write(path, suffix, recording, cloth.at(frame.t), dyed, frame)
             written.append(path)
     return written

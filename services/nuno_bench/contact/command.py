@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,9 @@ def main(args: argparse.Namespace) -> int:
     if args.resume:
         require_kept([args.out / KEPT])
     others, seeds = machine.Others(), args.seeds or list(range(1, args.count + 1))
-    kept = Kept(args.out / KEPT, {"duration": args.duration, "versions": versions()}, args.resume)
-    with places.opened(args) as where:
-        found = run_all(seeds, args.duration, kept, where, lambda text: print(text, file=sys.stderr))
+    say, identity = partial(print, file=sys.stderr), {"duration": args.duration, "versions": versions()}
+    with Kept(args.out / KEPT, identity, args.resume, say) as kept, places.opened(args) as where:
+        found = run_all(seeds, args.duration, kept, where, say)
     for table in count_tables(found):
         print(table.text(), end="\n\n")
     print("\n".join([*map(describe, found), summary(found)]).lstrip())

@@ -100,9 +100,8 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     say = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
     others, path = machine.Others(), args.out / f"precision-{loaded.scene.name}.jsonl"
-    text = json.dumps(loaded.data, sort_keys=True, default=str)
-    digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-    kept = Kept(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume)
+    digest = hashlib.blake2b(json.dumps(loaded.data, sort_keys=True, default=str).encode(), digest_size=16).hexdigest()
+    kept = Kept(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume, say)
     say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
          f"from {path}")  # fmt: skip
     problem = pose(loaded)
@@ -114,7 +113,8 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     scales = problem.scales(reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
-    run_sweep(sweep, runner, solvers, kept, args.budget, say)
+    with kept:
+        run_sweep(sweep, runner, solvers, kept, args.budget, say)
     disturbed = "" if horizon.fades else f"; disturbance {DISTURBANCE:g} of the size"
     about = machine.about(
         others,

@@ -88,9 +88,10 @@ def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Ex
     others, base = machine.Others(), args.out / f"stability-{path.stem}"
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": list(solvers), "versions": versions()}
-    kept = Kept(_rows(args, path), identity, args.resume)
+    kept = Kept(_rows(args, path), identity, args.resume, say)
     say(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
-    points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
+    with kept:
+        points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
     found = Mapped(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {summary(found)}")
     print(counts(points).text())

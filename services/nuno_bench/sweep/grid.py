@@ -11,7 +11,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -90,7 +90,7 @@ class Sweep:
 
     def lines(self) -> list[Row]:
         """Return the rows without pictures, each with all columns."""
-        names = dict.fromkeys(name for row in self.rows for name in row if name != PICTURE)
+        names = dict.fromkeys([*self.over, STATE, WHY, *(n for row in self.rows for n in row if n != PICTURE)])
         return [{name: row.get(name, "") for name in names} for row in self.rows]
 
     def table(self) -> page.Table:
@@ -200,17 +200,18 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
     # As a list: of two sweeps over the same fields in another order, other combinations have the same number.
     fields = [[key, list(map(repr, values))] for key, values in over.items()]
     about = {"scene": packed.digest, "over": fields, "side": side, "versions": versions()}
-    kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume)
+    kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume, place.say)
     done: dict[int, Row] = {} if kept is None else {line["number"]: line["row"] for line in kept.lines}
     others, threads = machine.Others(), 1 if place.where.width > 1 else 0
     left = [Point(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in done]
-    for point, result in place.where.run(measure, left):
-        row = _refused(result) if isinstance(result, BadInput | Lost) else result
-        done[point.number] = {**combinations[point.number], **row}
-        if kept is not None:
-            kept.add({"number": point.number, "row": done[point.number]})
-        why = f", {row[WHY]}" if WHY in row else ""
-        place.say(f"{len(done)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
+    with kept or nullcontext():
+        for point, result in place.where.run(measure, left):
+            row = _refused(result) if isinstance(result, BadInput | Lost) else result
+            done[point.number] = {**combinations[point.number], **row}
+            if kept is not None:
+                kept.add({"number": point.number, "row": done[point.number]})
+            why = f", {row[WHY]}" if WHY in row else ""
+            place.say(f"{len(done)} of {len(texts)}: {', '.join(point.overrides)}: {row[STATE]}{why}")
     rows = [done[i] for i in range(len(texts))]
     return Sweep(scene.scene.name, over, rows, place.folder, place.where.where, others)
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from nuno.scene import scene_file
 from nuno.scene.provenance import assets
@@ -72,34 +73,61 @@ def require_kept(paths: Sequence[Path]) -> None:
                        remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
 
 
-class Kept:
-    """JSON objects, one per line, after a first line that identifies their sweep.
+class Kept(AbstractContextManager["Kept"]):
+    """JSON objects, one per line, after a line that identifies their sweep; locked until `with` ends and adds FINISHED.
 
     lines  finished results of an interrupted sweep: empty unless it is resumed
     """
 
-    def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """Start a new file, or continue an existing one if `resume`.
+    FINISHED: ClassVar = {"finished": True}
 
-        Raises BadInput for the file of another sweep, and if nothing can be written.
+    def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool, say: Callable[[str], object]) -> None:
+        """Start a new file, or continue an existing one if `resume`; `say` is called where a finished sweep is replaced.
+
+        Raises BadInput if another sweep writes there, kept rows would be lost or mixed, or nothing can be written.
         """
-        self.path, head, self.lines = path, dict(identity), list[dict[str, Any]]()
-        if resume and path.is_file():
-            for line in path.read_text(encoding="utf-8").split("\n"):
-                # The last line may be incomplete; its result is measured again.
-                with suppress(ValueError):
-                    self.lines.append(json.loads(line))
-            before = self.lines.pop(0) if self.lines else {}
-            if other := [name for name, value in head.items() if before.get(name) != value]:
-                raise BadInput("what was kept belongs to another sweep", str(path), None, "--resume", ", ".join(other),
-                               remedy="leave --resume out, or give another --out")  # fmt: skip
+        self.path, self.lines = path, list[dict[str, Any]]()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("".join(json.dumps(line) + "\n" for line in (head, *self.lines)), encoding="utf-8")
+            self._stream = path.open("a+", encoding="utf-8", errors="replace")
+            try:
+                self._begin(dict(identity), resume, say)
+            except BaseException:
+                self._stream.close()  # a traceback that is kept would keep the lock, too
+                raise
         except OSError as error:
             problem, remedy = f"cannot write there: {error.strerror}", "choose a folder that can be written"
+            if isinstance(error, BlockingIOError):
+                problem, remedy = "another sweep is writing there", "wait for its end, or give another --out"
             raise BadInput(problem, field="--out", value=str(path.parent), remedy=remedy) from None
 
+    def _begin(self, head: dict[str, Any], resume: bool, say: Callable[[str], object]) -> None:
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._stream.seek(0)
+        for line in self._stream.read().split("\n"):
+            # The last line may be half written; what it held is measured again.
+            with suppress(ValueError):
+                self.lines.append(json.loads(line))
+        before = self.lines.pop(0) if self.lines else {}
+        other = ", ".join(name for name, value in head.items() if before.get(name) != value)
+        finished, self.lines = self.FINISHED in self.lines, [line for line in self.lines if line != self.FINISHED]
+        if (lost := not (resume or finished) and bool(self.lines)) or (resume and before and other):
+            problem = "an interrupted sweep would be lost" if lost else "what was kept belongs to another sweep"
+            remedy = f"{'' if other else 'continue it with --resume, '}give another --out, or remove {self.path}"
+            raise BadInput(problem, str(self.path), field="--out" if lost else "--resume",
+                           limit=f"it has another {other}" if other else None, remedy=remedy)  # fmt: skip
+        if finished and not resume:
+            say(f"the finished sweep in {self.path} is replaced")
+            self.lines = []
+        self._stream.truncate(0)
+        for one in (head, *self.lines):
+            self.add(one)
+
     def add(self, data: Mapping[str, Any]) -> None:
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(dict(data)) + "\n")
+        self._stream.write(json.dumps(dict(data)) + "\n")
+        self._stream.flush()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with self._stream:
+            if kind is None:
+                self.add(self.FINISHED)
