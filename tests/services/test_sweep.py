@@ -188,7 +188,7 @@ def test_two_sweeps_at_once_do_not_share_a_folder(roots: list[Path], tmp_path: P
             refused.append(str(caught.value))
         assert (out / grid.KEPT).read_bytes() == before
 
-    found = nuno.sweep(CHAIN, {"seed": [1, 2]}, roots=roots, jobs=1, out=out, told=other)
+    found = nuno.sweep(CHAIN, {"seed": [1, 2]}, roots=roots, jobs=1, out=out, progress=other)
     assert len(refused) == 4 and all(str(out) in text and "another out" in text for text in refused)
     with (out / "sweep.csv").open(newline="") as stream:
         assert [row["digest"] for row in csv.DictReader(stream)] == [row["digest"] for row in found.rows]
@@ -200,7 +200,7 @@ def test_an_interrupted_sweep_is_not_lost_to_another(roots: list[Path], tmp_path
     """Its rows stay until they are resumed or removed; the message says which of both would work."""
     over, out, heard = {"seed": [1, 2]}, tmp_path / "out", list[str]()
     with pytest.raises(KeyboardInterrupt):
-        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, told=interrupt)
+        nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, progress=interrupt)
     kept = (out / grid.KEPT).read_bytes()
     with pytest.raises(BadInput, match=r"(?s)would be lost.*continue it with resume, give another out, or remove"):
         nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out)
@@ -210,11 +210,11 @@ def test_an_interrupted_sweep_is_not_lost_to_another(roots: list[Path], tmp_path
     with pytest.raises(BadInput, match=r"(?s)would be lost.*it has another scene\n"):
         nuno.sweep(CHAIN, over, "damping=0.3", roots=roots, jobs=1, out=out)
     assert (out / grid.KEPT).read_bytes() == kept
-    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, told=heard.append)
+    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, progress=heard.append)
     assert [text[:6] for text in heard] == ["2 of 2"]
-    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, told=heard.append)
+    nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out, resume=True, progress=heard.append)
     assert len(heard) == 1, "a finished one has nothing left"
-    nuno.sweep(CHAIN, {"seed": [3]}, roots=roots, jobs=1, out=out, told=heard.append)
+    nuno.sweep(CHAIN, {"seed": [3]}, roots=roots, jobs=1, out=out, progress=heard.append)
     assert heard[1] == f"the finished sweep in {out / grid.KEPT} is replaced" and heard[2][:6] == "1 of 1"
     (out / grid.KEPT).write_bytes(kept[: kept.index(b"\n") + 1])
     nuno.sweep(CHAIN, over, roots=roots, jobs=1, out=out)  # what has finished nothing has nothing to lose

@@ -82,7 +82,7 @@ class Kept(AbstractContextManager["Kept"]):
     FINISHED: ClassVar = {"finished": True}
 
     def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool, say: Callable[[str], object]) -> None:
-        """Start a new file, or continue an existing one if `resume`; `say` is called where a finished sweep is replaced.
+        """Start a new file, or continue an existing one if `resume`; call `say` where a finished sweep is replaced.
 
         Raises BadInput if another sweep writes there, kept rows would be lost or mixed, or nothing can be written.
         """
