@@ -207,6 +207,10 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     if asked.frame is not None and asked.turn is None and not others:
         raise BadInput("what is to be written has all frames", field="--frame", value=asked.frame,
                        remedy="--start and --end give a part of an animation, --turn goes round one")  # fmt: skip
+    for name in ("obj", "ply", "glb") if asked.frame is not None else ():
+        if (path := getattr(asked, name)) is not None and path.suffix.lower() != f".{name}":
+            raise BadInput("a folder takes every frame", field="--frame", value=asked.frame, limit=f"--{name} {path}",
+                           remedy=f"--{name} {path}.{name}")  # fmt: skip
     only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
     if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
         problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"

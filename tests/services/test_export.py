@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
+import nuno
 from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
 from nuno.exports.meshes import export_mesh, export_meshes
 from nuno.exports.paint import CLOTHS
@@ -117,6 +118,13 @@ def test_every_frame_into_a_folder(path: Path, tmp_path: Path) -> None:
         mesh = trimesh.load(out, process=False, force="mesh")
         assert np.array_equal(mesh.vertices, seen(path, k))
     assert len(list((tmp_path / "frames").iterdir())) == FRAMES
+
+
+def test_one_frame_is_not_written_as_all_of_them(path: Path, tmp_path: Path) -> None:
+    """A folder takes every frame: to name one beside it means a file."""
+    with pytest.raises(BadInput) as refused:
+        nuno.export(path, obj=tmp_path / "frames", frame=1)
+    assert str(refused.value.remedy).endswith(".obj") and not (tmp_path / "frames").exists()
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
