@@ -224,5 +224,16 @@ def test_a_control_point_that_is_none_is_refused_as_written_in_2021(tmp_path: Pa
     assert "edges[0].curvature" in str(refusal.value) and refusal.value.line is not None
 
 
+def test_a_seam_through_the_body_is_noted(tmp_path: Path) -> None:
+    """Of a front that is mirrored, or a back turned about y; lengths and directions of its seams agree."""
+    mirrored = panel((30, 0), (0, 0), (0, 20), (30, 20), translation=[-15, 100, 15])
+    turned = front() | {"rotation": [0, 180, 0], "translation": [15, 100, 15]}
+    for changed, number in (({}, 0), ({"front": mirrored}, 2), ({"front": turned}, 2)):
+        read(tmp_path, tube(**changed))
+        remarks = check_pattern(SceneFiles(tmp_path), "pattern.json", 1.1).remarks
+        assert [(one.kind, one.wrong) for one in remarks] == [("crossed seam", False)] * number
+        assert all("left to right" in one.text and one.line is not None for one in remarks)
+
+
 def test_a_notched_hem_can_be_sewn(shared_data: Path) -> None:
     assert read_pattern(SceneFiles(shared_data / "cases" / "38-notched-hem"), "notch.json").panels["front"].area > 0.1

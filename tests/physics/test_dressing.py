@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sewing_patterns import REAL, Body, back, column, panel, pattern, read_pattern, stitch, tube
+from sewing_patterns import REAL, Body, back, column, front, panel, pattern, read_pattern, stitch, tube
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.material import resolve
@@ -159,3 +159,33 @@ def test_a_missing_print_is_refused_before_anything_is_drawn(tmp_path: Path, mon
     ):
         with pytest.raises(BadInput, match=r"print\.png"):
             build()
+
+
+def test_a_stitch_of_wrong_edges_is_named(tmp_path: Path) -> None:
+    """A waist sewn to a side: the panel was laid as a ring without a waist, at nan."""
+    sides = (-36, 0), (36, 0), (24, 60), (-24, 60)
+    panels = {
+        "front": panel(*sides, translation=[0, 45, 20]),
+        "back": panel(*(sides[k] for k in (0, 3, 2, 1)), translation=[0, 45, -20]),
+    }
+    wrong = pattern(panels, stitch("front[2]", "back[2]"), stitch("front[3]", "back[0]"))
+    (tmp_path / "wrong.json").write_text(json.dumps(wrong))
+    with pytest.raises(BadInput) as caught:
+        put_on(tmp_path, "wrong.json", column((0.16, 0.12), (0.0, 1.7)), 0.06)
+    assert "stitch 0 (front[2], back[2])" in str(caught.value.remedy)
+
+
+def test_names_and_labels_match_in_both_forms_of_an_accent(tmp_path: Path) -> None:
+    """One character, or a letter and its accent: programs and file systems differ."""
+    one, two = "R\u00fccken", "Ru\u0308cken"
+    panels = {"front": front(), one: back()}
+    panels["front"]["edges"][2]["label"] = panels[one]["edges"][1]["label"] = "\u00e9lastique"
+    (tmp_path / "named.json").write_text(
+        json.dumps(pattern(panels, stitch("front[1]", f"{two}[2]"), stitch("front[3]", f"{two}[0]")))
+    )
+    config = {"file": "named.json", "edge": 0.03, "fabrics": {two: "denim"}, "over": {"body": "wearer"}}
+    config["elastics"] = [{"along": "e\u0301lastique"}]
+    body = column((0.06, 0.05), (0.9, 1.4))
+    fabric = Pattern().build_over(PatternConfig(**config), SceneFiles(tmp_path), 0, *body)  # type: ignore[arg-type]
+    assert fabric.corners is not None and fabric.corners.panels is not None
+    assert fabric.corners.panels.names == ("front", one)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nuno.fit.read import MEASURED
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.skirt_config import SkirtConfig
 from nuno_cloth.models.skirt_cut import SHARES
@@ -138,3 +139,10 @@ def test_constants_per_spring_and_hems_wider_than_the_cloth_are_refused() -> Non
     with pytest.raises(BadInput, match="wider than it is cut") as caught:
         build("half", hem_radius=0.5)
     assert caught.value.field == "hem_radius"
+
+
+def test_fit_names_the_skirts_that_it_measures() -> None:
+    for cut in SHARES:
+        assert cut in MEASURED and build(cut, edge=0.05).membrane is not None
+    cone = SkirtConfig.model_validate({"waist_radius": WAIST, "length": LENGTH, "fabric": "denim"})
+    assert Skirt().build(cone, None, 0).membrane is None  # type: ignore[arg-type]

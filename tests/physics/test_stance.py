@@ -9,8 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sewing_patterns import Body, column, moved, together
 
-from nuno_cloth.models.stance import check_place, check_stance
+from nuno_cloth.models.stance import check_openings, check_place, check_round, check_stance
+from nuno_cloth.models.triangles import find_edges
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
 
 OUT = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
 
@@ -88,3 +91,52 @@ def test_a_garment_may_hang_below_a_bust_and_be_placed_at_a_body_of_another_orig
     for worn in (SHIRT, SKIRT):
         check_place(box(wide, worn, deep)[0], box(wide, (0.8, 1.5), deep)[0], "bust")
     check_place(box(wide, (-0.2, 0.3), deep)[0], box(wide, (-1.12, 0.54), deep)[0], "wearer")
+
+
+def panels(wide: float, heights: tuple[float, float], sleeve: float = 0.0) -> Float:
+    """Points of a front and a back, the left sleeve longer."""
+    x, y = np.meshgrid(np.linspace(-wide, wide + sleeve, 24), np.linspace(*heights, 9))
+    return np.concatenate([np.stack([x, y, 0.0 * x + z], axis=2).reshape(-1, 3) for z in (-0.2, 0.25)])
+
+
+@pytest.mark.parametrize(
+    "placed", [panels(0.5, SHIRT), panels(0.3, SKIRT), panels(0.3, DRESS), panels(0.4, SHIRT, 0.2)]
+)
+def test_a_body_next_to_the_panels_is_refused_with_a_move_that_helps(placed: Float) -> None:
+    """Its box overlaps that of the panels, and its arms may be between them."""
+    x, faces = figure()
+    for shift in ([0, 0, 0], [0.1, 0, 0], [0, 0, 0.05], [0.5, 0, 0], [-0.5, 0, 0.3], [0, 0, 0.4], [0, 0, -0.3]):
+        there = x + np.array(shift, float)
+        if max(map(abs, shift)) < 0.2:
+            check_round(placed, there, build_tree(there, faces), "wearer")
+            continue
+        with pytest.raises(BadInput, match="does not stand where") as caught:
+            check_round(placed, there, build_tree(there, faces), "wearer")
+        move = re.search(r"collider\.centre=\[(.*)\]", str(caught.value.remedy))
+        assert move
+        there = there + [float(one) for one in move[1].split(",")]
+        check_round(placed, there, build_tree(there, faces), "wearer")
+
+
+def test_what_is_worn_on_a_limb_or_hangs_on_one_side_is_not_misplaced() -> None:
+    x, faces = figure()
+    tree = build_tree(x, faces)
+    sleeve = panels(0.15, (1.3, 1.5)) - [-0.5, 0.0, 0.0]
+    cape = panels(0.4, (0.8, 1.5))[: 24 * 9] - [0.0, 0.0, 0.1]
+    for placed in (sleeve, cape):
+        check_round(placed, x, tree, "wearer")
+
+
+def test_a_body_is_in_an_opening_of_its_garment() -> None:
+    """A tube round the trunk, next to it, above it; a sheet with one outline has no opening."""
+    x, faces = figure()
+    tree = build_tree(x, faces)
+    tube, around = column((0.25, 0.2), (0.9, 1.5))[0][:-2], column((0.25, 0.2), (0.9, 1.5))[1][:-128]
+    edges = find_edges(around)
+    check_openings(tube, edges, tree, "wearer")
+    for shift in ([0.0, 0.0, 1.0], [0.0, 1.5, 0.0]):
+        with pytest.raises(BadInput, match="nothing of the body goes through") as caught:
+            check_openings(tube + shift, edges, tree, "wearer")
+        assert caught.value.field == "over.body"
+    sheet = np.array([[0, 1, 1], [1, 1, 1], [0, 2, 1], [1, 2, 1]], float)
+    check_openings(sheet, find_edges(np.array([[0, 1, 3], [0, 3, 2]], np.int32)), tree, "wearer")

@@ -12,7 +12,7 @@ from PIL import Image
 
 from nuno import registry
 from nuno.cli import main
-from nuno.templates.laboratory_sheet import read_values
+from nuno.templates.laboratory_sheet import import_sheet, read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
@@ -28,6 +28,11 @@ def read(folder: Path, text: str, like: str | None = None, suffix: str = ".yaml"
     path.write_text(text)
     found: Imported = registry.load("nuno.models", "sheet").import_fabric(read_values(path)[0], like, folder)
     return found
+
+
+def import_text(folder: Path, text: str, suffix: str = ".csv") -> None:
+    (folder / f"sheet{suffix}").write_text(text)
+    import_sheet(folder / f"sheet{suffix}", None)
 
 
 def test_kes_values_are_read_in_their_units(tmp_path: Path) -> None:
@@ -189,6 +194,62 @@ COMMAS = POINTS.replace(", ", ";").replace(".", ",")
 def test_a_sheet_with_decimal_commas_is_read_as_its_twin_with_points(text: str, tmp_path: Path) -> None:
     found, twin = (read(tmp_path, one, suffix=".csv").fabric for one in (text, POINTS))
     assert found == pytest.approx(twin, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "missing"),
+    [
+        ("B;0,118;0,076", "B;0,118;", "weft"),
+        ("B;0,118;0,076", "B;;0,076", "warp"),
+        ("B;0,118;0,076", "B;0,118;;gf*cm^2/cm", "weft"),
+        ("B;0,118;0,076", "B;;0,076;gf*cm^2/cm", "warp"),
+        ("EMT;3,2;6,1", "EMT;;6,1;;", "warp"),
+    ],
+)
+def test_an_empty_cell_is_a_missing_measurement(old: str, new: str, missing: str, tmp_path: Path) -> None:
+    """It was taken for both directions, and called measured."""
+    name, *cells = new.split(";")
+    with pytest.raises(BadInput, match=f"the {missing}'s number is missing") as caught:
+        import_text(tmp_path, COMMAS.replace(old, new))
+    line = next(n for n, each in enumerate(COMMAS.splitlines(), 1) if each == old)
+    assert (caught.value.field, caught.value.line) == (name, line)
+    number = next(cell for cell in cells if cell)
+    both = read(tmp_path, COMMAS.replace(old, f"{name};{number};{number}"), suffix=".csv").fabric
+    assert both == read(tmp_path, COMMAS.replace(old, f"{name};{number}"), suffix=".csv").fabric
+
+
+def test_empty_cells_of_columns_without_numbers_say_nothing(tmp_path: Path) -> None:
+    """As a spreadsheet fills up its lines; the weight is of no direction."""
+    single = "instrument;KES-F\nW;12,1\nB;0,118\nG;0,8\nLT;0,8\nEMT;3,2\n"
+    for plain, filled in (
+        (single, single.replace("\n", ";;\n") + ";;;\n"),
+        (COMMAS, COMMAS.replace("12,1", "12,1;") + "DC;60;;\n"),
+        (COMMAS, COMMAS.replace("12,1", "12,1;;mg/cm^2")),
+    ):
+        found, twin = (read(tmp_path, text, suffix=".csv").fabric for text in (filled, plain))
+        assert found == pytest.approx(twin, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "field"),
+    [
+        (KES, "[3.2, 6.1]", "[0.032, 0.061]", "EMT"),
+        (COMMAS, "EMT;3,2;6,1", "EMT;0,032;0,061", "EMT"),
+        (FAST, "EB5: 4.1", "EB5: 0.041", "EB5"),
+        (FAST, "[0.5, 1.2]", "[0.005, 1.2]", "E5"),
+    ],
+)
+def test_a_strain_that_may_be_a_fraction_is_asked_about(
+    text: str, old: str, new: str, field: str, tmp_path: Path
+) -> None:
+    """A spreadsheet stores 3.2 % as 0.032: cloth was a hundred times too stiff. With its unit it is taken."""
+    suffix = ".csv" if text is COMMAS else ".yaml"
+    with pytest.raises(BadInput, match="a fraction") as caught:
+        import_text(tmp_path, text.replace(old, new), suffix)
+    assert caught.value.field == field and caught.value.line is not None
+    if text is KES:
+        assert str(caught.value.remedy) == "write 3.2, or '0.032 percent'"
+        read(tmp_path, text.replace(old, "['0.032 percent', 0.061 %]"))
 
 
 @pytest.mark.parametrize(

@@ -21,11 +21,17 @@ class Column:
     si: str
     plausible: Plausible
     pair: bool = True
+    least: float = 0.0
+    """A smaller number in SI needs its unit: per cent may be written as a fraction."""
 
 
 def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
-    """Return a value in SI, for warp and weft if there are two. Raises BadInput."""
+    """Return a value in SI, for warp and weft if there are two; an empty text is a missing one. Raises BadInput."""
     parts = list(entry) if isinstance(entry, (list, tuple)) else [entry]
+    if "" in parts and column.pair:
+        remedy = "measure it, or write the other's number again if it holds for both"
+        raise BadInput(f"the {('warp', 'weft')[parts.index('')]}'s number is missing", field=name, remedy=remedy)
+    parts = [part for part in parts if part != ""]
     if len(parts) > (2 if column.pair else 1) or not parts:
         limit = "one number, or [warp, weft]" if column.pair else "one number"
         raise BadInput("too many values, or none", field=name, value=entry, limit=limit)
@@ -46,6 +52,12 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
             raise BadInput(
                 "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
                 limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
+            )  # fmt: skip
+        if with_unit is not part and 0.0 < value < column.least:
+            least, remedy = column.least / to_si(f"1 {column.unit}", column.si), f"write {100.0 * float(part):.4g}"
+            raise BadInput(
+                f"a fraction, or so little in {column.unit}?", field=name, value=part,
+                limit=f"{least:.3g} {column.unit} without a unit", remedy=f"{remedy}, or '{part} {column.unit}'",
             )  # fmt: skip
         values.append(value)
     return tuple(values * 2 if column.pair and len(values) == 1 else values)

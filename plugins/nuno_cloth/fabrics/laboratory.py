@@ -49,14 +49,14 @@ SHEETS: dict[str, dict[str, Column]] = {
         "2HG5": Column("gf/cm", "N/m", Plausible(0.0, 200.0)),
         "LT": Column("", "", Plausible(0.1, 1.99)),
         "WT": Column("gf/cm", "N/m", Plausible(0.1, 500.0)),
-        "EMT": Column(PER_CENT, "", STRAIN),
+        "EMT": Column(PER_CENT, "", STRAIN, least=3e-3),
     },
     "FAST": {
         "W": WEIGHED,
         "C": Column("mm", "m", Plausible(1e-3, 0.2)),
         "B": Column("uN*m", "N*m", BENDING),
-        "E5": Column(PER_CENT, "", STRAIN),
-        "EB5": Column(PER_CENT, "", STRAIN, pair=False),
+        "E5": Column(PER_CENT, "", STRAIN, least=5e-4),
+        "EB5": Column(PER_CENT, "", STRAIN, pair=False, least=5e-4),
         "G": Column("N/m", "N/m", Plausible(1.0, 2000.0), pair=False),
     },
     "cantilever": {

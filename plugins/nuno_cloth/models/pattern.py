@@ -15,10 +15,10 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import Wearable, find_texture
-from nuno_cloth.models.stance import check_place, check_stance
+from nuno_cloth.models.stance import check_openings, check_place, check_round, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import EdgeLength, Length
-from nuno_cloth.sewing.assemble import require_sound
+from nuno_cloth.sewing.assemble import as_written, require_sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
@@ -96,6 +96,8 @@ def enclose(x: Float, faces: Int, worn: Sequence[Fabric], clearance: float) -> t
 SHORTEST, SHARE = 3e-3, 0.2
 """Sides shorter than this [m], and than this share of the intended length, are collapsed."""
 
+UNEVEN = 1.2
+"""A seam whose longer edge is more than this multiple of the shorter may join wrong edges."""
 HELD = "lower_interface", "strapless_top"
 """GarmentCode's labels of edges at the waist and at the top of a strapless garment."""
 
@@ -193,7 +195,9 @@ class Pattern(Wearable):
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
-        body, wrapped = build_tree(x, faces), wrap(sewn, x, faces, clearance)
+        body = build_tree(x, faces)
+        check_round(sewn.placed, x, body, config.over.body)
+        wrapped = wrap(sewn, x, faces, clearance)
         around, clear = (build_tree(*enclose(x, faces, worn, clearance)), 0.0) if worn else (body, clearance)
         # A flared panel that is laid through a hand starts narrower, in waves, and opens.
         for wide in (WIDE, LESS):
@@ -205,6 +209,7 @@ class Pattern(Wearable):
             except BadInput:
                 if wide == LESS:
                     raise
+        check_openings(position, edges, body, config.over.body)
         return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, position, (x, faces)))
 
     def _fabric(
@@ -261,10 +266,10 @@ def _materials(config: PatternConfig, sewn: Sewn) -> Materials:
         each.append(material)
     choice_of_panel = np.zeros(len(sewn.names), np.int32)
     for k, panel in enumerate(config.fabrics, 1):
-        if panel not in sewn.names:
+        if (name := as_written(panel, sewn.names)) not in sewn.names:
             raise BadInput("the pattern has no such panel", field="fabrics", value=panel,
                            remedy=nearest(panel, sewn.names))  # fmt: skip
-        choice_of_panel[sewn.names.index(panel)] = k
+        choice_of_panel[sewn.names.index(name)] = k
     return Materials(tuple(each), choice_of_panel[sewn.panel])
 
 
@@ -320,9 +325,12 @@ def _require_outside(x: Float, edges: Edges, sewn: Sewn, body: Tree, name: str) 
     if distance[deepest] >= 0.0:
         return
     panel = sewn.names[sewn.panel[(sewn.sewn_faces == a[deepest]).any(axis=1)][0]]
+    uneven = [f"stitch {one.seam.stitch} ({one.seam.names})" for one in sewn.seams
+              if panel in dict(one.seam.sides) and max(one.lengths) > UNEVEN * min(one.lengths)]  # fmt: skip
+    stitches = f", or look whether {', '.join(uneven)} joins edges that belong together" if uneven else ""
     raise BadInput(
         f"panel {panel} cannot be put round {name}, and starts in it ({np.count_nonzero(distance < 0.0):,} places)",
         field="over.body", value=f"{-1e3 * distance[deepest]:.3g} mm deep, {place_of(there[deepest])}",
         remedy="place the panel so that with those it is sewn to it encloses what it is worn on, and no hand beside "
-        "it, or cut it wider",
+        f"it, or cut it wider{stitches}",
     )  # fmt: skip

@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import TURN
+from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.loops import cut_mesh
+from nuno_kernels.meshes.tree import Tree
 from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 WIDEST = 1.2
 """A body with its arms held out is hardly wider than it is high; one that lies on its side is."""
@@ -24,6 +29,11 @@ OFF = 0.05
 """A garment may extend past a body's ends by this share of its height more than if the body stood on y = 0."""
 BESIDE = 0.5
 """Largest distance of panels from a body in x and z [m]."""
+AROUND = 0.25, 0.1
+"""Panels round a trunk are wider than this share of a body's height, and deeper than this [m]."""
+ASIDE, WITHIN = 0.15, 0.25
+"""A trunk whose middle is farther than this from the panels' [m] is next to them if less than this share of their
+middle line, and more of its own, is in it."""
 
 
 def check_stance(x: Float, faces: Int, body: str) -> None:
@@ -58,13 +68,55 @@ def check_place(placed: Float, x: Float, body: str) -> None:
 
     misplaced = np.maximum(low - most, least - high) > BESIDE
     misplaced[1] = beyond(0.0) - beyond(-low[1]) > OFF * (high[1] - low[1])
-    if not misplaced.any():
+    if misplaced.any():
+        raise _misplaced(misplaced, (low, high), (least, most), body)
+
+
+def check_round(placed: Float, x: Float, tree: Tree, body: str) -> None:
+    """Raise BadInput, as check_place, if panels (n, 3) [m] of a garment for a trunk stand round no trunk of a body x
+    (v, 3) [m] with this tree, but next to it in x or z, or round an arm.
+
+    A garment may have one sleeve, or hang mostly before or behind a body: its middle is that of its cloth in x, and of
+    its depth in z.
+    """
+    (low, high), (least, most) = ((part.min(axis=0), part.max(axis=0)) for part in (x, placed))
+    middle = np.array([placed[:, 0].mean(), 0.0, 0.5 * (least[2] + most[2])])
+    off = 0.5 * (low + high) - middle
+    beside = np.abs(off) > [ASIDE, np.inf, ASIDE]
+    if not beside.any() or most[0] - least[0] < AROUND[0] * (high[1] - low[1]) or most[2] - least[2] < AROUND[1]:
         return
-    centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-    shift_text = ",".join(f"{along:.4g}" for along in np.where(misplaced, -centre, 0.0) + 0.0)
-    axis = int(np.argmax(misplaced))
-    spans = [f"{box[0][axis]:.2f} to {box[1][axis]:.2f} m" for box in ((low, high), (least, most))]
+    line = middle + np.linspace(least[1], most[1], 40)[:, None] * [0.0, 1.0, 0.0]
+    lines = np.concatenate([line, line + off * [1.0, 0.0, 1.0]])
+    here, there = (np.asarray(closest_points(tree, lines).distance) < 0.0).reshape(2, -1).mean(axis=1)
+    if here < WITHIN <= there:
+        raise _misplaced(beside, (low, high), (least, most), body)
+
+
+def check_openings(x: Float, edges: Edges, tree: Tree, body: str) -> None:
+    """Raise BadInput if nothing of a body with this tree is in any opening of a garment with these edges that starts at
+    x (n, 3) [m]. A garment with one outline, such as a cape, has no opening.
+    """
+    a, b = edges.pairs[edges.count == 1].T
+    part = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(x), len(x))), directed=False)[1]
+    rings = [x[np.unique(a[part[a] == k])] for k in np.unique(part[a])]
+    share = np.linspace(0.0, 1.0, 24)[:, None, None]
+    fans = [ring.mean(axis=0) + share * (ring - ring.mean(axis=0)) for ring in rings]
+    if len(fans) < 2 or any((closest_points(tree, fan.reshape(-1, 3)).distance < 0.0).any() for fan in fans):
+        return
     raise BadInput(
+        "nothing of the body goes through an opening of the garment", field="over.body", value=body,
+        limit="a body that wears it", remedy="take the body that it is cut for, or place the panels round what it is "
+        "worn on",
+    )  # fmt: skip
+
+
+def _misplaced(off: Bool, x: tuple[Float, Float], panels: tuple[Float, Float], body: str) -> BadInput:
+    """Return the error for a body that is off along some axes (3,), with the boxes of body and panels [m]."""
+    (low, high), axis = x, int(np.argmax(off))
+    centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    shift_text = ",".join(f"{along:.4g}" for along in np.where(off, -centre, 0.0) + 0.0)
+    spans = [f"{box[0][axis]:.2f} to {box[1][axis]:.2f} m" for box in (x, panels)]
+    return BadInput(
         "the body does not stand where the garment's panels are placed", field="over.body",
         value=f"{body} at {'xyz'[axis]} = {spans[0]}, panels at {spans[1]}", limit="on y = 0, round x = z = 0",
         remedy=f"move the body: --set bodies.{body}.collider.centre=[{shift_text}], or place the panels round it",

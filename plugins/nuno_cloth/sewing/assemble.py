@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from unicodedata import normalize
 
 import numpy as np
 
@@ -222,7 +223,7 @@ def _seams(written: Written[PatternFile], note: Note) -> list[Seam]:
             note("no seam", f"stitch {k}", "joins two edges: {panel, edge}, {panel, edge}", path,
                  "write two of them, and, where right comes to wrong, right_wrong as the third")  # fmt: skip
             continue
-        ends = [(side.panel, side.edge) for side in sides]
+        ends = [(as_written(side.panel, fields.panels), side.edge) for side in sides]
         if sum(_side_exists(fields.panels, side, (*path, i), note) for i, side in enumerate(ends)) < 2:
             continue
         twice = next((i for i, side in enumerate(ends) if side in sewn or (i == 1 and side == ends[0])), None)
@@ -234,6 +235,12 @@ def _seams(written: Written[PatternFile], note: Note) -> list[Seam]:
             text = "is sewn to itself" if before == k else f"is sewn twice, in stitches {before} and {k}"
             note("sewn twice", name_of(ends[twice]), text, (*path, twice), "part the edge in two, and sew each once")
     return seams
+
+
+def as_written(name: str, names: Iterable[str]) -> str:
+    """Return a panel's name as `names` have it, which may write an accented letter as one character or as two."""
+    same = [one for one in names if normalize("NFC", one) == normalize("NFC", name)]
+    return name if name in same or len(same) != 1 else same[0]
 
 
 def _side_exists(panels: dict[str, PanelFields], side: Side, path: Path, note: Note) -> bool:

@@ -42,6 +42,7 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     broken = bool(remarks)
     _note_lengths(pattern, gather, note)
     _note_turned(pattern, note)
+    _note_crossed(pattern, note)
     _note_edges(pattern, note)
     corners = [panel.place(edge.ends())[:, 1] for panel in pattern.panels.values() for edge in panel.edges]
     # Openings of a pattern that lacks a panel or a seam are unknown.
@@ -96,6 +97,25 @@ def _note_turned(pattern: Pattern, note: Note) -> None:
             text = f"as the panels are placed, the edges run {angle:.0f}° apart"
             remedy = "is it sewn the wrong way round, or is a panel upside down?"
             note("turned seam", seam.names, text, (*STITCHES, seam.stitch), remedy)
+
+
+def _note_crossed(pattern: Pattern, note: Note) -> None:
+    """Note seams that run through the body, from one side of both panels, left or front, to the other side of both: as
+    placed, each edge is beyond the middles of both panels by a quarter of the narrower panel's width.
+    """
+    placed = {name: np.concatenate([panel.place(edge.ends()) for edge in panel.edges])
+              for name, panel in pattern.panels.items()}  # fmt: skip
+    for seam in pattern.seams:
+        panels = [placed[name] for name, _ in seam.sides]
+        ends = [pattern.panels[name].place(pattern.edge((name, k)).ends()).mean(axis=0) for name, k in seam.sides]
+        middles = [0.5 * (points.min(axis=0) + points.max(axis=0)) for points in panels]
+        margin = 0.25 * np.min([np.ptp(points, axis=0) for points in panels], axis=0)
+        upper, lower = np.max(middles, axis=0) + margin, np.min(middles, axis=0) - margin
+        crossed = (np.max(ends, axis=0) > upper) & (np.min(ends, axis=0) < lower) & (margin > 0.25 * TELLS)
+        if seam.one[0] != seam.other[0] and crossed[[0, 2]].any():
+            text = f"as the panels are placed, it joins {'left to right' if crossed[0] else 'front to back'}"
+            remedy = "is a panel mirrored or turned, or its other side meant?"
+            note("crossed seam", seam.names, text, (*STITCHES, seam.stitch), remedy)
 
 
 def _directions(panel: Panel, edge: int, inside: bool) -> tuple[Float, Float]:

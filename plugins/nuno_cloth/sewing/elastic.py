@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from unicodedata import normalize
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -61,8 +62,9 @@ def bands_along(
 
 def _lines(label: str, sewn: Sewn, edges: Edges) -> list[Int]:
     """Return the numbers of sides of each closed line along the edges of a label. Raises BadInput."""
+    label = normalize("NFC", label)
     runs = [run for on_label, names in zip(sewn.edges, sewn.labels, strict=True)
-            for run, name in zip(on_label, names, strict=True) if name == label]  # fmt: skip
+            for run, name in zip(on_label, names, strict=True) if normalize("NFC", name or "") == label]  # fmt: skip
     if not runs:
         labels = sorted({name for names in sewn.labels for name in names if name is not None})
         raise BadInput("no edge of the pattern has this label", value=label, remedy=nearest(label, labels))

@@ -21,6 +21,8 @@ from nuno_schemas.fabric import Float, Int
 
 WIDE, LESS = np.pi, 1.0
 """A panel is a ring if its free edge turns by more than this [rad]; LESS makes flared panels rings, too."""
+NARROWEST = 1e-3
+"""Smallest inner radius of a ring [m]: a panel whose sides meet in a corner has no waist."""
 SLOPES = np.radians([30.0, 45.0, 60.0, 75.0])
 """Slopes of the cone below level, tried until it is out of the body. Waves of a steeper cone are deeper."""
 SMALLER = 0.5
@@ -89,7 +91,7 @@ def _ring(left: Float, hem: Float, right: Float, wide: float) -> Ring | None:
     centre = left + np.linalg.solve(ways * [1.0, -1.0], right - left)[0] * ways[:, 0]
     hem = hem - centre
     turn, inner = float(_angle(hem[:-1], hem[1:]).sum()), float(np.linalg.norm(left - centre))
-    if abs(turn) <= wide or inner >= float(np.linalg.norm(hem[0])):
+    if abs(turn) <= wide or not NARROWEST < inner < float(np.linalg.norm(hem[0])):
         return None
     c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
     middle = np.array([[c, -s], [s, c]]) @ hem[0]

@@ -6,6 +6,8 @@ import csv
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import dropwhile
+from operator import not_
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from nuno_schemas.units import decimal_point
 TITLE = ("name", "source")
 """Texts of a sheet about itself."""
 WORDS = ("instrument", *TITLE)
+_NUMBER = re.compile(r"[+-]?[.]?\d")
 _CUT = re.compile(r"(?<![\w.])[+-]?\d+,\d+(?![\d.])")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(?!\d)")
 KINDS = (".csv", ".yaml", ".yml")
@@ -53,23 +56,29 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
         return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}
     values_by_name, where = dict[str, Any](), dict[str, int]()
     for line, (name, *parts) in _read_rows(text, str(path)):
-        if name in values_by_name or not parts:
+        if name in values_by_name or not any(parts):
             problem = "the value is given twice" if name in values_by_name else "a name without a value"
             raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        values_by_name[name], where[name] = (", ".join(parts) if name in WORDS else _with_unit(parts)), line
+        values_by_name[name], where[name] = (
+            (", ".join(filter(None, parts)) if name in WORDS else _with_unit(parts)),
+            line,
+        )
     return values_by_name, where
 
 
 def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
     """Read the cells of the lines of a CSV, whose separator is that after `instrument`; decimal commas become points.
+    An empty cell is kept where other lines have their first or second number: there a measurement is missing.
 
     Raises BadInput where a comma may separate numbers as well, or thousands.
     """
     lines = text.splitlines()
     separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
     reader = csv.reader(lines, delimiter=separator[1] if separator else ",", skipinitialspace=True)
-    cells = ([cell.strip() for cell in row if cell.strip()] for row in reader)
+    cells = (list(dropwhile(not_, map(str.strip, row))) for row in reader)
     rows = [(reader.line_num, row) for row in cells if row and not row[0].startswith("#")]
+    columns = {k for _, row in rows if row[0] not in WORDS for k in (1, 2) if _NUMBER.match("".join(row[k : k + 1]))}
+    rows = [(line, [cell for k, cell in enumerate(row) if cell or k in columns]) for line, row in rows]
     numbers = [(line, row[0], cell) for line, row in rows if row[0] not in WORDS for cell in row[1:]]
     for line, name, _ in numbers if not separator else ():
         if cut := _CUT.search(re.sub(r'"[^"]*"', "", lines[line - 1])):
@@ -87,7 +96,9 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
 def _with_unit(parts: list[str]) -> list[str]:
     """Return numbers, each with the unit that may be in the last cell."""
     *values, last = parts
-    return parts if not values or re.match(r"[+-]?[.]?\d", last) else [f"{value} {last}" for value in values]
+    if not values or not last or _NUMBER.match(last):
+        return parts
+    return [f"{value} {last}" if value else "" for value in values]
 
 
 def in_units(fabric: Imported, values: Mapping[str, float]) -> dict[str, str]:
