@@ -10,7 +10,7 @@ from model_files import Folder
 from PIL import Image
 
 from nuno_cloth.models.placement import find_texture
-from nuno_dye.cloths.photograph import read_photograph
+from nuno_dye.cloths.photograph_cloth import read_photograph
 from nuno_dye.supplies.resist import read_image
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput

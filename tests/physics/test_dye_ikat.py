@@ -11,9 +11,8 @@ from dye_runs import SOLVERS
 from pydantic import TypeAdapter, ValidationError
 from test_dye_resist import Folder, write_image
 
-from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
+from nuno_dye.cloths.woven_cloth import Ikat, WovenCloth, WovenClothConfig
 from nuno_dye.laws.isotherms import Langmuir
-from nuno_dye.supplies.ikat import Ikat
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -13,12 +13,17 @@ from PIL import Image
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.photograph import Colours, assign_rest, find_up, read_photograph, split_by_colour, to_oklab
 from nuno_dye.cloths.photograph_cloth import (
+    Colours,
     PhotographCloth,
     PhotographConfig,
     PhotographPicture,
     PhotographPictureConfig,
+    assign_rest,
+    find_up,
+    read_photograph,
+    split_by_colour,
+    to_oklab,
 )
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Layers, Window

@@ -14,9 +14,8 @@ from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.file import read_closed
 from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.paths import Paths, find_paths
-from nuno_knit.repair import CHECKED, Repair, Repaired, YarnConfig, repair
+from nuno_knit.repair import CHECKED, CLEAR, LIES, LOST, Repair, Repaired, YarnConfig, repair
 from nuno_knit.skin import Skin
-from nuno_knit.strings import CLEAR, LIES, LOST
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.operation import Surface

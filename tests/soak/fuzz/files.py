@@ -223,7 +223,7 @@ FILES = (
     _file("PNG resist", ".png", lambda: [_image(mode) for mode in ("L", "LA", "1", "I;16")], IMAGE.mutate,
           ("nuno_dye.supplies.resist", *PNG_MODULES), _stencil("stretch"), _stencil("exact")),
     _file("photograph", ".png", lambda: [_image("RGB"), _image("RGBA"), _image("RGB", "JPEG")], IMAGE.mutate,
-          ("nuno_dye.cloths.photograph", "nuno_dye.cloths.photograph_cloth", *PNG_MODULES),
+          ("nuno_dye.cloths.photograph_cloth", "nuno_dye.cloths.photograph_cloth", *PNG_MODULES),
           ("nuno.dye_cloths", "photograph", PHOTOGRAPH)),
     _file("npz of a net", ".npz", net_seeds, ARRAYS.mutate, ("nuno_cloth.models.net", "nuno_cloth.models.net",
     *NPZ_MODULES),
