@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sewing_patterns import Body, column, moved, together
 
-from nuno_cloth.models.stance import check_openings, check_place, check_round, check_stance
+from nuno_cloth.models.stance import check_openings, check_place, check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
@@ -108,14 +108,14 @@ def test_a_body_next_to_the_panels_is_refused_with_a_move_that_helps(placed: Flo
     for shift in ([0, 0, 0], [0.1, 0, 0], [0, 0, 0.05], [0.5, 0, 0], [-0.5, 0, 0.3], [0, 0, 0.4], [0, 0, -0.3]):
         there = x + np.array(shift, float)
         if max(map(abs, shift)) < 0.2:
-            check_round(placed, there, build_tree(there, faces), "wearer")
+            check_place(placed, there, "wearer", build_tree(there, faces))
             continue
         with pytest.raises(BadInput, match="does not stand where") as caught:
-            check_round(placed, there, build_tree(there, faces), "wearer")
+            check_place(placed, there, "wearer", build_tree(there, faces))
         move = re.search(r"collider\.centre=\[(.*)\]", str(caught.value.remedy))
         assert move
         there = there + [float(one) for one in move[1].split(",")]
-        check_round(placed, there, build_tree(there, faces), "wearer")
+        check_place(placed, there, "wearer", build_tree(there, faces))
 
 
 def test_what_is_worn_on_a_limb_or_hangs_on_one_side_is_not_misplaced() -> None:
@@ -124,7 +124,7 @@ def test_what_is_worn_on_a_limb_or_hangs_on_one_side_is_not_misplaced() -> None:
     sleeve = panels(0.15, (1.3, 1.5)) - [-0.5, 0.0, 0.0]
     cape = panels(0.4, (0.8, 1.5))[: 24 * 9] - [0.0, 0.0, 0.1]
     for placed in (sleeve, cape):
-        check_round(placed, x, tree, "wearer")
+        check_place(placed, x, "wearer", tree)
 
 
 def test_a_body_is_in_an_opening_of_its_garment() -> None:

@@ -54,10 +54,8 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
                 limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
             )  # fmt: skip
         if with_unit is not part and 0.0 < value < column.least:
-            least, remedy = column.least / to_si(f"1 {column.unit}", column.si), f"write {100.0 * float(str(part)):.4g}"
-            raise BadInput(
-                f"a fraction, or so little in {column.unit}?", field=name, value=part,
-                limit=f"{least:.3g} {column.unit} without a unit", remedy=f"{remedy}, or '{part} {column.unit}'",
-            )  # fmt: skip
+            remedy = f"write {1e4 * value:.4g}, or '{part} {column.unit}'"
+            limit = f"{100.0 * column.least:.3g} {column.unit} without a unit"
+            raise BadInput(f"a fraction, or so little in {column.unit}?", None, None, name, part, limit, remedy)
         values.append(value)
     return tuple(values * 2 if column.pair and len(values) == 1 else values)

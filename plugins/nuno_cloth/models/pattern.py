@@ -15,7 +15,7 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import Wearable, find_texture
-from nuno_cloth.models.stance import check_openings, check_place, check_round, check_stance
+from nuno_cloth.models.stance import check_openings, check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.quantities import EdgeLength, Length
 from nuno_cloth.sewing.assemble import as_written, require_sound
@@ -191,12 +191,11 @@ class Pattern(Wearable):
         texture = find_texture(config.texture, files)
         sewn = _sewn(config, files)
         edges, clearance = find_edges(sewn.sewn_faces), config.over.clearance
-        check_place(sewn.placed, x, config.over.body)
+        body = build_tree(x, faces)
+        check_place(sewn.placed, x, config.over.body, body)
         if rested is not None:
             start, position = refine(sewn, _sewn(rested.config, files), [rested.start, rested.x])
             return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, start, (x, faces)))
-        body = build_tree(x, faces)
-        check_round(sewn.placed, x, body, config.over.body)
         wrapped = wrap(sewn, x, faces, clearance)
         around, clear = (build_tree(*enclose(x, faces, worn, clearance)), 0.0) if worn else (body, clearance)
         # A flared panel that is laid through a hand starts narrower, in waves, and opens.

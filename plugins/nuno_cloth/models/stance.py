@@ -15,7 +15,7 @@ from nuno_kernels.meshes.loops import cut_mesh
 from nuno_kernels.meshes.tree import Tree
 from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.fabric import Float, Int
 
 WIDEST = 1.2
 """A body with its arms held out is hardly wider than it is high; one that lies on its side is."""
@@ -53,12 +53,12 @@ def check_stance(x: Float, faces: Int, body: str) -> None:
         raise BadInput("the body faces another way", field="over.body", value=value, limit="towards +z", remedy=TURN)
 
 
-def check_place(placed: Float, x: Float, body: str) -> None:
+def check_place(placed: Float, x: Float, body: str, tree: Tree | None = None) -> None:
     """Raise BadInput if a body x (v, 3) [m] is not where panels (n, 3) [m] are placed, with the shift that brings it
     onto y = 0, round the y axis, as patterns expect.
 
     A garment may hang below a bust. It is misplaced if it is above a head, or below a whole person's feet, and would
-    not be with the body on y = 0.
+    not be with the body on y = 0; and, with the body's tree, if it is for a trunk, and that is next to it in x or z.
     """
     (low, high), (least, most) = ((part.min(axis=0), part.max(axis=0)) for part in (x, placed))
 
@@ -68,28 +68,27 @@ def check_place(placed: Float, x: Float, body: str) -> None:
 
     misplaced = np.maximum(low - most, least - high) > BESIDE
     misplaced[1] = beyond(0.0) - beyond(-low[1]) > OFF * (high[1] - low[1])
-    if misplaced.any():
-        raise _misplaced(misplaced, (low, high), (least, most), body)
-
-
-def check_round(placed: Float, x: Float, tree: Tree, body: str) -> None:
-    """Raise BadInput, as check_place, if panels (n, 3) [m] of a garment for a trunk stand round no trunk of a body x
-    (v, 3) [m] with this tree, but next to it in x or z, or round an arm.
-
-    A garment may have one sleeve, or hang mostly before or behind a body: its middle is that of its cloth in x, and of
-    its depth in z.
-    """
-    (low, high), (least, most) = ((part.min(axis=0), part.max(axis=0)) for part in (x, placed))
+    # Cloth may have one sleeve, or hang mostly before or behind a body.
     middle = np.array([placed[:, 0].mean(), 0.0, 0.5 * (least[2] + most[2])])
-    off = 0.5 * (low + high) - middle
-    beside = np.abs(off) > [ASIDE, np.inf, ASIDE]
-    if not beside.any() or most[0] - least[0] < AROUND[0] * (high[1] - low[1]) or most[2] - least[2] < AROUND[1]:
+    off, (wide, _, deep) = 0.5 * (low + high) - middle, most - least
+    aside = np.abs(off) > [ASIDE, np.inf, ASIDE]
+    if tree is not None and aside.any() and wide >= AROUND[0] * (high[1] - low[1]) and deep >= AROUND[1]:
+        line = middle + np.linspace(least[1], most[1], 40)[:, None] * [0.0, 1.0, 0.0]
+        within = (
+            np.asarray(closest_points(tree, np.stack([line, line + off * [1, 0, 1]]).reshape(-1, 3)).distance) < 0.0
+        )
+        misplaced |= aside & (within[:40].mean() < WITHIN <= within[40:].mean())
+    if not misplaced.any():
         return
-    line = middle + np.linspace(least[1], most[1], 40)[:, None] * [0.0, 1.0, 0.0]
-    lines = np.concatenate([line, line + off * [1.0, 0.0, 1.0]])
-    here, there = (np.asarray(closest_points(tree, lines).distance) < 0.0).reshape(2, -1).mean(axis=1)
-    if here < WITHIN <= there:
-        raise _misplaced(beside, (low, high), (least, most), body)
+    axis = int(np.argmax(misplaced))
+    centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    shift_text = ",".join(f"{along:.4g}" for along in np.where(misplaced, -centre, 0.0) + 0.0)
+    spans = [f"{box[0][axis]:.2f} to {box[1][axis]:.2f} m" for box in ((low, high), (least, most))]
+    raise BadInput(
+        "the body does not stand where the garment's panels are placed", field="over.body",
+        value=f"{body} at {'xyz'[axis]} = {spans[0]}, panels at {spans[1]}", limit="on y = 0, round x = z = 0",
+        remedy=f"move the body: --set bodies.{body}.collider.centre=[{shift_text}], or place the panels round it",
+    )  # fmt: skip
 
 
 def check_openings(x: Float, edges: Edges, tree: Tree, body: str) -> None:
@@ -107,19 +106,6 @@ def check_openings(x: Float, edges: Edges, tree: Tree, body: str) -> None:
         "nothing of the body goes through an opening of the garment", field="over.body", value=body,
         limit="a body that wears it", remedy="take the body that it is cut for, or place the panels round what it is "
         "worn on",
-    )  # fmt: skip
-
-
-def _misplaced(off: Bool, x: tuple[Float, Float], panels: tuple[Float, Float], body: str) -> BadInput:
-    """Return the error for a body that is off along some axes (3,), with the boxes of body and panels [m]."""
-    (low, high), axis = x, int(np.argmax(off))
-    centre = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-    shift_text = ",".join(f"{along:.4g}" for along in np.where(off, -centre, 0.0) + 0.0)
-    spans = [f"{box[0][axis]:.2f} to {box[1][axis]:.2f} m" for box in (x, panels)]
-    return BadInput(
-        "the body does not stand where the garment's panels are placed", field="over.body",
-        value=f"{body} at {'xyz'[axis]} = {spans[0]}, panels at {spans[1]}", limit="on y = 0, round x = z = 0",
-        remedy=f"move the body: --set bodies.{body}.collider.centre=[{shift_text}], or place the panels round it",
     )  # fmt: skip
 
 

@@ -103,17 +103,18 @@ def _note_crossed(pattern: Pattern, note: Note) -> None:
     """Note seams that run through the body, from one side of both panels, left or front, to the other side of both: as
     placed, each edge is beyond the middles of both panels by a quarter of the narrower panel's width.
     """
-    placed = {name: np.concatenate([panel.place(edge.ends()) for edge in panel.edges])
-              for name, panel in pattern.panels.items()}  # fmt: skip
     for seam in pattern.seams:
-        panels = [placed[name] for name, _ in seam.sides]
-        ends = [pattern.panels[name].place(pattern.edge((name, k)).ends()).mean(axis=0) for name, k in seam.sides]
-        middles = [0.5 * (points.min(axis=0) + points.max(axis=0)) for points in panels]
-        margin = 0.25 * np.min([np.ptp(points, axis=0) for points in panels], axis=0)
-        upper, lower = np.max(middles, axis=0) + margin, np.min(middles, axis=0) - margin
-        crossed = (np.max(ends, axis=0) > upper) & (np.min(ends, axis=0) < lower) & (margin > 0.25 * TELLS)
-        if seam.one[0] != seam.other[0] and crossed[[0, 2]].any():
-            text = f"as the panels are placed, it joins {'left to right' if crossed[0] else 'front to back'}"
+        panels = [pattern.panels[name] for name, _ in seam.sides]
+        corners = [np.concatenate([panel.place(edge.ends()) for edge in panel.edges]) for panel in panels]
+        ends = [panel.place(pattern.edge(side).ends()).mean(axis=0)
+                for panel, side in zip(panels, seam.sides, strict=True)]  # fmt: skip
+        middles, width = [one.mean(axis=0) for one in corners], np.min([np.ptp(one, axis=0) for one in corners], axis=0)
+        beyond = np.max(ends, axis=0) - np.max(middles, axis=0), np.min(middles, axis=0) - np.min(ends, axis=0)
+        if (
+            seam.one[0] != seam.other[0]
+            and (over := (np.min(beyond, axis=0) > 0.25 * width) & (width > TELLS))[[0, 2]].any()
+        ):
+            text = f"as the panels are placed, it joins {'left to right' if over[0] else 'front to back'}"
             remedy = "is a panel mirrored or turned, or its other side meant?"
             note("crossed seam", seam.names, text, (*STITCHES, seam.stitch), remedy)
 

@@ -26,10 +26,7 @@ from nuno_schemas.triangles import Membrane
 
 Mesh = tuple[Float, Int]
 """Vertices (m, 3) [m] and faces (g, 3)."""
-MEASURED = (
-    "use a pattern, a shirt, a mesh, or a skirt with cut: circle, half or quarter, of a preset fabric; other skirts, "
-    "and cloth with tension: springs, consist of springs"
-)
+MEASURED = "use a pattern, shirt, mesh or skirt with cut: circle, half or quarter, of a preset fabric, not of springs"
 CONTACTS = ("contact", "cloth_contact")
 
 
@@ -53,8 +50,8 @@ def read_fits(
     normals = _normals(mesh, search(moment.x))
     fits = [fit for piece in read_pieces(recording) if (fit := _fit(piece, moment, mesh, at, normals))]
     if not fits:
-        problem, remedy = "no garment of a measured fabric, whose triangles were cut", MEASURED
-        raise BadInput(problem, str(recording.path), remedy=remedy)
+        problem = "no garment of a measured fabric, whose triangles were cut"
+        raise BadInput(problem, str(recording.path), remedy=MEASURED)
     return [replace(fit, girths=[replace(one, height=one.height - floor) for one in fit.girths],
                     openings=[replace(one, low=one.low - floor, high=one.high - floor) for one in fit.openings])
             for fit in fits]  # fmt: skip
