@@ -170,7 +170,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
     def slow(simulation: Simulation) -> Stepped:
         if simulation.frame == 5:
             signal.raise_signal(signal.SIGINT)
-            over.wait(1.5)
+            over.wait(3.0)
         return real(simulation)
 
     monkeypatch.setattr(Simulation, "step", slow)
