@@ -208,8 +208,9 @@ class Pattern(Wearable):
             except BadInput:
                 if wide == LESS:
                     raise
+        bands = _bands(config, sewn, edges, position, (x, faces))
         check_openings(position, edges, body, config.over.body)
-        return self._fabric(config, texture, sewn, position, _bands(config, sewn, edges, position, (x, faces)))
+        return self._fabric(config, texture, sewn, position, bands)
 
     def _fabric(
         self, config: PatternConfig, texture: str | None, sewn: Sewn, x: Float, bands: Sequence[Band] = ()

@@ -67,11 +67,12 @@ def check_target(path: Path) -> None:
 
 def _open(path: Path) -> BinaryIO:
     part = part_of(path)
-    if path.suffix != ".mcap":
-        problem = "a recording's name ends in .mcap"
-        raise BadInput(problem, field="--record", value=str(path), remedy=f"{path}.mcap")
     try:
-        if path.exists() and not _is_mcap(path):
+        there = path.exists()
+        if path.suffix != ".mcap":
+            problem = "a recording's name ends in .mcap"
+            raise BadInput(problem, field="--record", value=str(path), remedy=f"{path}.mcap")
+        if there and not _is_mcap(path):
             problem = "what is there is no recording and would be lost"
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
         check_unprotected(path, "--record")
