@@ -166,6 +166,27 @@ def _unfinished(folder: Path) -> bytes:
     return part_of(folder / "start.mcap").read_bytes()
 
 
+def test_the_index_of_a_whole_file_says_what_a_scan_finds_and_reads_no_message(
+    many_chunks: tuple[Path, list[tuple[str, int, bytes]]],
+) -> None:
+    """So that a list of many recordings opens in no time; of a file without an index all is scanned."""
+    path, _ = many_chunks
+    with open_recording(path) as whole:
+        expected, chunks = (whole.metadata, whole.span), whole.layout.chunks
+    data = bytearray(path.read_bytes())
+    for chunk in chunks:
+        start = chunk.chunk_start_offset + 9
+        data[start : chunk.chunk_start_offset + chunk.chunk_length] = bytes(chunk.chunk_length - 9)
+    path.write_bytes(data)
+    with Recording(path, scan=False) as listed:
+        assert (listed.metadata, listed.span) == expected
+    with open_recording(path) as damaged:
+        assert damaged.damage and not damaged.layout.chunks
+    path.write_bytes(data[: chunks[0].chunk_start_offset])
+    with Recording(path, scan=False) as cut:
+        assert cut.recovered and END not in cut.metadata
+
+
 @pytest.mark.parametrize(
     "content", [b"", b"\x89", MAGIC, MAGIC + MAGIC, b"hello world" * 100, MAGIC + bytes(range(256)) * 20]
 )

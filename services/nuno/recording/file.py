@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import math
@@ -15,7 +16,7 @@ from typing import Any, BinaryIO, Self
 from mcap.records import Attachment, ChunkIndex, Message
 
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, decode_points
-from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
+from nuno.recording.layout import Damaged, Layout, read_index, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import check_payload, part_of, topic_of
 from nuno_schemas import SCHEMA_VERSION
@@ -28,11 +29,12 @@ MOST_FRAMES = 2**31
 class RecordedFile:
     """The messages of a recording, without their meaning. Close it, or use it in a `with`.
 
-    Opening it reads all of it: a cut or damaged file is read up to there. Raises BadInput where the file is missing,
-    no recording, or (while reading) has impossible values.
+    Opening it reads all of it, and a cut or damaged file up to there; with `scan` false only the index, if it has one:
+    for its metadata and span, not its messages. Raises BadInput where the file is missing, no recording, or (while
+    reading) has impossible values.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, scan: bool = True) -> None:
         self.path = Path(path)
         self.owner: object = None
         """Owner of a temporary file, which keeps it until this object is gone."""
@@ -43,7 +45,7 @@ class RecordedFile:
             remedy = f"its run did not finish it: read {part}" if part.is_file() else "give the name of a recording"
             raise BadInput(f"cannot be read: {error.strerror}", str(path), remedy=remedy) from None
         try:
-            self.layout: Layout = read_layout(self._stream, self.path)
+            self.layout = self._read_layout(scan)
             if "run" not in self.layout.metadata:
                 limits = f"{self.layout.readable:,} of {self.layout.size:,} bytes could be read"
                 problem = f"no recording by nuno, or {self.layout.damage or 'cut before its first record'}"
@@ -64,6 +66,12 @@ class RecordedFile:
 
     def close(self) -> None:
         self._stream.close()
+
+    def _read_layout(self, scan: bool) -> Layout:
+        if not scan:
+            with contextlib.suppress(Damaged):
+                return read_index(self._stream)
+        return read_layout(self._stream, self.path)
 
     def _check_version(self) -> None:
         version = self.metadata["run"].get("schema_version", "")

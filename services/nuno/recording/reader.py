@@ -47,8 +47,8 @@ class Recording(RecordedFile):
     Raises BadInput as `RecordedFile` does.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path | str, scan: bool = True) -> None:
+        super().__init__(path, scan)
         self._marks: dict[str, dict[int, tuple[int, str]]] = {}
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 
 from nuno.pages.command_process import Child
 from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import END, open_recording
+from nuno.recording.reader import END, Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of
 from nuno.report.show import recorded_lines
@@ -137,7 +137,9 @@ def _solver(scene: Mapping[str, Any]) -> str:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """Return properties from the file's summary, which a file does not have while it is being written."""
+    """Return properties from the file's index, which a file does not have while it is being written. Damage of its
+    messages shows when it is opened.
+    """
     facts: dict[str, Any] = {
         "name": path.name,
         "scene": "",
@@ -148,7 +150,7 @@ def _facts(path: Path) -> dict[str, Any]:
     if path.name.endswith(PART):
         return facts | {"state": "not finished"}
     try:
-        with open_recording(path) as recording:
+        with Recording(path, scan=False) as recording:
             scene, state = recording.scene, recording.metadata.get(END, {}).get("state", "unknown")
             facts |= {"scene": str(scene.get("name", "")), "solver": _solver(scene), "seconds": recording.span[1]}
             return facts | {"state": "damaged" if recording.damage else state}
