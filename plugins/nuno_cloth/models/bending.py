@@ -67,7 +67,7 @@ def build_bending(
     material: Material | Materials, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> Bending | None:
     """Build the bending matrix of triangles with corners (f, 3, 3) [m], flat once unfolded, yarn directions (f, 3) and
-    vertices faces (f, 3), of which some are held (n,). None where no vertex can bend.
+    vertices faces (f, 3); `held` (n,) marks held vertices. None where no vertex can bend.
     """
     n, cloth = len(held), Materials.spread(material, len(faces))
     rigidity = np.array([plate(fabric) for fabric in cloth.fabrics])

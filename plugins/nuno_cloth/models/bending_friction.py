@@ -39,7 +39,7 @@ def build_friction(
     material: Material | Materials, corners: Float, faces: Int, warp: Float, weft: Float, held: Bool
 ) -> BendingFriction | None:
     """Build the friction of triangles with corners (f, 3, 3) [m], flat once unfolded, yarn directions (f, 3) and
-    vertices faces (f, 3), of which some are held (n,). None for a fabric without friction.
+    vertices faces (f, 3); `held` (n,) marks held vertices. None for a fabric without friction.
     """
     cloth = Materials.spread(material, len(faces))
     widths = np.stack([cloth.by_triangle("hysteresis_warp"), cloth.by_triangle("hysteresis_weft")])

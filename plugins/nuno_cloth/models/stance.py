@@ -74,9 +74,8 @@ def check_place(placed: Float, x: Float, body: str, tree: Tree | None = None) ->
     aside = np.abs(off) > [ASIDE, np.inf, ASIDE]
     if tree is not None and aside.any() and wide >= AROUND[0] * (high[1] - low[1]) and deep >= AROUND[1]:
         line = middle + np.linspace(least[1], most[1], 40)[:, None] * [0.0, 1.0, 0.0]
-        within = (
-            np.asarray(closest_points(tree, np.stack([line, line + off * [1, 0, 1]]).reshape(-1, 3)).distance) < 0.0
-        )
+        lines = np.concatenate([line, line + off * [1, 0, 1]])
+        within = np.asarray(closest_points(tree, lines).distance) < 0.0
         misplaced |= aside & (within[:40].mean() < WITHIN <= within[40:].mean())
     if not misplaced.any():
         return

@@ -87,7 +87,7 @@ def put_points_out(
     x: Float, pairs: Int, body: Tree, clearance: float, spacing: float, face: Int | None
 ) -> tuple[Float, int, Int]:
     """Move vertices (n, 3) so that points of edges leave the body. Return these, the number of such points, and the
-    body's triangle (n,) nearest to each vertex, of which `face` is a guess.
+    body's triangle (n,) nearest to each vertex; `face` is a guess of it.
     """
     nearest = closest_points(body, x, face)
     a, b, part = points_between(x, pairs, nearest.distance, clearance, spacing)

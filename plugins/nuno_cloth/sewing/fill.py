@@ -27,7 +27,7 @@ FAR, CORNERS = 3.0, np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]
 
 
 def triangulate_inside(points: Float, outline: int) -> Int:
-    """Return triangles (f, 3), counter-clockwise, of points (n, 2), the first `outline` of which are its outline.
+    """Return triangles (f, 3), counter-clockwise, of points (n, 2). The first `outline` points are the outline.
 
     The outline is counter-clockwise. Raises ValueError if a side of it runs through a point, or cannot be recovered.
     """

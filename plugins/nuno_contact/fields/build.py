@@ -97,7 +97,7 @@ def build_field(
 
 
 def foresee(builder: Builder, cells: Cells) -> None:
-    """Raise BadInput if the cells, a sample of which is cut to its leaves, would be too many."""
+    """Raise BadInput if the cells would be too many, as a sample cut to its leaves predicts."""
     left = builder.most - builder.leaves
     probe = replace(builder, child=[], leaves=0, most=left // EACH)
     try:

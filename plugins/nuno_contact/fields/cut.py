@@ -200,7 +200,7 @@ def _join(parts: list[Cells]) -> Cells:
 
 def are_torn(lattice: Single, size: Any) -> NDArray[np.bool_]:
     """Return whether distances in lattices (m, 27) of cells of edge `size` [m] differ by more than their points'
-    distances do: across a hole, on both sides of which the surface is as far away.
+    distances do: across a hole whose two sides are equally near.
     """
     values = lattice.reshape(-1, 3, 3, 3)
     steps = [np.abs(np.diff(values, axis=axis)).reshape(len(values), -1).max(axis=1) for axis in (1, 2, 3)]

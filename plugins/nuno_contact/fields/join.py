@@ -94,8 +94,8 @@ def join_leaves(grid: Grid) -> None:
 
 @kernel
 def to_blame(leaf: int | np.int64, tests: NDArray[np.float32], allowed: float, grid: Grid) -> int:
-    """Return the leaf to cut if one is off: the larger one beside it whose error at one of its corners is more than
-    `allowed`, or itself.
+    """Return the leaf to cut if `leaf` is inaccurate: the largest neighbour at the corner with the largest error above
+    `allowed`, or `leaf` itself if there is none.
     """
     worst, which = allowed, int(leaf)
     for c in range(8):

@@ -88,7 +88,7 @@ def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int |
 def freeze(m: ContactState, y: Float) -> None:
     """Keep from here on the features that meet, with their closest points and directions, as at y (3, n).
 
-    Changes of features, and of which pairs count, change forces by jumps, between which Newton's method may alternate.
+    If features change, or the set of pairs, forces jump, and Newton's method may alternate between the two.
     Frozen contacts are as smooth as springs.
     """
     mesh = faces_of(m)

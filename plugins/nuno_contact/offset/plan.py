@@ -84,7 +84,7 @@ def holds(m: ContactState, which: int, x: Float, s: float, ahead: float) -> bool
 @block_kernel
 def learn(m: ContactState, which: int, x: Float, gone: float, share: float) -> None:
     """Update m.unrest by how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
-    ago, of which a share is over.
+    ago; `share` of the plan's window has passed.
     """
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)

@@ -59,10 +59,8 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
         if name in values_by_name or not any(parts):
             problem = "the value is given twice" if name in values_by_name else "a name without a value"
             raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        values_by_name[name], where[name] = (
-            (", ".join(filter(None, parts)) if name in WORDS else _with_unit(parts)),
-            line,
-        )
+        values_by_name[name] = ", ".join(filter(None, parts)) if name in WORDS else _with_unit(parts)
+        where[name] = line
     return values_by_name, where
 
 
