@@ -146,10 +146,8 @@ def split_faces(x: Float, raised: Float, split: Int, n: int, faces: Int, across:
             q = faces[g, (c + 2) % 3]
             done[s] = True
             done[g] = own[g]
-            if p == q or _has_edge(faces, across, s, p, q) or not _may_flip(x, u, v, p, q):
-                left += 1
-                continue
-            if not (_keeps_facing(x, raised, p, u, q) and _keeps_facing(x, raised, q, v, p)):
+            stays = p == q or _has_edge(faces, across, s, p, q) or not _may_flip(x, u, v, p, q)
+            if stays or not (_keeps_facing(x, raised, p, u, q) and _keeps_facing(x, raised, q, v, p)):
                 left += 1
                 continue
             beyond_uq, beyond_qv = across[g, (c + 1) % 3], across[g, (c + 2) % 3]
