@@ -25,6 +25,7 @@ from nuno.solver_selection.budget import Budget
 from nuno.solver_selection.cloth import decide
 from nuno.stepping import watchdog
 from nuno.stepping.watchdog import FrameWatchdog
+from nuno.supervision import launch
 from nuno_schemas.errors import BadInput
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
@@ -225,3 +226,15 @@ def test_a_signal_ends_a_run_whatever_it_does(where: str, flags: list[str], tmp_
     if where == "frame":
         with nuno.open(record) as recording:
             assert recording.last_checkpoint(recording.common_checkpoint().t).frame == 0
+
+
+def test_a_process_that_is_not_ready_is_terminated_where_the_run_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may import modules or compile kernels, and so never look whether its supervisor is gone."""
+    command = [sys.executable, "-c", "import time; time.sleep(3600)"]
+    monkeypatch.setattr(launch, "serve_command", lambda *_: command)
+    unready: Any = SimpleNamespace(alive=set, gone=lambda name: False)
+    scene: Any = SimpleNamespace(services=["simulation"])
+    some: Any = None
+    with launch.processes(some, some, scene, "", "", unready) as exited:
+        assert not exited()
+    assert exited() == {"simulation": "ended by SIGTERM"}

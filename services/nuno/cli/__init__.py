@@ -95,7 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(plain(f"failed: {error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt as error:
-        print(process.state_of(error), file=sys.stderr)
+        if "--lifeline" not in arguments:  # else its supervisor says so
+            print(process.state_of(error), file=sys.stderr)
         return 1
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115

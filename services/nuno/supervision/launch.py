@@ -57,7 +57,7 @@ def threads(
 
 @contextlib.contextmanager
 def processes(
-    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str, config: str | None = None
+    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str, watch: Watch, config: str | None = None
 ) -> Iterator[Callable[[], dict[str, str]]]:
     """Run each service as a process. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes.
 
@@ -70,6 +70,9 @@ def processes(
             started[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
         yield lambda: {name: _exit(code) for name, child in started.items() if (code := child.poll()) is not None}
     finally:
+        for name, child in started.items():
+            if name not in watch.alive() and not watch.gone(name):
+                child.terminate()  # it may still import or compile, and has nothing to finish
         _end(list(started.values()))
 
 

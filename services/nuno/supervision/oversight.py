@@ -271,7 +271,7 @@ class Supervisor:
         Services that are not ready yet end when the supervisor is gone.
         """
         answers: dict[str, dict[str, Any]] = {}
-        if "recorder" in self.plan.services:
+        if "recorder" in self.plan.services and error not in SIGNALS:  # else it was ready, or no frame has begun
             self._await_recorder()
         order = [self.plan.leader, *(n for n in FOLLOWERS if n in self.plan.services[1:])]
         for name in order:

@@ -112,7 +112,7 @@ def supervise(
             supervisor.patience = COMPILE_TIMEOUT
         if deployment.processes:
             supervisor.exited = stack.enter_context(
-                launch.processes(loaded, options, plan, endpoint, run, deployment.config)
+                launch.processes(loaded, options, plan, endpoint, run, supervisor.watch, deployment.config)
             )
         elif not deployment.connect:
             supervisor.exited = stack.enter_context(
