@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from nuno.api.run import resume, run
     from nuno.api.scene import Scene
     from nuno.api.watch import Heard, watch
-    from nuno.frame_state import FrameState
     from nuno.recording.reader import Recording
+    from nuno.replay.frame_state import FrameState
     from nuno_bench.sweep.grid import sweep
 
 __all__ = [
@@ -50,7 +50,7 @@ PLACES = {
     "nuno.api.run": ("resume", "run"),
     "nuno.api.scene": ("Scene",),
     "nuno.api.watch": ("Heard", "watch"),
-    "nuno.frame_state": ("FrameState",),
+    "nuno.replay.frame_state": ("FrameState",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),
 }

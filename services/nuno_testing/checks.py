@@ -11,8 +11,8 @@ import pytest
 from pydantic import ValidationError
 from trimesh.creation import box
 
-from nuno import registry
-from nuno.stepping.stepper import check_kept
+from nuno.plugin_contract import registry
+from nuno.runtime.stepper import check_kept
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh

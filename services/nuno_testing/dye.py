@@ -8,7 +8,7 @@ from math import fsum
 
 import numpy as np
 
-from nuno.stepping.stepper import check_kept
+from nuno.runtime.stepper import check_kept
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 from nuno_schemas.fabric import Float
 from nuno_testing.subject import Subject, made_twice

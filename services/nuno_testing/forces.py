@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.system import System
 from nuno_testing.subject import Subject, made_twice

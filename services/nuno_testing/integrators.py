@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.stepping.stepper import check_kept
+from nuno.runtime.stepper import check_kept
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
 from nuno_testing.subject import Subject, made_twice

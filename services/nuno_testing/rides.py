@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.bodies import BOX, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import Carried, System

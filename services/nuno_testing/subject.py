@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.plugin_contract.guards import Foreign
 from nuno.scene.files import SceneFiles
 from nuno_schemas.plugin import Files

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from nuno.cloth import build
-from nuno.cloth.start_checks import check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.start_checks import check_worn
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Float

@@ -118,7 +118,7 @@ def test_no_circle_of_the_hosts_parts() -> None:
             parts = {".".join(one.split(".")[:2]) for one in modules_in(path) if one.startswith("nuno.")}
             part = ".".join(name.split(".")[:2])
             imports.setdefault(part, set()).update(parts - {part})
-    assert {"nuno.bus", "nuno.scene"} <= imports.keys() and "nuno.scene" in imports["nuno.service"]
+    assert {"nuno.bus", "nuno.scene"} <= imports.keys() and "nuno.scene" in imports["nuno.runtime.service"]
     assert circle(imports) == []
 
 

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene import shipped
 from nuno.scene.json_schema import scene_schema
 from nuno_schemas.plugin import GROUPS

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from model_files import Folder, files, net_arrays
 
-from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth import build
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX as MESH
 from nuno_cloth.models.net import BYTES_PER_SPRING as SPRING
 from nuno_cloth.models.net import BYTES_PER_VERTEX as POINT

@@ -14,7 +14,7 @@ import yaml
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.warnings import scene_warnings
+from nuno.scene.warnings import scene_warnings
 from nuno_schemas.errors import BadInput
 
 SCENE: dict[str, Any] = {

@@ -18,7 +18,7 @@ CALLS = {
     "ssl._create_unverified_context", "tarfile.open",
 }  # fmt: skip
 BY_NAME = (
-    "nuno/cli/__init__.py", "nuno/service.py", "nuno_bench/cli.py", "nuno_bench/speed/command.py",
+    "nuno/cli/__init__.py", "nuno/runtime/service.py", "nuno_bench/cli.py", "nuno_bench/speed/command.py",
     "nuno_bench/peers/process.py", "nuno_kernels/__init__.py",
 )  # fmt: skip
 """Where modules are imported by a name that a table in the code gives, not a file or a message."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 import nuno
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.override import apply_override, overridden
 from nuno_schemas.errors import BadInput

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs, State
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem.piles import DOWN, pile, sheet
 from nuno_contact.offset.contact_state import ContactState

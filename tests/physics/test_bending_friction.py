@@ -11,8 +11,8 @@ import pytest
 from nets import make_system
 from test_fabric_meshes import KINDS, square
 
-from nuno import registry
-from nuno.cloth.join import join_fabrics
+from nuno.plugin_contract import registry
+from nuno.simulation.cloth.join import join_fabrics
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import SLIP, build_friction

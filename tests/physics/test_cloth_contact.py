@@ -12,7 +12,7 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 from sheets import DOWN, Pile, sheet
 
-from nuno.cloth.join import join_fabrics
+from nuno.simulation.cloth.join import join_fabrics
 from nuno_bench.problem import piles
 from nuno_contact.offset.candidate_pairs import make_list
 from nuno_contact.offset.places import LEFT_OUT, LISTED, LISTS_MADE, STEPS, TOUCHING

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from nuno.runtime.stepper import hash_of
 from nuno.scene import scene_file
 from nuno.simulation.costs import MOST_STARTS, Stage
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepper import hash_of
 
 pytestmark = pytest.mark.full
 

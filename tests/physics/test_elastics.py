@@ -13,9 +13,9 @@ from scipy.special import ellipe
 from sewing_patterns import Body, back, column, front, panel, stitch, tube
 from sewing_patterns import pattern as pattern_of
 
-from nuno.cloth.yarns import structural_edges
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
+from nuno.simulation.cloth.yarns import structural_edges
 from nuno.simulation.run import Simulation
 from nuno_cloth.models.pattern import HELD, Pattern, PatternConfig
 from nuno_cloth.sewing.elastic import DENSITY, STIFFNESS, girth_inside

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from nets import make_fabric, make_system, start
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.fabric import Float, Springs
 
 CHUNK, CHUNKS = 1000, 100

@@ -10,7 +10,7 @@ import pytest
 from nets import make_fabric, make_system, random_net
 from test_sliding import GAP, STILL, G, World, body, loose
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_cloth.wind.plugin import ParticleWindForce
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State

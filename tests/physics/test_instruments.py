@@ -9,8 +9,8 @@ import elastica
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno_bench.instruments import drape, loops, sheet
 from nuno_bench.instruments import sheet as cantilever
 from nuno_bench.instruments.command import find_fabric

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from knit_bodies import knit, wrapped
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.fabric import State
 from nuno_schemas.operation import Outcome, Surface

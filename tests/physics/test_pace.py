@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno.cloth import build
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.thread_tuning import BETTER, TRY_AGAIN, ThreadTuning
 from nuno_schemas.system import System, Term

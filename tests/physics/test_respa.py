@@ -11,7 +11,7 @@ import pytest
 from nets import make_fabric, make_system
 from pydantic import ValidationError
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_integrators.explicit.fixed_step import NoConfig
 from nuno_integrators.explicit.respa import SAFE, Respa, RespaConfig, both_rates, divide, steps_a_kick

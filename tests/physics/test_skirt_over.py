@@ -11,11 +11,11 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial import ConvexHull
 
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
+from nuno.simulation.cloth import build
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.skirt_config import SkirtConfig
 from nuno_cloth.models.skirt_over import find_height

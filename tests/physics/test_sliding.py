@@ -9,8 +9,8 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
+from nuno.plugin_contract import registry
 from nuno_contact.sliding.balance import hold_forces
 from nuno_contact.sliding.plugin import Slid, Sliding, SlidingConfig, make_slides
 from nuno_kernels.meshes.tree import build_tree

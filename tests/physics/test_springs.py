@@ -17,7 +17,7 @@ from nets import (
     start,
 )
 
-from nuno.cloth.start_checks import start_warnings
+from nuno.simulation.cloth.start_checks import start_warnings
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.springs import SpringRuns

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno import registry
-from nuno.cloth.texture import texture_size
+from nuno.plugin_contract import registry
+from nuno.simulation.cloth.texture import texture_size
 from nuno_schemas.fabric import Fabric
 
 

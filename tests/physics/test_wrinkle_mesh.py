@@ -10,7 +10,7 @@ import pytest
 import random_wrinkles
 from wrinkled import BY_HAND, draw, ridge, sheet
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, State

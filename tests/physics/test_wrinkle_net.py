@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from wrinkled import BY_HAND, draw, ridge, sheet
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State

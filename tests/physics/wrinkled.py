@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Outcome

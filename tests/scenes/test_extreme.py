@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from nuno.collision.bodies import build_bodies
+from nuno.runtime.stepper import Stepped
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepper import Stepped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

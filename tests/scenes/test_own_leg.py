@@ -11,9 +11,9 @@ import trimesh
 import yaml
 
 from nuno.cli.common import load_scene
-from nuno.cloth import build
 from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth import build
 from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

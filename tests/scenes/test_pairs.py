@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
+from nuno.simulation.cloth import build
 from nuno.simulation.run import Simulation
 from nuno_schemas.fabric import Fabric, Float
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
 from nuno.simulation.run import Simulation
 
 FRAMES = 5

@@ -15,9 +15,9 @@ from studio_desk import served as desk_served
 from studio_desk import write_sheet
 
 from nuno.bus.sessions import spoke
-from nuno.pages.server import Server
-from nuno.pages.worker import Workshop
 from nuno.studio.desk import Desk
+from nuno.studio.pages.server import Server
+from nuno.studio.pages.worker import Workshop
 
 
 class Shared:

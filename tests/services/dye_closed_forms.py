@@ -15,7 +15,7 @@ import yaml
 
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
-from nuno.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.problem.dye import DyeProblem
 from nuno_schemas.fabric import Float
 

@@ -13,11 +13,11 @@ from typing import Any
 from scenes import BALL, write_scene
 
 from nuno.report.make import Report, make_report
+from nuno.runtime import runs, supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment, Outcome
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
-from nuno.supervision import runs, supervisor
-from nuno.supervision.supervisor import Deployment, Outcome
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
 

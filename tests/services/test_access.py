@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import nuno
-from nuno.security import credentials_folder
-from nuno.security.credentials_folder import PEOPLE, Rights
+from nuno.bus import credentials_folder
+from nuno.bus.credentials_folder import PEOPLE, Rights
 from nuno_schemas.errors import BadInput, RunFailed
 from soak import access
 

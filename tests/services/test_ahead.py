@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from scenes import write_scene
 
-from nuno import progress
+from nuno.api import progress
+from nuno.api.progress import ProgressLine
+from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.cli import main
 from nuno.formatting import roughly
-from nuno.progress import ProgressLine
-from nuno.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery import command as gallery

@@ -14,7 +14,7 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.restore import restored_scene
-from nuno.supervision.supervisor import Supervisor
+from nuno.runtime.supervisor import Supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import Scene
 

@@ -20,16 +20,15 @@ from nuno.bus import slow_consumers
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import hub_at, identity, spoke
 from nuno.collision.service import Collision
-from nuno.recording.service import Recorder
+from nuno.recorder.service import Recorder
 from nuno.report.make import make_report
 from nuno.report.show import lines
+from nuno.runtime import driver, oversight, supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.stepper import Stepped
+from nuno.runtime.supervisor import Outcome
 from nuno.scene import scene_file
-from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.stepping import driver
-from nuno.stepping.stepper import Stepped
-from nuno.supervision import oversight, supervisor
-from nuno.supervision.supervisor import Outcome
 from nuno_schemas.messages import STATE
 
 COUNT, SIZE = 400, 100_000

@@ -19,7 +19,7 @@ from scenes import write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.writer import part_of
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 COMMANDS: dict[str, tuple[list[str], str]] = {
@@ -80,7 +80,7 @@ def test_the_port_is_taken(refused: Refused) -> None:
 
 
 def test_nobody_listens_where_it_connects(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno.supervision.supervisor.CONNECT_PATIENCE", 0.1)
+    monkeypatch.setattr("nuno.runtime.supervisor.CONNECT_PATIENCE", 0.1)
     said = refused.run("--connect", "tcp/127.0.0.1:9")
     assert "nothing answers there" in said
     assert "nuno serve router" in said

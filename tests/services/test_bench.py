@@ -11,8 +11,8 @@ import numba
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno_bench.problem.observe import advance_all
 from nuno_bench.report import page, plots
 from nuno_bench.report.result import Result, number

@@ -12,8 +12,8 @@ from line_net import problem_of, reference_of, write_net
 from precision_sweeps import FLAGS, points_of, swept
 from scenes import BALL, write_scene
 
-from nuno import registry
 from nuno.cli import main as nuno_main
+from nuno.plugin_contract import registry
 from nuno_bench.precision.page import Findings, report
 from nuno_bench.precision.point import fit_order, judge
 from nuno_bench.precision.settings import choose_solvers

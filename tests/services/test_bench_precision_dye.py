@@ -13,8 +13,8 @@ import pytest
 from dye_scene import CELL, D0, TAU3, write_scene
 from precision_sweeps import points_of, swept
 
-from nuno import registry
 from nuno.cli import main as nuno_main
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno_bench.precision.page import orders
 from nuno_bench.precision.point import fit_order

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.speed import leg as render_speed
 
 

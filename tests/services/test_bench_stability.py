@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno_bench.problem.observe import Series
 from nuno_bench.stability import command as stability_page
 from nuno_bench.stability.sweep import (

@@ -13,10 +13,10 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from refusals import largest_file
 
+from nuno.bus import certificates, credentials_folder
+from nuno.bus.credentials_folder import IN, access_control, read_rights
 from nuno.cli import main
-from nuno.security import certificates, credentials_folder
-from nuno.security.credentials_folder import IN, access_control, read_rights
-from nuno.service import MODULES, SUPERVISOR
+from nuno.runtime.service import MODULES, SUPERVISOR
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, REPORT, TOPICS
 

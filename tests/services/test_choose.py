@@ -12,14 +12,14 @@ import pytest
 import yaml
 
 import nuno
-from nuno import registry
-from nuno.cloth import build
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
-from nuno.solver_selection import cloth as choose
-from nuno.solver_selection.selection import PROMISE
-from nuno.solver_selection.trials import Method, Trials
+from nuno.simulation.cloth import build
+from nuno.simulation.solver_selection import cloth as choose
+from nuno.simulation.solver_selection.selection import PROMISE
+from nuno.simulation.solver_selection.trials import Method, Trials
 from nuno_bench.precision.accuracy import promised_frames
 from nuno_bench.problem.observe import make_problem, simulate
 from nuno_bench.problem.random_scenes import random_scene

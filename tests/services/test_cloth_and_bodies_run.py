@@ -12,10 +12,10 @@ import trimesh
 import yaml
 
 from nuno.cli import main
-from nuno.cloth.build import build_start
 from nuno.collision.surfaces import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
+from nuno.simulation.cloth.build import build_start
 from nuno.simulation.run import Simulation
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem import piles

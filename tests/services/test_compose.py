@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 import nuno
+from nuno.bus import credentials_folder
 from nuno.bus.sessions import free_port
-from nuno.security import credentials_folder
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
 ROLES = {"run": "supervisor"}

@@ -14,7 +14,7 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.query import Query
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
-from nuno.supervision import runs, supervisor
+from nuno.runtime import runs, supervisor
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE
 

@@ -15,10 +15,10 @@ import nuno
 from nuno.cli import main
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
+from nuno.replay.verification import Verification, verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import Verification, verify
 
 G = 9.81
 CUBE = """v -1 -1 -1

@@ -21,12 +21,12 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.cli.control import SLOW
-from nuno.cloth.build import build_fabric
 from nuno.recording.restore import control_events
+from nuno.runtime import runs
+from nuno.runtime.driver import Driver
 from nuno.scene import scene_file
+from nuno.simulation.cloth.build import build_fabric
 from nuno.simulation.service import NOW
-from nuno.stepping.driver import Driver
-from nuno.supervision import runs
 from nuno_schemas.errors import RunFailed
 
 
@@ -127,7 +127,7 @@ def test_a_request_that_is_given_up_is_carried_out_and_that_is_said(
     leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patient:
-        patient.setattr("nuno.supervision.supervisor.CONTROL_TIMEOUT", 0.5)
+        patient.setattr("nuno.runtime.supervisor.CONTROL_TIMEOUT", 0.5)
         with pytest.raises(RunFailed, match=r"within 0\.5 s; it may still do what it was asked for"):
             leave[0].control("pause")
     leave[1].set()

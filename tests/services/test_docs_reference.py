@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from nuno import cli, registry
+from nuno import cli
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno.scene.json_schema import PLACES
 from nuno_bench.cli import COMMANDS
 

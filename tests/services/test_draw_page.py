@@ -16,12 +16,12 @@ from studio_desk import NEEDS_BROWSER, served
 
 import nuno
 from nuno.cli.draw import open_desk
-from nuno.draw.lines import positions, read_strokes
-from nuno.live_view.snapshot import Sight
 from nuno.recording.restore import control_events
+from nuno.runtime import runs
 from nuno.scene import scene_file
 from nuno.studio.desk import Desk
-from nuno.supervision import runs
+from nuno.studio.draw.lines import positions, read_strokes
+from nuno.studio.live_view.snapshot import Sight
 from nuno_schemas.fabric import Float
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

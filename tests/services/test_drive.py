@@ -13,11 +13,11 @@ from test_live_poses import LONG, SHEET, hand, poses
 
 import nuno
 from nuno.bus.sessions import free_port
+from nuno.runtime import runs, supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file
-from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.supervision import runs, supervisor
-from nuno.supervision.supervisor import Deployment
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.system import StepReport

@@ -20,12 +20,12 @@ import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
+from nuno.replay.verification import verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno.scene.json_schema import scene_schema
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import verify
-from nuno.warnings import scene_warnings
+from nuno.scene.warnings import scene_warnings
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 

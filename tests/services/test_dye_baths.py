@@ -10,9 +10,9 @@ import pytest
 from dye_scene import CELL, D0, write_scene
 from dye_slab import CLOTH, LEFT, RED, WHOLE, slab
 
-from nuno import registry
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import add_up, exchange
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 
 

@@ -13,11 +13,11 @@ from dye_scene import CELL, TAU3, arrays, write_scene
 
 import nuno
 from nuno.dye.run import DyeRun
+from nuno.replay.verification import verify
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.solver_selection.cloth import decide
-from nuno.solver_selection.selection import PROMISE
-from nuno.verification import verify
+from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.selection import PROMISE
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -12,10 +12,10 @@ from PIL import Image
 import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
+from nuno.replay.verification import verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import verify
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS
 
 

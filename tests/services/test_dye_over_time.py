@@ -15,11 +15,11 @@ import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step, give
+from nuno.replay.verification import verify
 from nuno.report.show import lines
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import verify
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeSystem
 from nuno_schemas.errors import BadInput

@@ -15,9 +15,9 @@ from PIL import Image
 from scenes import write_scene as write_cloth
 
 import nuno
-from nuno import registry
 from nuno.cli import main
 from nuno.exports.dyed_pictures import _bar, _time, caption, choose_amounts, dyed_pictures, find_amounts
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno_dye.pictures.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window

@@ -11,12 +11,12 @@ import pytest
 from dye_scene import CELL, D0, TAU3, arrays, write_scene
 
 import nuno
-from nuno import registry
 from nuno.dye.run import DyeRun
+from nuno.plugin_contract import registry
+from nuno.replay.verification import verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import verify
 
 BLUE = {"name": "blue", "D0": D0, "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
 RED = {"name": "red", "D0": D0}

@@ -18,11 +18,11 @@ from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
-from nuno.replay import Replay
+from nuno.replay.publisher import Replay
+from nuno.replay.verification import verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
-from nuno.verification import verify
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
 
 

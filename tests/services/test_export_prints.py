@@ -14,9 +14,6 @@ from scenes import write_scene
 from sewing_patterns import read_pattern
 
 import nuno
-from nuno.cloth.build import build_fabric
-from nuno.cloth.join import join_fabrics
-from nuno.cloth.numbering import renumber
 from nuno.exports.cloth import cut_pieces, read_pieces
 from nuno.exports.meshes import export_mesh
 from nuno.plugin_contract.results import check_fabric
@@ -24,6 +21,9 @@ from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
+from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth.numbering import renumber
 from nuno_cloth.sewing.sew import sew
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.fabric import Fabric, Float

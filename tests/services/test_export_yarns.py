@@ -13,8 +13,8 @@ import yaml
 from recorded_sheet import Sheet, write
 
 import nuno
+from nuno.api.export import tell_yarns
 from nuno.cli import main
-from nuno.exporting import tell_yarns
 from nuno.exports.cloth import read_frame
 from nuno.exports.curves import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording

@@ -10,9 +10,9 @@ import pytest
 import yaml
 from PIL import Image
 
-from nuno import registry
 from nuno.cli import main
-from nuno.templates.laboratory_sheet import import_sheet, read_values
+from nuno.plugin_contract import registry
+from nuno.scene.templates.laboratory_sheet import import_sheet, read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor

@@ -22,14 +22,14 @@ import nuno
 from nuno.bus.messages import Bus, Inbox
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
-from nuno.recording import service as recording_service
+from nuno.recorder import service as recording_service
 from nuno.recording.gaps import shortcoming
 from nuno.recording.writer import RecordingWriter, part_of
+from nuno.runtime import supervisor
+from nuno.runtime.oversight import Supervisor
+from nuno.runtime.service import SUPERVISOR, Options
+from nuno.runtime.supervisor import Deployment, Outcome
 from nuno.scene import scene_file
-from nuno.service import SUPERVISOR, Options
-from nuno.supervision import supervisor
-from nuno.supervision.oversight import Supervisor
-from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
 from nuno_schemas.errors import BadInput, RunFailed
 from soak.processes import Processes

@@ -16,12 +16,12 @@ from foreign_packages import Packages, packages
 from scenes import write_scene
 
 import nuno
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
+from nuno.runtime import oversight as silence
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import oversight as silence
-from nuno.supervision import supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State
 from nuno_schemas.messages import EVENT, FrameStatus

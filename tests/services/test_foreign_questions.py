@@ -11,7 +11,7 @@ from foreign import DEEP, key, replies, session_answer, undisturbed
 from live_run import Run
 
 from nuno.collision.messages import decode_poses
-from nuno.supervision import supervisor
+from nuno.runtime import supervisor
 
 CONTROLS: list[object] = [
     {"action": "step", "frames": "many"},

@@ -12,8 +12,8 @@ from foreign_packages import Packages, packages
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.plugin import Mover

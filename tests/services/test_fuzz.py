@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.collision.messages import decode_geometry, encode_geometry
+from nuno.plugin_contract import registry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.scene.files import SceneFiles

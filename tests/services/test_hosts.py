@@ -12,10 +12,10 @@ from relay import Relay, relay
 from nuno.bus import sessions
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
+from nuno.runtime import runs, supervisor
+from nuno.runtime.service import Options, run_service
+from nuno.runtime.supervisor import Deployment, Outcome
 from nuno.scene import scene_file
-from nuno.service import Options, run_service
-from nuno.supervision import runs, supervisor
-from nuno.supervision.supervisor import Deployment, Outcome
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
 from soak import scenes

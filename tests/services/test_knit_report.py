@@ -10,14 +10,14 @@ import pytest
 
 import nuno
 from nuno.cli import main
-from nuno.cloth import build
-from nuno.cloth.yarns import measure_courses
 from nuno.exports.paint import SIDES
 from nuno.exports.pictures import Painter
 from nuno.exports.tables import export_npz
 from nuno.recording.reader import open_recording
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.yarns import measure_courses
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput
 

@@ -15,7 +15,7 @@ from scenes import write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.writer import part_of
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 

@@ -19,13 +19,12 @@ from live_run import Run, wait_until
 from scenes import write_chain, write_scene
 
 import nuno
+from nuno.runtime import launch, watchdog
+from nuno.runtime.watchdog import FrameWatchdog
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.solver_selection.budget import Budget
-from nuno.solver_selection.cloth import decide
-from nuno.stepping import watchdog
-from nuno.stepping.watchdog import FrameWatchdog
-from nuno.supervision import launch
+from nuno.simulation.solver_selection.budget import Budget
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.errors import BadInput
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
@@ -200,7 +199,7 @@ def test_what_is_attended_gives_and_raises_what_it_does() -> None:
 @pytest.mark.parametrize("words", [["plan"], ["run", "--no-view", "--no-record"]])
 def test_a_signal_ends_trials(words: list[str], number: signal.Signals, tmp_path: Path) -> None:
     path = write_long(tmp_path, STIFF, solver={"plugin": "symplectic_euler"}, accuracy="normal")
-    code = "from nuno import cli\nfrom nuno.solver_selection import budget\nbudget.SILENT = -1.0\n"
+    code = "from nuno import cli\nfrom nuno.simulation.solver_selection import budget\nbudget.SILENT = -1.0\n"
     code += "process.leave(cli.main(sys.argv[1:]))"
     with command(code, words[0], str(path), *words[1:]) as child:
         read_until(child, "trying symplectic_euler with ")

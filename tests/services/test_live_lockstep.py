@@ -20,7 +20,7 @@ import nuno
 from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.recording.reader import open_recording
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import RunFailed
 
 

@@ -23,9 +23,9 @@ from nuno.bus.sessions import spoke
 from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import resumed_scene
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
-from nuno.service import Options
-from nuno.supervision.supervisor import Deployment
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.live import Live
 from nuno_schemas.messages import BODIES

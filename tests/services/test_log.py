@@ -16,7 +16,7 @@ import nuno
 from nuno.bus.messages import Bus
 from nuno.cli import main
 from nuno.recording.writer import part_of
-from nuno.supervision import log
+from nuno.runtime import log
 from nuno_schemas.errors import BadInput
 
 

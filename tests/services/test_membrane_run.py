@@ -10,11 +10,11 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno.cloth import build
 from nuno.exports.cloth import read_pieces
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.supervision import supervisor
+from nuno.simulation.cloth import build
 from nuno_bench.problem.observe import lengths_at_rest
 from nuno_bench.stability.sweep import shortest, stiffen
 from nuno_schemas.errors import BadInput

@@ -16,8 +16,8 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
+from nuno.runtime import runs
 from nuno.simulation.run import Simulation
-from nuno.supervision import runs
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scattered_meshes import BALL, SIDE, irregular, mesh, shuffled, simulated
 
-from nuno.cloth import build, numbering
-from nuno.cloth.numbering import find_numbers, invert, keep_numbers, renumber
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build, numbering
+from nuno.simulation.cloth.numbering import find_numbers, invert, keep_numbers, renumber
 
 
 @pytest.mark.quick(solver=["symplectic_euler"], tension=["membrane"])

@@ -17,8 +17,6 @@ from sewing_patterns import read_pattern
 
 import nuno
 from nuno.cli import main
-from nuno.cloth.build import build_fabric
-from nuno.cloth.join import join_fabrics
 from nuno.exports.cloth import read_frame, read_pieces
 from nuno.exports.meshes import export_mesh
 from nuno.exports.paint import paint_stretch
@@ -28,6 +26,8 @@ from nuno.plugin_contract.results import check_fabric
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
+from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth.join import join_fabrics
 from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig

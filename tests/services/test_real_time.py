@@ -11,12 +11,12 @@ from live_run import Run, wait_until
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.api.runtime_estimate import keep_up
 from nuno.cli import main
-from nuno.runtime_estimate import keep_up
+from nuno.runtime.driver import Clock
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.solver_selection.cloth import decide
-from nuno.stepping.driver import Clock
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.messages import STATE
 
 DURATION, RATE, PAUSE = 0.5, 25.0, 1.5

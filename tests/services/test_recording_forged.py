@@ -15,13 +15,13 @@ from recorded_sheet import Sheet, write
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import registry
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
+from nuno.runtime.stepper import check_kept
 from nuno.scene.files import SceneFiles
-from nuno.stepping.stepper import check_kept
 from nuno_contact.offset.contact_state import ContactState
 from nuno_integrators.compiled import _state_arrays
 from nuno_schemas.errors import BadInput

@@ -22,15 +22,15 @@ import nuno
 from nuno.bus.liveliness import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
-from nuno.recording import service
+from nuno.recorder import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
+from nuno.runtime import oversight
+from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import describe_run
-from nuno.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.simulation.run import Simulation
-from nuno.supervision import oversight
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
 

@@ -23,11 +23,11 @@ from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
+from nuno.runtime import supervisor
+from nuno.runtime.oversight import DRAWING, UNDRAWN
+from nuno.runtime.plan import make_plan
+from nuno.runtime.service import Context, Options
 from nuno.scene import scene_file
-from nuno.service import Context, Options
-from nuno.supervision import supervisor
-from nuno.supervision.oversight import DRAWING, UNDRAWN
-from nuno.supervision.plan import make_plan
 from nuno_schemas.messages import PICTURE, REPORT, FrameStatus
 
 LEG = {"plugin": "mesh", "shape": "leg", "resolution": 16}

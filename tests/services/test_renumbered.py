@@ -13,14 +13,14 @@ from scattered_meshes import BALL, DOWN, SIDE, irregular, mesh, shuffled, simula
 from scenes import write_scene
 
 import nuno
-from nuno.cloth import numbering
-from nuno.cloth.numbering import invert
 from nuno.exports.meshes import export_mesh
+from nuno.replay.verification import Verification, verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
+from nuno.simulation.cloth import numbering
+from nuno.simulation.cloth.numbering import invert
 from nuno.simulation.run import Simulation
-from nuno.supervision import supervisor
-from nuno.verification import Verification, verify
 from nuno_cloth.wind.plugin import Wind
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

@@ -13,12 +13,12 @@ from scenes import write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.draw.append import write_whole
-from nuno.exports.target import check_target
+from nuno.output_files import check_target
 from nuno.process import Terminated
 from nuno.recording.writer import part_of
-from nuno.supervision import log
-from nuno.supervision.oversight import Supervisor
+from nuno.runtime import log
+from nuno.runtime.oversight import Supervisor
+from nuno.studio.draw.append import write_whole
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FrameStatus
 

@@ -10,14 +10,14 @@ import pytest
 import zenoh
 from recorded_sheet import RATE, Sheet, write
 
-from nuno import replay as replay_module
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
 from nuno.cli import main
 from nuno.process import Terminated
 from nuno.recording.reader import Recording, open_recording
-from nuno.replay import WINDOW, Replay
-from nuno.service import ack_topic
+from nuno.replay.publisher import WINDOW, Replay
+from nuno.replay.publisher import publisher as replay_module
+from nuno.runtime.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE, STATUS, Ack, Topic
 

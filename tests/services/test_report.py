@@ -14,9 +14,9 @@ import nuno
 from nuno.cli import main
 from nuno.report.make import Report
 from nuno.report.show import brief, lines
+from nuno.runtime.stepper import Stepped
+from nuno.scene.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepper import Stepped
-from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.collision.bodies import build_bodies
 from nuno.recording.recorded import Checkpoint
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.stepper import copy_into
 from nuno.scene import scene_file
-from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.stepping.stepper import copy_into
-from nuno.supervision import supervisor
 
 INTEGRATORS = sorted(point.name for point in entry_points(group="nuno.integrators"))
 

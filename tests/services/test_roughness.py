@@ -13,8 +13,8 @@ import yaml
 from scenes import write_chain
 
 import nuno
-from nuno.cloth import build
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

@@ -22,15 +22,15 @@ from nuno.bus.pending_reply import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events
+from nuno.replay.verification import verify
+from nuno.runtime import oversight, supervisor
+from nuno.runtime.driver import WINDOW
+from nuno.runtime.service import Context, Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
-from nuno.service import Context, Options
+from nuno.scene.warnings import scene_warnings
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ask_poses, take_poses
-from nuno.stepping.driver import WINDOW
-from nuno.supervision import oversight, supervisor
-from nuno.supervision.supervisor import Deployment
-from nuno.verification import verify
-from nuno.warnings import scene_warnings
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 

@@ -14,9 +14,9 @@ import yaml
 from scenes import CHAIN, write_chain, write_scene
 
 import nuno
+from nuno.api.export import ExportRequest
 from nuno.cli import main
 from nuno.cli.export import add_arguments
-from nuno.exporting import ExportRequest
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Scene as Fields
 

@@ -14,14 +14,14 @@ from recorded_sheet import Sheet, write
 from nuno import process as scratches
 from nuno.cli import main
 from nuno.process import HIDDEN, PREFIX, scratch
-from nuno.supervision.log import written
+from nuno.runtime.log import written
 from nuno_schemas.errors import BadInput
 
 CHILD = """
 import sys, time
 from pathlib import Path
 from nuno import process as scratch
-from nuno.supervision.log import written
+from nuno.runtime.log import written
 with scratch.scratch(Path(sys.argv[1]) if sys.argv[1] else None) as folder, written("run", Path(sys.argv[2])):
     (folder / "file").write_text("data")
     print(folder, flush=True)

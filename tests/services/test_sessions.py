@@ -17,7 +17,7 @@ from scenes import write_scene
 import nuno
 from nuno.bus import sessions
 from nuno.bus.sessions import ATTEMPTS, PortTaken, hub_at
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 

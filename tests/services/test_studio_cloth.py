@@ -16,14 +16,14 @@ from studio_desk import FILE, SHEET
 import nuno
 from nuno.cli.control import NEEDS
 from nuno.exports.cloth import read_pieces
-from nuno.live_view.sources import see_scene
-from nuno.pages.guard import Refused
-from nuno.pages.server import page_files
+from nuno.runtime import runs
+from nuno.runtime.supervisor import control
 from nuno.scene import scene_file, shipped
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno.supervision import runs
-from nuno.supervision.supervisor import control
+from nuno.studio.live_view.sources import see_scene
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import page_files
 from nuno_schemas.colour import CONTROL
 from nuno_schemas.errors import BadInput
 

@@ -11,11 +11,11 @@ from browser import Page
 from live_run import wait_until
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
-from nuno.live_view.sources import see_scene
-from nuno.pages.server import Server
 from nuno.scene import scene_file
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
+from nuno.studio.live_view.sources import see_scene
+from nuno.studio.pages.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

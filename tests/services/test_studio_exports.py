@@ -16,8 +16,8 @@ from PIL import Image
 from studio_desk import NEEDS_BROWSER, studio, write_sheet
 
 import nuno
-from nuno.pages.guard import Refused
 from nuno.studio.desk import KINDS, Desk
+from nuno.studio.pages.guard import Refused
 from nuno_schemas.errors import BadInput
 
 

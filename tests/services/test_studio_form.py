@@ -10,9 +10,9 @@ import pytest
 from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
-from nuno import registry
-from nuno.pages.server import Server
+from nuno.plugin_contract import registry
 from nuno.studio.desk import Desk, swatches
+from nuno.studio.pages.server import Server
 from nuno_schemas.dye_presets import PRESETS
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

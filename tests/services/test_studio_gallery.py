@@ -9,9 +9,9 @@ import pytest
 from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
-from nuno.pages.server import Server, page_files
 from nuno.scene import shipped
 from nuno.studio.desk import Desk
+from nuno.studio.pages.server import Server, page_files
 
 MOST = 2_000_000
 """Bytes of all that the page may load, but for the view in 3-D."""

@@ -12,10 +12,10 @@ from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 import nuno
 from nuno.api.plan import describe
-from nuno.pages.server import Server
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
+from nuno.studio.pages.server import Server
 from nuno_schemas.errors import BadInput
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

@@ -16,10 +16,10 @@ from studio_desk import FILE, ask, write_sheet
 
 import nuno
 from nuno.exports.cloth import body_vertices, read_bodies
-from nuno.pages.guard import Refused
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.studio.desk import Desk
+from nuno.studio.pages.guard import Refused
 from nuno.studio.screen import MOST_FILMS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FABRIC

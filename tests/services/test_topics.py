@@ -18,7 +18,7 @@ from test_readme import ROOT, blocks
 import nuno
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.cli import main
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Topic
 from nuno_schemas.messages import TOPICS as TOPICS_KNOWN

@@ -14,9 +14,9 @@ from scenes import write_scene
 from sewing_patterns import back, front, pattern, stitch
 
 import nuno
-from nuno.cloth import build
 from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
 from nuno.simulation.run import Simulation
 from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.errors import BadInput

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import registry
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as validation_page
 from nuno_bench.validation import suite as validate

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.problem import piles
 from nuno_bench.validation import suite
 from nuno_bench.validation.laws import contacts

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.validation import suite as validate
 from nuno_bench.validation.laws import dye
 from nuno_bench.validation.laws.base import Outcome

@@ -21,8 +21,8 @@ from viewer_run import messages
 from nuno.bus.liveliness import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
+from nuno.runtime.service import Options, ack_topic, run_service
 from nuno.scene import scene_file
-from nuno.service import Options, ack_topic, run_service
 from nuno.viewer.live import LiveView, Ring, keep_page
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
 from nuno_schemas.view import View

@@ -10,10 +10,10 @@ import pytest
 from scenes import write_scene
 
 from nuno.bus.encodings import encode_arrays, encode_points
-from nuno.cloth import build
-from nuno.cloth.tension import SPAN, Tensions, tension_arrays
-from nuno.cloth.yarns import structural_edges
 from nuno.scene import scene_file
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.tension import SPAN, Tensions, tension_arrays
+from nuno.simulation.cloth.yarns import structural_edges
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.messages import FABRIC, STATE

@@ -16,7 +16,7 @@ from nuno.report.show import lines
 from nuno.scene import shipped
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import load, read
-from nuno.warnings import scene_warnings
+from nuno.scene.warnings import scene_warnings
 from nuno_schemas.messages import EVENT
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from nuno.pages.worker import Workshop
 from nuno.scene import yaml_lines
+from nuno.studio.pages.worker import Workshop
 from nuno_schemas.errors import BadInput
 
 REMEDY = "make less of it"

@@ -10,10 +10,10 @@ from scenes import write_scene
 
 import nuno
 from nuno.exports.tables import export_csv
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.supervision import supervisor
 
 FABRIC = {"density": 0.12, "structural": 60, "hinge": 2e-5, "damping_ratio": 0.05}
 LINES = {

@@ -15,11 +15,11 @@ import nuno
 from nuno.cli import main
 from nuno.exports.cloth import Pieces
 from nuno.recording.restore import control_events
+from nuno.replay.verification import verify
+from nuno.runtime import runs, supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped
-from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.supervision import runs, supervisor
-from nuno.verification import verify
 from nuno_contact.offset.places import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 

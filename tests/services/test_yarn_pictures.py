@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import nuno
-from nuno.cloth import build
-from nuno.cloth.yarns import edge_yarns
 from nuno.exports.cloth import read_pieces
 from nuno.exports.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
 from nuno.exports.pictures import Painter
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.yarns import edge_yarns
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Fabric
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import nuno
+from nuno.bus import certificates, credentials_folder
+from nuno.bus.credentials_folder import Rights, read_rights
 from nuno.bus.sessions import free_port, hub, spoke
-from nuno.security import certificates, credentials_folder
-from nuno.security.credentials_folder import Rights, read_rights
-from nuno.supervision import supervisor
+from nuno.runtime import supervisor
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import TOPICS

@@ -18,7 +18,7 @@ import psutil
 from nuno.bus.sessions import free_port
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import DYE_STATUS, STATUS
 

@@ -16,12 +16,12 @@ from live_run import Live
 
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
+from nuno.replay.verification import verify
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
-from nuno.solver_selection.cloth import decide
-from nuno.supervision.supervisor import Deployment
-from nuno.verification import verify
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
 from soak.processes import Digests, digests

@@ -22,8 +22,8 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import PATIENCE, identity, spoke
 from nuno.cli import main as nuno_main
 from nuno.recording import writer
-from nuno.service import ack_topic
-from nuno.stepping.driver import WINDOW
+from nuno.runtime.driver import WINDOW
+from nuno.runtime.service import ack_topic
 from nuno_schemas.messages import STATE, Ack
 
 POINT_BYTES = 12

@@ -16,9 +16,9 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.collision.live import read_poses
 from nuno.collision.messages import LIVE_BODIES_QUERY
-from nuno.stepping.driver import CONTROL
-from nuno.supervision import runs
-from nuno.supervision.supervisor import CONTROL_TIMEOUT
+from nuno.runtime import runs
+from nuno.runtime.driver import CONTROL
+from nuno.runtime.supervisor import CONTROL_TIMEOUT
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 from nuno_schemas.live import BodyPoses
 

@@ -10,17 +10,17 @@ from typing import Any
 
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
-from nuno.cloth import build
-from nuno.cloth.start_checks import start_warnings
-from nuno.cloth.texture import texture_size
 from nuno.report.show import describe_start
+from nuno.runtime.plan import make_plan
+from nuno.runtime.service import Options
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
+from nuno.scene.warnings import scene_warnings
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.start_checks import start_warnings
+from nuno.simulation.cloth.texture import texture_size
 from nuno.simulation.run import Simulation
-from nuno.solver_selection.budget import Budget
-from nuno.solver_selection.cloth import decide
-from nuno.supervision.plan import make_plan
-from nuno.warnings import scene_warnings
+from nuno.simulation.solver_selection.budget import Budget
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.bodies import Geometry, Poses
 
 Row = tuple[str, str]

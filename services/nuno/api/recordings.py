@@ -9,18 +9,18 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
+from nuno import output_files
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
-from nuno.exports import target
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import Recording, open_recording
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
     from nuno.api.result import Result
-    from nuno.frame_state import Acted, FrameState
-    from nuno.verification import Verification
+    from nuno.replay.frame_state import Acted, FrameState
+    from nuno.replay.verification import Verification
 
     Recorded: TypeAlias = str | os.PathLike[str] | Recording | Result
     """A file, "last", an open recording, or the result of a run."""
@@ -38,7 +38,7 @@ def path_of(recording: Recorded) -> Path:
 
 def opened(recording: Recorded) -> AbstractContextManager[Recording]:
     """Open a recording; it is closed again unless it was open before. Raises BadInput."""
-    return target.opened(recording if isinstance(recording, Recording) else path_of(recording))
+    return output_files.opened(recording if isinstance(recording, Recording) else path_of(recording))
 
 
 def open_file(recording: str | os.PathLike[str]) -> Recording:
@@ -62,8 +62,8 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
-    """Yield frames of a recording (default: all) in float64, as nuno.frame_state.states. Raises BadInput."""
-    from nuno import frame_state
+    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states. Raises BadInput."""
+    from nuno.replay.publisher import frame_state
 
     with in_python(), opened(recording) as source:
         yield from frame_state.states(source, frames, forces)
@@ -74,7 +74,7 @@ def verify(recording: Recorded, threads: int = 0) -> Verification:
 
     Warns of a recording that is not complete. Raises BadInput for one without scene or frames.
     """
-    from nuno import verification
+    from nuno.replay.publisher import verification
 
     with in_python(), opened(recording) as source:
         _warn(source)
@@ -89,11 +89,11 @@ def _warn(recording: Recording) -> None:
 def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any) -> list[Path]:
     """Write files of a recording, with the options of `nuno export`: nuno.export("last", glb="a.glb", frame=30).
 
-    what: fields of nuno.exporting.ExportRequest: a file for each wanted one of npz, forces, csv, png, gif, mp4, obj,
+    what: fields of nuno.api.export.ExportRequest: a file for each wanted one of npz, forces, csv, png, gif, mp4, obj,
     ply, glb, usd, rrd, foxglove, ros2, pattern and yarns, and frame, colour, size, view and so on. `overrides` are
     those of --set. Warns of a recording that is not complete. Raises BadInput.
     """
-    from nuno.exporting import ask, write
+    from nuno.api.export import ask, write
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"

@@ -17,6 +17,7 @@ import numpy as np
 
 from nuno.api.recordings import path_of
 from nuno.api.result import Folder, Result
+from nuno.api.runtime_estimate import keep_up
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.process import SIGNALS
@@ -25,13 +26,12 @@ from nuno.recording.recorded import per_dye
 from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report
-from nuno.runtime_estimate import keep_up
+from nuno.runtime import runs, supervisor
+from nuno.runtime.oversight import Progress
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
-from nuno.solver_selection.cloth import decide
-from nuno.supervision import runs, supervisor
-from nuno.supervision.oversight import Progress
-from nuno.supervision.supervisor import Deployment
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import DYE_CHECKPOINT
@@ -122,7 +122,7 @@ def _progress_bar(scene: Loaded, progress: bool | None) -> Iterator[Progress | N
     if not (_bar_is_visible() if progress is None else progress):
         yield None
         return
-    from nuno.progress import ProgressLine
+    from nuno.api.progress import ProgressLine
 
     with ProgressLine(scene.scene, bar=True) as line:
         yield line.update

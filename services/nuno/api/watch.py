@@ -12,8 +12,8 @@ from nuno.bus.encodings import decode_arrays, decode_picture, decode_points
 from nuno.bus.liveliness import Watch
 from nuno.bus.messages import ALL, Bus, Inbox, Message
 from nuno.bus.sessions import spoke
-from nuno.service import SUPERVISOR
-from nuno.supervision import runs
+from nuno.runtime import runs
+from nuno.runtime.service import SUPERVISOR
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.messages import MODELS, PICTURE, REPORT, STATE, TOPICS
 

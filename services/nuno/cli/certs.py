@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nuno.security import credentials_folder
-from nuno.security.credentials_folder import Kept
+from nuno.bus import credentials_folder
+from nuno.bus.credentials_folder import Kept
 
 HOSTS = "localhost,127.0.0.1"
 

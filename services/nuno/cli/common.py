@@ -14,7 +14,7 @@ from nuno.formatting import plain
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
-from nuno.solver_selection.budget import BUDGET, Budget
+from nuno.simulation.solver_selection.budget import BUDGET, Budget
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 
@@ -78,7 +78,7 @@ def add_run(parser: argparse._ActionsContainer, needed: bool = False) -> None:
 
 def find_run(args: argparse.Namespace) -> tuple[str, str]:
     """Return id and endpoint of the named run. Raises BadInput."""
-    from nuno.supervision import runs
+    from nuno.runtime import runs
 
     return (args.run, args.connect) if args.connect else runs.find(args.run)
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from nuno.cli.common import add_run, find_run
-from nuno.stepping.driver import ACTIONS
-from nuno.supervision.supervisor import control
+from nuno.runtime.driver import ACTIONS
+from nuno.runtime.supervisor import control
 from nuno_schemas.errors import BadInput
 
 SLOW = "the run answers when the frame that it is in is done"

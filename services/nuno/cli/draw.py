@@ -9,14 +9,14 @@ from urllib.parse import quote
 
 from nuno.cli.common import add_config, add_scene
 from nuno.cli.studio import serve
-from nuno.draw.append import MARK, read_text
-from nuno.draw.shown import require_lines
-from nuno.live_view.sources import see_scene
+from nuno.runtime import runs
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import apply_override, item_at
 from nuno.studio.desk import Desk
-from nuno.supervision import runs
+from nuno.studio.draw.append import MARK, read_text
+from nuno.studio.draw.shown import require_lines
+from nuno.studio.live_view.sources import see_scene
 from nuno_schemas.errors import BadInput
 
 

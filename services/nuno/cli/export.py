@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+from nuno.api.export import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.cli.common import add_flags, add_set, warn
-from nuno.exporting import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.look import DyeView, Form
 
 

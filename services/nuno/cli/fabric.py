@@ -8,8 +8,8 @@ from pathlib import Path
 
 from nuno.cli.presets import origins
 from nuno.cli.top import align
-from nuno.exports.target import writing
-from nuno.templates.laboratory_sheet import import_sheet, in_units
+from nuno.output_files import writing
+from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
 from nuno_schemas.preset import Imported
 
 

@@ -13,7 +13,7 @@ from nuno.fit.measure import Fit, Girth, Spread
 from nuno.fit.read import read_fits
 from nuno.fit.seams import Seam
 from nuno.recording.reader import open_recording
-from nuno.supervision import runs
+from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 

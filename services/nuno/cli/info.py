@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from nuno.formatting import plain
-from nuno.intersections import find_nearest, find_spells, spell_rows
 from nuno.recording.gaps import Lacks, find_lacks, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report.show import recorded_lines
-from nuno.supervision import runs
+from nuno.runtime import runs
+from nuno.runtime.intersections import find_nearest, find_spells, spell_rows
 from nuno_schemas.messages import FRAMES
 
 

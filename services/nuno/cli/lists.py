@@ -6,13 +6,13 @@ import argparse
 import json
 from importlib import import_module
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
 
 REFERENCES = {
-    "messages": ("nuno.reference.messages", "what a run publishes"),
-    "fields": ("nuno.reference.fields", "every field of a scene"),
+    "messages": ("nuno.cli.reference_tables.messages", "what a run publishes"),
+    "fields": ("nuno.cli.reference_tables.fields", "every field of a scene"),
     "commands": ("nuno.cli.reference", "every command and its arguments"),
 }
 """Generated pages of the documentation, each by `describe_NAME` of a module."""

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 
 from nuno.scene import shipped
-from nuno.templates.shipped import write_after
+from nuno.scene.templates.shipped import write_after
 from nuno_schemas.errors import BadInput, nearest
 
 KINDS = {

@@ -7,7 +7,7 @@ import argparse
 from nuno.api.plan import describe, line_of
 from nuno.cli.common import add_budget, add_scene, budget_of, load_scene
 from nuno.process import attended
-from nuno.solver_selection.budget import Budget
+from nuno.simulation.solver_selection.budget import Budget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,10 +19,10 @@ from nuno.formatting import plain
 from nuno.process import state_of
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
-from nuno.replay import Replay
+from nuno.replay.publisher import Replay
+from nuno.runtime import runs
+from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.scene_file import Loaded
-from nuno.service import SUPERVISOR, Options, run_service
-from nuno.supervision import runs
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput

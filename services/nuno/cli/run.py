@@ -9,19 +9,19 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from nuno.api.progress import ProgressLine
+from nuno.api.runtime_estimate import keep_up
 from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
 from nuno.process import ending_at_once
-from nuno.progress import ProgressLine
 from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import check_target, part_of
 from nuno.report.make import make_report
 from nuno.report.show import row, show_report
-from nuno.runtime_estimate import keep_up
+from nuno.runtime import log, runs, supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
-from nuno.solver_selection.cloth import decide
-from nuno.supervision import log, runs, supervisor
-from nuno.supervision.supervisor import Deployment
+from nuno.simulation.solver_selection.cloth import decide
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput
@@ -86,7 +86,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     options = _options(args, run)
     if args.mp4 is not None:
         from nuno.exports.animations import check_animation
-        from nuno.exports.target import RATE
+        from nuno.output_files import RATE
 
         if options.record is None:
             raise BadInput("an animation is drawn of the recording", field="--mp4", remedy="leave --no-record out")

@@ -16,12 +16,12 @@ from nuno.bus import sessions
 from nuno.bus.slow_consumers import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import SIGNALS, end_process
+from nuno.runtime import runs
+from nuno.runtime.launch import FINISH_TIMEOUT, LINGER
+from nuno.runtime.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.scene import scene_file, shipped
-from nuno.service import MODULES, SUPERVISOR, Options, run_service
-from nuno.solver_selection.budget import Budget
-from nuno.solver_selection.cloth import decide
-from nuno.supervision import runs
-from nuno.supervision.launch import FINISH_TIMEOUT, LINGER
+from nuno.simulation.solver_selection.budget import Budget
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.errors import BadInput, RunFailed
 
 LISTEN = "tcp/127.0.0.1:7447"

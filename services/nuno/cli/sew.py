@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from nuno import registry
 from nuno.cli.common import add_flags
 from nuno.cli.top import align
-from nuno.exports.target import replacing
 from nuno.formatting import many
+from nuno.output_files import replacing
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles, near
+from nuno.scene.templates.garments import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno.scene.validation_errors import explain
-from nuno.templates.garments import Garment, describe_worn, is_own, name_garments, unit_for
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
@@ -103,7 +103,7 @@ def wear(args: argparse.Namespace) -> int:
         _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
-        from nuno.cloth.build import build_fabrics
+        from nuno.simulation.cloth.build import build_fabrics
 
         build_fabrics(scene_file.read(scene, (), roots))  # raises the errors of a run
         return 0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import threading
 
-from nuno.pages.server import serving
 from nuno.studio.desk import Desk
+from nuno.studio.pages.server import serving
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

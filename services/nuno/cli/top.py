@@ -15,7 +15,7 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli.common import add_run, find_run
 from nuno.formatting import factor
-from nuno.service import SUPERVISOR
+from nuno.runtime.service import SUPERVISOR
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 3.0

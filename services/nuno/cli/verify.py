@@ -6,13 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
+from nuno.api.progress import ProgressLine
 from nuno.cli.common import warn
 from nuno.formatting import many, plain
-from nuno.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
-from nuno.supervision import runs
-from nuno.verification import Verification, verify
+from nuno.replay.verification import Verification, verify
+from nuno.runtime import runs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

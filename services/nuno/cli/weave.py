@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nuno import registry
 from nuno.exports.dyed_pictures import caption
-from nuno.exports.target import check_target, write_png
+from nuno.output_files import check_target, write_png
+from nuno.plugin_contract import registry
 from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
 

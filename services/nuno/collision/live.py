@@ -18,7 +18,7 @@ import zenoh
 from pydantic import ValidationError
 
 from nuno.bus.pending_reply import WAITING_AFTER
-from nuno.service import Context
+from nuno.runtime.service import Context
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float

@@ -28,9 +28,9 @@ from nuno.collision.surfaces import NO_SURFACES, surface
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import recorded_poses
+from nuno.runtime.service import LOOK_SECONDS, Context, each_message
+from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
-from nuno.service import LOOK_SECONDS, Context, each_message
-from nuno.stepping.stepper import fitting
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float

@@ -19,9 +19,9 @@ from nuno.dye.add import NAME, as_run, extend, resist_around
 from nuno.dye.painter import check_picture
 from nuno.dye.supply import AT_THE_START, Supplies
 from nuno.recording.recorded import Arrays, Checkpoint
+from nuno.runtime.stepper import Stepped, Stepper, copy_into, require_memory
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
-from nuno.stepping.stepper import Stepped, Stepper, copy_into, require_memory
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory

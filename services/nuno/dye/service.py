@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
-from nuno.service import Context
-from nuno.stepping.driver import Driver
-from nuno.stepping.resimulation import resume
-from nuno.stepping.stepper import Stepped
-from nuno.stepping.watchdog import FrameWatchdog
+from nuno.runtime.driver import Driver
+from nuno.runtime.resimulation import resume
+from nuno.runtime.service import Context
+from nuno.runtime.stepper import Stepped
+from nuno.runtime.watchdog import FrameWatchdog
 from nuno_schemas.messages import CLOTH, STATUS
 
 

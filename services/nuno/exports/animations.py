@@ -16,8 +16,8 @@ import numpy as np
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
 from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames, draw_turn
-from nuno.exports.target import RATE, Progress, check_target, load_extra, opened, writing
-from nuno.recording.reader import Recording
+from nuno.output_files import RATE, Progress, check_target, load_extra, writing
+from nuno.recording.reader import Recording, opened
 from nuno_schemas.errors import BadInput, RunFailed
 
 if TYPE_CHECKING:

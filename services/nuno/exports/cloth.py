@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.cloth import build
-from nuno.cloth.pressure import find_pressure, has_pressure
-from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces, surface
 from nuno.exports.paint import INSET, colour_of
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.pressure import find_pressure, has_pressure
+from nuno.simulation.cloth.tension import Tensions
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput

@@ -8,16 +8,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from nuno import registry
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface
 from nuno.exports.cloth import read_frame
-from nuno.exports.target import check_target, opened, writing
-from nuno.recording.reader import Recording
+from nuno.output_files import check_target, writing
+from nuno.plugin_contract import registry
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth import build
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput

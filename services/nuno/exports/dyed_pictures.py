@@ -11,8 +11,8 @@ import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter
 from nuno.exports.cloth import ShownPiece, find_message
-from nuno.exports.target import Progress, following
 from nuno.formatting import time_of
+from nuno.output_files import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene

@@ -13,8 +13,8 @@ from nuno.collision.surfaces import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
-from nuno.exports.target import Progress, following, make_folder, opened, together, writing
-from nuno.recording.reader import Recording
+from nuno.output_files import Progress, following, make_folder, together, writing
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput

@@ -14,8 +14,8 @@ from PIL import Image
 from nuno.collision.surfaces import outlines
 from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
 from nuno.exports.paint import STRETCH, paint_stretch
-from nuno.exports.target import check_target, load_extra, opened, writing
-from nuno.recording.reader import Recording
+from nuno.output_files import check_target, load_extra, writing
+from nuno.recording.reader import Recording, opened
 from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int, Panels

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno import registry
 from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
     Pieces,
@@ -29,8 +28,9 @@ from nuno.exports.cloth import (
 from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, tubes
 from nuno.exports.shapes import paint_piece
-from nuno.exports.target import Progress, check_target, following, opened, write_png
-from nuno.recording.reader import Recording
+from nuno.output_files import Progress, check_target, following, write_png
+from nuno.plugin_contract import registry
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.drawing import Mesh

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from nuno.exports.shapes import CLOTH, Shape, Show, Turn
-from nuno.exports.target import Progress, check_folder, load_extra, opened, writing_folder
-from nuno.recording.reader import Recording
+from nuno.output_files import Progress, check_folder, load_extra, writing_folder
+from nuno.recording.reader import Recording, opened
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, STATE
 

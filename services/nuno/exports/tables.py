@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.exports.cloth import read_pressure
-from nuno.exports.target import opened, writing
-from nuno.frame_state import Acted, FrameState, states
-from nuno.recording.reader import Recording
+from nuno.output_files import writing
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import per_dye
 from nuno.recording.restore import restored_scene
+from nuno.replay.frame_state import Acted, FrameState, states
 from nuno.scene.commented import comment
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT

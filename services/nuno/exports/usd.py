@@ -16,9 +16,9 @@ from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, re
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
 from nuno.exports.paint import BODY, PLAIN, paint_stretch
-from nuno.exports.target import Progress, check_target, following, load_extra, opened, writing
+from nuno.output_files import Progress, check_target, following, load_extra, writing
 from nuno.process import scratch
-from nuno.recording.reader import Recording
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from nuno import registry
-from nuno.cloth.build import build_fabric
-from nuno.cloth.pressure import find_pressure, has_pressure
-from nuno.cloth.yarns import structural_edges
 from nuno.exports.camera import place_camera, read_view, z_up
 from nuno.exports.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.curves import apply, find_operation
-from nuno.exports.target import Progress, check_target, opened, write_png
-from nuno.recording.reader import Recording
+from nuno.output_files import Progress, check_target, write_png
+from nuno.plugin_contract import registry
+from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth.pressure import find_pressure, has_pressure
+from nuno.simulation.cloth.yarns import structural_edges
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput

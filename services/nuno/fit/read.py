@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from nuno.cloth.pressure import named_heights
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import surface, vertex_normals
 from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
 from nuno.fit.seams import measure_seams
-from nuno.frame_state import FrameState, states
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
+from nuno.replay.frame_state import FrameState, states
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth.pressure import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float, Int

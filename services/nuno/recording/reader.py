@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,16 @@ class Recording(RecordedFile):
 def open_recording(path: Path | str) -> Recording:
     """Open a recording, finished or not. Raises BadInput."""
     return Recording(path)
+
+
+@contextmanager
+def opened(source: Recording | Path | str) -> Iterator[Recording]:
+    """Yield a recording that is open already, or open the one at a path."""
+    if isinstance(source, Recording):
+        yield source
+    else:
+        with open_recording(source) as recording:
+            yield recording
 
 
 def read_series(recording: Recording, end: float | None = None) -> dict[str, NDArray[Any]]:

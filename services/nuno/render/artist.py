@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno import registry
-from nuno.cloth.build import build_fabric
 from nuno.collision.bodies import build_bodies
 from nuno.exports.camera import z_up
 from nuno.exports.cloth import shape_bodies
 from nuno.exports.yarns import GROUP, STYLE, captioned, find_camera, put_on
+from nuno.plugin_contract import registry
 from nuno.recording.recorded import Frame
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth.build import build_fabric
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.yarn_picture import Worn

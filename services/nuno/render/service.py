@@ -17,7 +17,7 @@ from nuno.bus.messages import Inbox, Message
 from nuno.bus.query import Query
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
-from nuno.service import Context, asks_to_finish, each_message
+from nuno.runtime.service import Context, asks_to_finish, each_message
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PICTURE, STATE
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from nuno.runtime.supervisor import Outcome
 from nuno.scene.scene_file import Loaded
-from nuno.supervision.supervisor import Outcome
-from nuno.warnings import scene_warnings
+from nuno.scene.warnings import scene_warnings
 from nuno_schemas.messages import FRAMES
 
 Report = dict[str, Any]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from nuno import intersections
 from nuno.formatting import counted, duration, factor, many
 from nuno.report.make import Report
-from nuno.warnings import result_warnings
+from nuno.runtime import intersections
+from nuno.scene.warnings import result_warnings
 
 LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")
 """Rows that only the whole report has."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.scene.validation_errors import NO_FIELD, OVERRIDDEN, explain, located

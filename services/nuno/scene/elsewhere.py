@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.json_schema import PLACES
 from nuno.scene.validation_errors import NO_FIELD, models_in
 from nuno_schemas.errors import BadInput

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.look import YARNS
 from nuno_schemas.scene import Scene
 from nuno_schemas.solver import AUTO

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.scene_file import Loaded
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput

@@ -1,1 +1,3 @@
-"""Cloth in motion: state, solver, operations on it, and the service that steps it. Building it is `nuno.cloth`."""
+"""Cloth in motion: state, solver, operations on it, and the service that steps it; `cloth` builds it, and
+`solver_selection` chooses its solver.
+"""

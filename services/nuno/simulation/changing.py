@@ -13,17 +13,17 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.cloth import build
-from nuno.cloth.join import join_fabrics
-from nuno.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.collision.distance import body_distances
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Checkpoint
+from nuno.runtime.stepper import Stepper, fitting
 from nuno.scene.chosen_plugins import Chosen
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth.numbering import find_numbers, invert, keep_numbers, takes_any_numbering
 from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.relax import Stillness
 from nuno.simulation.renumbered_solver import RenumberedSolver
-from nuno.stepping.stepper import Stepper, fitting
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Int, State

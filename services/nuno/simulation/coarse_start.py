@@ -14,12 +14,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from nuno.cloth.build import build_fabric
-from nuno.cloth.numbering import takes_any_numbering
+from nuno.runtime.stepper import Stepped
 from nuno.scene.coarse_scene import coarser
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth.numbering import takes_any_numbering
 from nuno.simulation.relax import Stillness
-from nuno.stepping.stepper import Stepped
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Rested

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno.recording.recorded import Arrays
+from nuno.runtime.stepper import copy_into
 from nuno.scene.chosen_plugins import Chosen
-from nuno.stepping.stepper import copy_into
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State
 from nuno_schemas.system import StepReport, System

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from nuno import registry
 from nuno.bus.encodings import arrays_of
+from nuno.plugin_contract import registry
 from nuno.scene import yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation
 from nuno.scene.files import SceneFiles

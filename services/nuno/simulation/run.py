@@ -15,22 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import decode_points, encode_points
-from nuno.cloth import build
-from nuno.cloth.numbering import renumber, require_any_numbering
 from nuno.collision.bodies import build_bodies
 from nuno.collision.messages import decode_poses
 from nuno.recording.recorded import Arrays, Checkpoint
+from nuno.runtime.stepper import Stepped, copy_into, fitting, hash_of
 from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step, find_limit
 from nuno.simulation.changing import Changing
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.numbering import renumber, require_any_numbering
 from nuno.simulation.coarse_start import settle
 from nuno.simulation.costs import Costs, FrameStart, Stage
 from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
 from nuno.simulation.operations import carry
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
-from nuno.solver_selection.cloth import decide
-from nuno.stepping.stepper import Stepped, copy_into, fitting, hash_of
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State

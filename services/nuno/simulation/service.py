@@ -11,25 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import registry
 from nuno.bus.encodings import encode_arrays
 from nuno.bus.pending_reply import PendingReply, Refused, pauses
 from nuno.bus.sessions import PATIENCE
-from nuno.cloth.pressure import find_pressure, has_pressure
-from nuno.cloth.start_checks import start_warnings
-from nuno.cloth.tension import tension_arrays
-from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
+from nuno.plugin_contract import registry
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import SETTLED, settled_cloth
-from nuno.service import Context
+from nuno.runtime.driver import CONTROL, WINDOW, Driver
+from nuno.runtime.resimulation import resume
+from nuno.runtime.service import Context
+from nuno.runtime.stepper import Stepped
+from nuno.runtime.watchdog import FrameWatchdog
 from nuno.simulation.body_forces import feel, require_touched
+from nuno.simulation.cloth.pressure import find_pressure, has_pressure
+from nuno.simulation.cloth.start_checks import start_warnings
+from nuno.simulation.cloth.tension import tension_arrays
+from nuno.simulation.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
-from nuno.stepping.driver import CONTROL, WINDOW, Driver
-from nuno.stepping.resimulation import resume
-from nuno.stepping.stepper import Stepped
-from nuno.stepping.watchdog import FrameWatchdog
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES

@@ -14,17 +14,17 @@ from typing import Any
 import zenoh
 
 from nuno.bus.encodings import BadMessage
-from nuno.cloth import build
-from nuno.draw.keep import Trial
-from nuno.live_view.follower import Follower
-from nuno.live_view.snapshot import NO_FACES, NO_POINTS, Board, Sight
-from nuno.live_view.sources import see_objects
-from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND, whole
-from nuno.pages.worker import Workshop
+from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth import build
 from nuno.studio import scenes
-from nuno.supervision import runs
+from nuno.studio.draw.keep import Trial
+from nuno.studio.live_view.follower import Follower
+from nuno.studio.live_view.snapshot import NO_FACES, NO_POINTS, Board, Sight
+from nuno.studio.live_view.sources import see_objects
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import NOT_FOUND, whole
+from nuno.studio.pages.worker import Workshop
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
 

@@ -11,25 +11,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from nuno import registry
-from nuno.draw.append import MARK, read_text
-from nuno.pages.command_process import Child
-from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND, Server, Take
-from nuno.pages.worker import Workshop
+from nuno.plugin_contract import registry
 from nuno.recording.restore import resumed_scene
+from nuno.runtime import runs
 from nuno.scene import edit, yaml_lines
 from nuno.scene.files import stamp_of
 from nuno.scene.scene_file import Loaded
 from nuno.studio import arrivals, paint, scenes
 from nuno.studio.cloth import Starts
+from nuno.studio.draw.append import MARK, read_text
 from nuno.studio.dyed import Dyed, cloth_of, worn
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.lines import Drawing
+from nuno.studio.pages.command_process import Child
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import NOT_FOUND, Server, Take
+from nuno.studio.pages.worker import Workshop
 from nuno.studio.recordings import Recordings, run_of
 from nuno.studio.run import Run
 from nuno.studio.screen import Screen
-from nuno.supervision import runs
 from nuno_schemas.dye_presets import PRESETS
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.look import DyeColour

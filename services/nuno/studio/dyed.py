@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from nuno.dye.run import build_cloth
 from nuno.dye.supply import Supplies
 from nuno.exports.paint import as_png
-from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND, whole
-from nuno.pages.worker import Workshop
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
 from nuno.studio.cloth import Start
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import NOT_FOUND, whole
+from nuno.studio.pages.worker import Workshop
 from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.dye_picture import Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput

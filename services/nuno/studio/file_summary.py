@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nuno import registry
-from nuno.draw.append import MARK, read_text
 from nuno.exports.paint import as_png
-from nuno.pages.server import describe
+from nuno.plugin_contract import registry
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
+from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
 from nuno.studio import scenes
-from nuno.templates.laboratory_sheet import import_sheet, in_units
+from nuno.studio.draw.append import MARK, read_text
+from nuno.studio.pages.server import describe
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
 from nuno_schemas.colour import as_rgb
 from nuno_schemas.draft import DrawnDraft

@@ -8,12 +8,12 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
-from nuno.pages.guard import Refused
-from nuno.pages.server import NOT_FOUND
 from nuno.scene.files import stamp_of
 from nuno.studio import offers
 from nuno.studio.arrivals import MOST, Arrivals
 from nuno.studio.file_summary import KINDS, Seen, files_of, look
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import NOT_FOUND
 from nuno_schemas.errors import BadInput
 
 FILE_ACTS = ("files", "expect", "about", "make")

@@ -9,13 +9,13 @@ from dataclasses import replace
 from typing import Any
 
 from nuno.bus.encodings import BadMessage
-from nuno.draw import keep
-from nuno.draw.lines import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, to_obj
-from nuno.draw.shown import require_lines
-from nuno.live_view.snapshot import Sight
-from nuno.pages.server import describe
 from nuno.scene.scene_file import Loaded
 from nuno.studio.cloth import Start, Starts
+from nuno.studio.draw import keep
+from nuno.studio.draw.lines import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, to_obj
+from nuno.studio.draw.shown import require_lines
+from nuno.studio.live_view.snapshot import Sight
+from nuno.studio.pages.server import describe
 from nuno.studio.run import Run
 from nuno_schemas.errors import BadInput, RunFailed
 

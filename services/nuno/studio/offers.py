@@ -14,14 +14,14 @@ from typing import Any
 
 from PIL import Image
 
-from nuno import registry
 from nuno.dye.run import build_cloth
+from nuno.plugin_contract import registry
 from nuno.scene import shipped
 from nuno.scene.override import as_override as _as
+from nuno.scene.templates.garments import Garment, describe_worn, name_garments, unit_for
+from nuno.scene.templates.shipped import load_after, write_after
 from nuno.studio.arrivals import reserve
 from nuno.studio.file_summary import Seen, as_scale, files_of
-from nuno.templates.garments import Garment, describe_worn, name_garments, unit_for
-from nuno.templates.shipped import load_after, write_after
 from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput, nearest

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.live_view.snapshot import SAID, about, pack
-from nuno.pages.guard import Refused
-from nuno.pages.server import BAD_REQUEST, NOT_FOUND, whole
 from nuno.scene.edit import flow
 from nuno.scene.files import stamp_of
 from nuno.studio.film import Film, Still
+from nuno.studio.live_view.snapshot import SAID, about, pack
+from nuno.studio.pages.guard import Refused
+from nuno.studio.pages.server import BAD_REQUEST, NOT_FOUND, whole
 from nuno.studio.recordings import Recordings
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -13,12 +13,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
-from nuno.cloth.tension import SPAN
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import cut_pieces
 from nuno.exports.paint import INSET
 from nuno.formatting import duration
+from nuno.simulation.cloth.tension import SPAN
 from nuno.viewer import layout
 from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image

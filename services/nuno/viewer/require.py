@@ -8,7 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from nuno.exports.target import check_target
+from nuno.output_files import check_target
 from nuno_schemas.errors import BadInput
 
 VIEWS = ("window", "web")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.bus.messages import Inbox, Message
 from nuno.exports.cloth import find_named
+from nuno.runtime.service import Context, each_message
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
-from nuno.service import Context, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
 from nuno.viewer.stream import scene_of

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
-from nuno.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
-from nuno.templates.garments import Garment, describe_worn, name_garments
+from nuno.scene.templates.garments import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.cloth.pressure import named_heights
 from nuno.exports.cloth import read_frame, read_pieces
 from nuno.exports.pictures import Colour, export_picture
 from nuno.exports.yarns import export_yarn_picture
@@ -18,6 +17,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth.pressure import named_heights
 from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int

@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.draw.lines import distance_to
 from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.cloth import build
+from nuno.studio.draw.lines import distance_to
 from nuno_bench.gallery.kind import Difference, Kind, Shown, read_picture, recorded
 from nuno_schemas.fabric import Bool, Float, Int, State
 

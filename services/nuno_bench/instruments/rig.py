@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.cloth import build
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build
 from nuno_bench.problem.observe import Problem, make_problem
 from nuno_bench.problem.piles import G
 from nuno_schemas.errors import RunFailed

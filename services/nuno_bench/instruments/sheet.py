@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.instruments import buckling, drape, loops
 from nuno_bench.instruments.rig import mount
 from nuno_bench.problem.piles import G

@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.machine import cores
 from nuno_bench.peers.contact import problem as pile
 from nuno_bench.peers.problem import SCENE, Sheet

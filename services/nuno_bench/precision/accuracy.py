@@ -21,9 +21,9 @@ import numpy as np
 
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
-from nuno.solver_selection.cloth import decide
-from nuno.solver_selection.selection import PROMISE
-from nuno.solver_selection.trials import GROWTH
+from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.selection import PROMISE
+from nuno.simulation.solver_selection.trials import GROWTH
 from nuno_bench import machine, options
 from nuno_bench.problem.dye import AnyProblem, DyeProblem, pose
 from nuno_bench.problem.observe import Run

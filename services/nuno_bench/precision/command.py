@@ -9,11 +9,11 @@ import sys
 from collections.abc import Collection
 from functools import partial
 
-from nuno import registry
 from nuno.formatting import duration
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
-from nuno.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.cloth import decide
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
 from nuno_bench.precision import page as shown

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.options import require_known
 from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.report.result import number, reason_of

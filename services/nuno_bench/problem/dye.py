@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from nuno import registry
 from nuno.dye.run import DyeRun
+from nuno.plugin_contract import registry
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno_bench.machine import cores

@@ -18,10 +18,10 @@ import numpy as np
 import psutil
 from pydantic import BaseModel
 
-from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
+from nuno.simulation.cloth import build
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed

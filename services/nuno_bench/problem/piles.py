@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
-from nuno.cloth.join import join_fabrics
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
+from nuno.simulation.cloth.join import join_fabrics
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.system import System

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_bench.problem.dye import SCHEME, AnyProblem, DyeProblem
 from nuno_bench.problem.observe import Problem, Run, Series, simulate
 from nuno_schemas.errors import BadInput

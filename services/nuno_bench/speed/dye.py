@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
 from nuno.collision.bodies import build_bodies
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation

@@ -18,11 +18,11 @@ import nuno
 from nuno.bus.messages import ALL, Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.messages import decode_poses
+from nuno.runtime import runs, supervisor
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment, Outcome
 from nuno.scene import scene_file
-from nuno.service import Options
-from nuno.solver_selection.cloth import decide
-from nuno.supervision import runs, supervisor
-from nuno.supervision.supervisor import Deployment, Outcome
+from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.cloth.yarns import structural_edges
+from nuno.simulation.cloth.yarns import structural_edges
 from nuno_bench.machine import cores
 from nuno_bench.problem.piles import DOWN, build_model, irregular_square, write_obj
 from nuno_schemas.fabric import Fabric, State

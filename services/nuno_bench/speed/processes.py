@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import supervise
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
-from nuno.service import Options
-from nuno.supervision.supervisor import supervise
 from nuno_bench.machine import cores
 from nuno_bench.problem.observe import run_own
 from nuno_bench.report.result import Result

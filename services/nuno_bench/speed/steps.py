@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from nuno import registry
-from nuno.cloth.build import Piece
-from nuno.cloth.numbering import find_numbers, renumber
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth.build import Piece
+from nuno.simulation.cloth.numbering import find_numbers, renumber
 from nuno.simulation.renumbered_solver import RenumberedSolver
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge

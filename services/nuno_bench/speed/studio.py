@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno.pages.server import Server, page_files
+from nuno.runtime import runs
 from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
-from nuno.supervision import runs
+from nuno.studio.pages.server import Server, page_files
 from nuno_bench.chromium import Page, find_browser
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed

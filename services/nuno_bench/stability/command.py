@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno import registry
 from nuno.formatting import duration
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno_bench.problem.observe import Problem, Run, Series, lengths_at_rest, make_problem, simulate
 from nuno_bench.problem.reference import PRIMARY, tight

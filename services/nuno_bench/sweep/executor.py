@@ -20,7 +20,7 @@ from importlib.metadata import version
 from itertools import islice
 from typing import Any, TypeVar
 
-from nuno import registry
+from nuno.plugin_contract import registry
 from nuno_schemas.errors import BadInput
 
 Task = TypeVar("Task")

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from nuno import registry
 from nuno.formatting import roughly
+from nuno.plugin_contract import registry
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.validation.laws import contacts, dye, dye_spread, nets, oscillator, statics

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
-from nuno.plugin_contract import results
+from nuno.plugin_contract import registry, results
 from nuno.scene.files import SceneFiles
 from soak.fuzz.containers import ARRAYS, IMAGE, mutate_glb
 from soak.fuzz.kind import TAU3, Kind, Read, require, require_finite

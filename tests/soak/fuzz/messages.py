@@ -20,12 +20,12 @@ from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
+from nuno.runtime.service import Context, Options, asks_to_finish
+from nuno.runtime.watchdog import FrameWatchdog
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
-from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ClothDriver
-from nuno.stepping.watchdog import FrameWatchdog
 from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, PICTURE, TOPICS, Ack, Header
@@ -244,8 +244,14 @@ HEADERS = [
 MESSAGES = (
     Kind("message header", lambda folder: HEADERS, _header, mutate_json, ("nuno.bus.messages",), (BadMessage,)),
     *(_topic(name) for name in TOPICS if name not in UNDECODED),
-    _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.service")),
-    _question("finish", _finish, ("nuno.service",)),
+    _question("control", _control, ("nuno.runtime.driver", "nuno.simulation.service")),
+    _question("finish", _finish, ("nuno.runtime.service",)),
     _question("poses", _poses, ("nuno.collision.service",)),
-    Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.studio.lines", "nuno.draw.lines")),
+    Kind(
+        "page request",
+        lambda folder: _texts("page"),
+        _page,
+        mutate_json,
+        ("nuno.studio.lines", "nuno.studio.draw.lines"),
+    ),
 )

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno import registry
 from nuno.collision.surfaces import surface
 from nuno.exports.camera import place_camera, z_up
 from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
+from nuno.plugin_contract import registry
 from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Measured, against, compose, plain
 from nuno_bench.peers.problem import RATE

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
+from nuno.plugin_contract import registry
 from nuno_bench.problem import piles
 from nuno_bench.problem.piles import G
 from nuno_bench.validation.laws.base import (

@@ -1,0 +1,314 @@
+"""Export of a recording to files, by a request with their names and settings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib import import_module
+from inspect import signature
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from nuno.exports.camera import SIDES, Side
+from nuno.output_files import RATE, Progress, check_folder, check_target, together
+from nuno.recording.reader import Recording
+from nuno.scene.validation_errors import explain
+from nuno_schemas.errors import BadInput
+from nuno_schemas.look import Crop, DyeView, Form
+
+if TYPE_CHECKING:
+    from nuno.exports.dyed_pictures import Changes
+
+Length = str | float
+"""A length with its unit, or in metres."""
+MESHES = (".obj", ".ply", ".glb")
+FILES = {
+    "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
+    "forces": "what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
+    "csv": "energy, stretch, penetration, dye and step time of every frame",
+    "png": "a picture of a frame",
+    "gif": "an animation",
+    "mp4": "an animation (needs nuno[video])",
+    "obj": "the cloth in a frame; a folder: every frame",
+    "ply": "the cloth in a frame; a folder: every frame",
+    "glb": "the cloth and bodies in a frame; a folder: every frame",
+    "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
+    "rrd": "a file for the rerun viewer",
+    "foxglove": "cloth and bodies as meshes, curves and log for Foxglove or Lichtblick, .mcap, and its .layout.json",
+    "ros2": "the same for RViz and ros2 bag play: a new folder, a bag of ROS 2 (needs nuno[ros])",
+    "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
+    "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
+    "scene": "the scene as it was run, .yaml",
+}
+"""Kinds of files, by their flags."""
+WRITERS = {
+    **{name: f"nuno.exports.tables:export_{name}" for name in ("npz", "forces", "csv", "scene")},
+    "yarns": "nuno.api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
+    **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
+    "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
+    **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),
+    "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
+}  # fmt: skip
+"""Function that writes each kind of file; the order is that of writing."""
+WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
+"""Kinds of files of a whole run."""
+SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
+"""Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
+ENDINGS: dict[str, tuple[str, ...]] = {
+    "npz": (".npz",), "forces": (".npz",), "csv": (".csv",), "png": (".png",), "scene": (".yaml",),
+    "yarns": (".npz", ".obj"), "pattern": (".svg", ".pdf"),
+}  # fmt: skip
+"""Endings of the names of single files."""
+YARNS = ("samples", "radius", "curl")
+"""Settings of yarns as curves."""
+Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
+
+
+class ExportRequest(BaseModel):
+    """A request of files by the names of FILES, and settings, with the names of the flags of `nuno export`."""
+
+    model_config = ConfigDict(extra="forbid")
+    npz: Path | None = None
+    forces: Path | None = None
+    csv: Path | None = None
+    png: Path | None = None
+    gif: Path | None = None
+    mp4: Path | None = None
+    obj: Path | None = None
+    ply: Path | None = None
+    glb: Path | None = None
+    usd: Path | None = None
+    rrd: Path | None = None
+    foxglove: Path | None = None
+    ros2: Path | None = None
+    pattern: Path | None = None
+    yarns: Path | None = None
+    scene: Path | None = None
+    form: Form | None = None
+    samples: int | None = None
+    radius: str | float | None = None
+    curl: float | None = None
+    colour: Painted = "auto"
+    frame: int | None = None
+    start: float | None = None
+    end: float | None = None
+    fps: float | None = None
+    size: str | None = None
+    style: str | None = None
+    view: DyeView | None = None
+    side: Side | None = None
+    turn: float | None = Field(default=None, gt=0.0, le=3600.0, allow_inf_nan=False)
+    scale: int | None = None
+    crop: tuple[Length, Length, Length, Length] | None = None
+    overrides: tuple[str, ...] = ()
+
+
+def ask(**fields: Any) -> ExportRequest:
+    """Return a validated request. Raises BadInput for an invalid name or value, by its flag."""
+    try:
+        return ExportRequest(**fields)
+    except ValidationError as error:
+        explained = explain(error, fields, (), "export", {}, ExportRequest)
+        raise replace(explained, file=None, field=f"--{explained.field}") from None
+
+
+def show_progress(done: int, total: int) -> None:
+    """Show progress on one line of a terminal, if there is one."""
+    if sys.stderr.isatty():
+        print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def write(recording: Recording, asked: ExportRequest, progress: Progress = show_progress) -> list[Path]:
+    """Write all requested files, or none; `progress` is called with the parts done and in all. Raises BadInput."""
+    _check(recording, asked)
+    with together():
+        return _export(recording, asked, progress)
+
+
+def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> list[Path]:
+    """Write the requested files, slow ones last; a writer gets the settings among its parameters. Raises BadInput."""
+    settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
+    settings |= {"size": _size(asked.size), "changes": _changes(asked)}
+    for name, writer in WRITERS.items():
+        path: Path | None = getattr(asked, name)
+        if path is None:
+            continue
+        if name == "png" and asked.style:
+            writer = "nuno.exports.yarns:export_yarn_picture"
+        elif (suffix := f".{name}") in MESHES and path.suffix.lower() != suffix:
+            writer, settings["suffix"] = "nuno.exports.meshes:export_meshes", suffix
+        write = resolve_name(writer)
+        paths = write(recording, path, **{key: settings[key] for key in signature(write).parameters if key in settings})
+        written += paths if isinstance(paths, list) else [paths]
+    return written
+
+
+def export_curves(recording: Recording, path: Path, asked: ExportRequest) -> Path:
+    """Write a knit's yarns as curves, and print facts about them. Raises BadInput."""
+    from nuno.exports.curves import export_yarns
+
+    form: Form = asked.form or "smooth"
+    settings: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
+    if "," in str(settings.get("radius", "")):
+        settings["radius"] = settings["radius"].split(",")
+    outcome = export_yarns(recording, path, asked.frame, form, settings)
+    print(tell_yarns(form, outcome.facts), file=sys.stderr)
+    return path
+
+
+def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
+    """Return the facts of an operation on yarns in words."""
+    count = {name: f"{int(value):,}" for name, value in facts.items()}
+    text = f"{form} yarns: {count['links']} links, {count['points']} points"
+    if "deepest" not in facts:
+        return f"{text}; no body is a mesh, so nothing is in their way"
+    text += f"; {count['repaired']} links cut through the body and were repaired, by {count['inserted']} points"
+    if facts["lost"]:
+        text += f"; {count['lost']} could not be"
+    return f"{text}; deepest of {count['samples']} samples: {1e6 * facts['deepest']:.3g} um"
+
+
+def _check(recording: Recording, asked: ExportRequest) -> None:
+    """Raise BadInput for settings that do not fit together, or do not fit the recording."""
+    from nuno.exports.animations import check_animation
+    from nuno.viewer.require import require
+
+    _check_files(asked)
+    for path in filter(None, (asked.gif, asked.mp4)):
+        check_animation(path, asked.fps, _size(asked.size))
+    for name in ("usd", "foxglove", "ros2"):
+        if path := getattr(asked, name):
+            getattr(import_module(f"nuno.exports.{name}"), f"check_{name}")(path)
+    require(None, asked.rrd, "--rrd")
+    for name in () if asked.yarns else ("form", *YARNS):
+        if getattr(asked, name) is not None:
+            raise BadInput("for yarns as curves", field=f"--{name}", remedy="add --yarns out.npz")
+    if not any(getattr(asked, name) for name in FILES):
+        remedy = "for example --npz out.npz --png out.png"
+        raise BadInput("nothing to export was asked for", remedy=remedy)
+    pictured = bool(asked.png or asked.gif or asked.mp4)
+    if asked.side and (not pictured or asked.style):
+        raise BadInput("for pictures and animations of no style", field="--side", value=asked.side,
+                       remedy="add --png out.png")  # fmt: skip
+    if asked.turn and not (asked.gif or asked.mp4):
+        raise BadInput("for animations", field="--turn", value=asked.turn, remedy="add --mp4 out.mp4")
+    if asked.turn and (asked.start is not None or asked.end is not None):
+        problem, remedy = "a turn is round one frame", "name it: --frame N"
+        raise BadInput(problem, field="--turn", value=asked.turn, remedy=remedy)
+    if asked.overrides and not pictured:
+        raise BadInput(
+            "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
+        )
+    others = [name for name in FILES if name not in WHOLE and getattr(asked, name) is not None]
+    if asked.frame is not None and asked.turn is None and not others:
+        raise BadInput("what is to be written has all frames", field="--frame", value=asked.frame,
+                       remedy="--start and --end give a part of an animation, --turn goes round one")  # fmt: skip
+    for name in ("obj", "ply", "glb") if asked.frame is not None else ():
+        if (path := getattr(asked, name)) is not None and path.suffix.lower() != f".{name}":
+            raise BadInput("a folder takes every frame", field="--frame", value=asked.frame, limit=f"--{name} {path}",
+                           remedy=f"--{name} {path}.{name}")  # fmt: skip
+    only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
+    if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
+        problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"
+        raise BadInput(problem, field="--colour", value=asked.colour, remedy="leave it out, or write the two by turns")
+    if asked.style and (recording.dyed_alone or not asked.png):
+        problem = "a style is for --png of a knit"
+        raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
+    _check_dye(recording, asked)
+    _check_frames(recording, asked)
+
+
+def _check_files(asked: ExportRequest) -> None:
+    """Raise BadInput for a file that could not be written, and for two of one name."""
+    from nuno.exports.pictures import check_sides
+
+    check_sides(_size(asked.size))
+    places: dict[Path, str] = {}
+    for name in (name for name in FILES if getattr(asked, name) is not None):
+        path: Path = getattr(asked, name)
+        ending = path.suffix.lower()
+        if (other := places.setdefault(path.absolute(), name)) != name:
+            remedy = "give each a name of its own"
+            raise BadInput(f"--{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
+        if name in ENDINGS and ending not in ENDINGS[name]:
+            problem, remedy = (
+                f"the name must end in {' or '.join(ENDINGS[name])}",
+                f"{path.stem or 'out'}{ENDINGS[name][0]}",
+            )
+            raise BadInput(problem, field=f"--{name}", value=str(path), remedy=remedy)
+        if name in ENDINGS or ending == f".{name}":
+            check_target(path, ending)
+        elif f".{name}" in MESHES and not path.is_dir():
+            check_folder(path)
+
+
+def _check_frames(recording: Recording, asked: ExportRequest) -> None:
+    """Raise BadInput for frames and times that are not in the recording, and for pressure without a knit."""
+    from nuno.exports.dyed_pictures import choose_amounts
+    from nuno.exports.pictures import choose_frames, require_pressure
+
+    if asked.frame is not None and asked.frame not in (known := {number for number, _ in recording.marks().values()}):
+        raise recording.no_frame(asked.frame, known)
+    if (asked.gif or asked.mp4) and recording.dyed_alone:
+        choose_amounts(recording, asked.start, asked.end)
+    elif (asked.gif or asked.mp4) and asked.turn is None:
+        choose_frames(recording, asked.fps or RATE, asked.start, asked.end)
+    if asked.colour == "pressure" and "edge_yarn" not in recording.fabric()[0]:
+        require_pressure(recording)
+
+
+def _check_dye(recording: Recording, asked: ExportRequest) -> None:
+    """Raise BadInput for files of moving cloth from a recording of dye, and the other way round."""
+    if recording.dyed_alone:
+        shapes = [name for name in (*SHAPED, *(m[1:] for m in MESHES)) if getattr(asked, name)]
+        if shapes:
+            problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
+            raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
+        flat = "a cloth that is dyed alone lies flat"
+        for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown"),
+                             ("side", flat), ("turn", flat)):  # fmt: skip
+            if getattr(asked, name) not in (None, "auto"):
+                problem = "for pictures of moving cloth; the recording is of dye"
+                raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
+        return
+    dyed = recording.scene.get("dye") is not None
+    for name in ("crop",) if dyed else ("view", "scale", "crop"):
+        if getattr(asked, name) is not None:
+            problem = "for pictures of dyed cloth; the recording is of cloth that moves"
+            raise BadInput(problem, str(recording.path), field=f"--{name}", remedy="leave it out")
+
+
+def _changes(asked: ExportRequest) -> Changes:
+    """Return the changes for pictures; settings of a style are only for its own pictures."""
+    from nuno.exports.dyed_pictures import Changes
+
+    overrides = (item for item in asked.overrides if not (asked.style and item.startswith("view.yarns")))
+    side = () if asked.side is None else (SIDES[asked.side],)
+    return Changes(asked.view, asked.scale, _crop(asked.crop), (*side, *overrides))
+
+
+def _crop(sides: tuple[Length, Length, Length, Length] | None) -> Crop | None:
+    if sides is None:
+        return None
+    left, top, right, bottom = sides
+    try:
+        return Crop.model_validate({"low": (left, top), "high": (right, bottom)})
+    except ValidationError as error:
+        problem = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        remedy = "left, top, right and bottom, for example --crop 2mm 2mm 4mm 3mm"
+        raise BadInput(problem, field="--crop", value=" ".join(map(str, sides)), remedy=remedy) from None
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise BadInput(
+            "a size is written WIDTHxHEIGHT", field="--size", value=text, remedy="for example --size 960x720"
+        )
+    return int(width), int(height)

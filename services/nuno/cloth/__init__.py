@@ -1,1 +1,0 @@
-"""Building the simulated cloth of a scene, and measurements on it."""

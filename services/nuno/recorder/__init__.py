@@ -1,0 +1,1 @@
+"""The recorder service: writes the messages of a run to its recording."""

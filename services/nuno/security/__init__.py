@@ -1,1 +1,0 @@
-"""Security of a bus across hosts: certificates of roles, and their rights."""

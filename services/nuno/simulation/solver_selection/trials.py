@@ -1,0 +1,157 @@
+"""Error of a step, measured on a scene's first frames.
+
+A run at some step and one at half of it differ by the error of the first times (2^p - 1) / 2^p for a method of
+order p. Positions count only as long as they can be predicted (GROWTH).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nuno.formatting import many
+from nuno.simulation.cloth import build
+from nuno.simulation.solver_selection.budget import Budget
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Float
+from nuno_schemas.system import System
+
+DISTURBANCE, GROWTH = 1e-9, 1e3
+"""A run is compared while a disturbance of this share of the size has grown less than this factor: after that, chaos
+dominates at any practical step."""
+MOST_WORK = 1.5e8
+"""Most vertices times evaluations of the forces in all trials of a scene: some seconds of one core."""
+SEED = 20
+
+
+@dataclass(frozen=True)
+class Method:
+    """A candidate solver: evaluations of the forces a step, and the fewest stable steps a frame."""
+
+    name: str
+    plugin: Any
+    config: Any
+    evaluations: float
+    fewest: int
+
+
+@dataclass
+class Trials:
+    """Cached runs of a scene's first frames.
+
+    poses (frames + 1) of the bodies, None without bodies; `total` frames of the whole scene;
+    size [m] of the cloth; `work` so far, in vertices times evaluations. Methods raise Spent where the budget is used
+    up.
+    """
+
+    system: System
+    poses: tuple[Poses | None, ...]
+    frame: float
+    total: int
+    size: float
+    budget: Budget = field(default_factory=Budget)
+    work: float = 0.0
+    pace: float = 0.0
+    """Wall time of a vertex's evaluation in the last successful run [s]."""
+    runs: dict[tuple[str, int, Any, float], Float | None] = field(default_factory=dict)
+    predictable: int | None = None
+
+    @property
+    def frames(self) -> int:
+        return len(self.poses) - 1
+
+    def affords(self, method: Method, steps: int) -> bool:
+        """Return whether a trial at this number of steps a frame is within the work limit."""
+        return self.work + 3.0 * self._cost(method, steps) <= MOST_WORK
+
+    def error(self, method: Method, steps: int) -> float:
+        """Return the error of the whole scene's run [sizes], root mean square over vertices and frames; inf on failure.
+
+        Errors are assumed to grow in proportion to time after the tried frames, unless these already
+        exceed the predictable time.
+        """
+        coarse, fine = self._positions(method, steps), self._positions(self._with_half_kicks(method, steps), 2 * steps)
+        if coarse is None or fine is None:
+            return math.inf
+        apart = self._distances(coarse, fine)[: self._predictable_frames(method, steps)]
+        growth = self.total / self.frames if len(apart) == self.frames else 1.0
+        higher = 2.0**method.plugin.order
+        total_error: float = float(np.sqrt((apart**2).mean())) * growth * higher / (higher - 1.0)
+        return total_error
+
+    def _with_half_kicks(self, method: Method, steps: int) -> Method:
+        """Return the method with kicks half as long, for steps half as long: otherwise the solver would take twice as
+        many steps a kick, and the error of kicks would not show.
+        """
+        kicks = getattr(method.plugin, "steps_a_kick", None)
+        if kicks is None:
+            return method
+        # The end of a frame ends the last kick.
+        every = min(kicks(method.config, self.system, self.frame / steps, self.frame), steps)
+        return replace(method, config=method.config.model_copy(update={"every": every}))
+
+    def _predictable_frames(self, method: Method, steps: int) -> int:
+        """Return the number of predictable frames, at least one."""
+        if self.predictable is None:
+            a, b = self._positions(method, steps), self._positions(method, steps, DISTURBANCE)
+            lost = (
+                np.flatnonzero(~(self._distances(a, b) <= GROWTH * DISTURBANCE))
+                if a is not None and b is not None
+                else np.zeros(0)
+            )
+            self.predictable = max(1, int(lost[0])) if lost.size else self.frames
+        return self.predictable
+
+    def _distances(self, a: Float, b: Float) -> Float:
+        """Return the root mean square distance (frames,) over the vertices [sizes]."""
+        distance: Float = np.sqrt(((a - b) ** 2).sum(axis=2).mean(axis=1)) / self.size
+        return distance
+
+    def _cost(self, method: Method, steps: int) -> float:
+        return float(self.system.fabric.number) * self.frames * steps * method.evaluations
+
+    def _positions(self, method: Method, steps: int, disturbance: float = 0.0) -> Float | None:
+        """Return positions (frames, free, 3) [m], None where the run fails."""
+        key = (method.name, steps, getattr(method.config, "every", None), disturbance)
+        if key not in self.runs:
+            self._compile(method)
+            cost, began = self._cost(method, steps), time.perf_counter()
+            what = f"{method.name} with {many(steps, 'step')} a frame on {self.frames} frames"
+            with self.budget.trial(what, cost * self.pace), np.errstate(all="ignore"):
+                self.runs[key] = self._run(method, steps, disturbance)  # a diverging trial may overflow
+            self.work += cost
+            if self.runs[key] is not None:
+                self.pace = (time.perf_counter() - began) / cost
+        return self.runs[key]
+
+    def _compile(self, method: Method) -> None:
+        """Compile a method's kernels, which does not count as its cost."""
+        if all(name != method.name for name, *_ in self.runs):
+            state = build.start_state(self.system.fabric)
+            memory = method.plugin.prepare(method.config, self.system, state)
+            method.plugin.advance(self.system, state, memory, self._pair(0), 0, self.frame)
+
+    def _pair(self, i: int) -> tuple[Poses, Poses] | None:
+        """Return the poses of the bodies at both ends of a frame."""
+        start, end = self.poses[i : i + 2]
+        return (start, end) if start is not None and end is not None else None
+
+    def _run(self, method: Method, steps: int, disturbance: float) -> Float | None:
+        free = ~self.system.fabric.pinned
+        state = build.start_state(self.system.fabric)
+        if disturbance:
+            noise = np.random.default_rng(SEED).normal(size=state.x.shape) / math.sqrt(3.0)
+            state.x[free] += disturbance * self.size * noise[free]
+        memory = method.plugin.prepare(method.config, self.system, state)
+        out = []
+        for i in range(self.frames):
+            state.t = i * self.frame
+            report = method.plugin.advance(self.system, state, memory, self._pair(i), steps, self.frame / steps)
+            if report.status != "ok":
+                return None
+            out.append(state.x[free].copy())
+        return np.array(out)
