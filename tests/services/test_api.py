@@ -13,8 +13,8 @@ from scenes import CHAIN, write_chain, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.recording.restore import restored_scene
 from nuno.runtime.supervisor import Supervisor
+from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import Scene
 

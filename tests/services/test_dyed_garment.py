@@ -89,9 +89,9 @@ def test_both_are_resumed_from_the_last_frame_that_both_have_kept(tmp_path: Path
 
 def _without_last_checkpoint(path: Path, topic: str) -> Path:
     """A copy of a recording in which one service has not come to its last checkpoint."""
-    from nuno.recording.restore import restored_scene
     from nuno.recording.writer import RecordingWriter
     from nuno.scene.provenance import assets, describe_run
+    from nuno.scene.recorded_scene import restored_scene
     from nuno_schemas.messages import Header
 
     cut = path.with_name("cut.mcap")

@@ -22,10 +22,10 @@ import nuno
 from nuno.bus.sessions import spoke
 from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import resumed_scene
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
+from nuno.scene.recorded_scene import resumed_scene
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.live import Live
 from nuno_schemas.messages import BODIES

@@ -14,8 +14,8 @@ from sewing_patterns import column, tube
 
 from nuno.cli import main
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file
+from nuno.scene.recorded_scene import restored_scene
 from nuno.simulation.run import Simulation
 from nuno_bench.contact.run import Oracle
 from nuno_schemas.errors import BadInput, RunFailed

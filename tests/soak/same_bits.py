@@ -15,11 +15,11 @@ from pathlib import Path
 from live_run import Live
 
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import restored_scene
 from nuno.replay.verification import verify
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.report.result import Result

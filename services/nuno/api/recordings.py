@@ -9,9 +9,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
-from nuno import output_files
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
+from nuno.recording import reader
 from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import Recording, open_recording
 from nuno.runtime import runs
@@ -38,7 +38,7 @@ def path_of(recording: Recorded) -> Path:
 
 def opened(recording: Recorded) -> AbstractContextManager[Recording]:
     """Open a recording; it is closed again unless it was open before. Raises BadInput."""
-    return output_files.opened(recording if isinstance(recording, Recording) else path_of(recording))
+    return reader.opened(recording if isinstance(recording, Recording) else path_of(recording))
 
 
 def open_file(recording: str | os.PathLike[str]) -> Recording:
@@ -63,7 +63,7 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
     """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states. Raises BadInput."""
-    from nuno.replay.publisher import frame_state
+    from nuno.replay import frame_state
 
     with in_python(), opened(recording) as source:
         yield from frame_state.states(source, frames, forces)
@@ -74,7 +74,7 @@ def verify(recording: Recorded, threads: int = 0) -> Verification:
 
     Warns of a recording that is not complete. Raises BadInput for one without scene or frames.
     """
-    from nuno.replay.publisher import verification
+    from nuno.replay import verification
 
     with in_python(), opened(recording) as source:
         _warn(source)

@@ -18,10 +18,10 @@ from nuno.cli.common import add_config, add_flags, warn
 from nuno.formatting import plain
 from nuno.process import state_of
 from nuno.recording.reader import Recording, open_recording
-from nuno.recording.restore import restored_scene
 from nuno.replay.publisher import Replay
 from nuno.runtime import runs
 from nuno.runtime.service import SUPERVISOR, Options, run_service
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view

@@ -13,13 +13,13 @@ from nuno.api.progress import ProgressLine
 from nuno.api.runtime_estimate import keep_up
 from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
 from nuno.process import ending_at_once
-from nuno.recording.restore import resumed_scene
 from nuno.recording.writer import check_target, part_of
 from nuno.report.make import make_report
 from nuno.report.show import row, show_report
 from nuno.runtime import log, runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
+from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.viewer.live import keep_page

@@ -10,9 +10,9 @@ from nuno.api.progress import ProgressLine
 from nuno.cli.common import warn
 from nuno.formatting import many, plain
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import restored_scene
 from nuno.replay.verification import Verification, verify
 from nuno.runtime import runs
+from nuno.scene.recorded_scene import restored_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

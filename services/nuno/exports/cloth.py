@@ -17,7 +17,7 @@ from nuno.collision.surfaces import Surfaces, surface
 from nuno.exports.paint import INSET, colour_of
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
-from nuno.recording.restore import restored_scene
+from nuno.scene.recorded_scene import restored_scene
 from nuno.simulation.cloth import build
 from nuno.simulation.cloth.pressure import find_pressure, has_pressure
 from nuno.simulation.cloth.tension import Tensions

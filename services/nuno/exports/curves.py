@@ -15,7 +15,7 @@ from nuno.output_files import check_target, writing
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
-from nuno.recording.restore import restored_scene
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth import build
 from nuno_schemas.bodies import OF_TRIANGLES

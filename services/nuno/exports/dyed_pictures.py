@@ -15,7 +15,7 @@ from nuno.formatting import time_of
 from nuno.output_files import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
-from nuno.recording.restore import restored_scene
+from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView

@@ -17,8 +17,8 @@ from nuno.output_files import Progress, check_target, write_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
-from nuno.recording.restore import restored_scene
 from nuno.scene.chosen_plugins import Chosen
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.build import build_fabric
 from nuno.simulation.cloth.pressure import find_pressure, has_pressure

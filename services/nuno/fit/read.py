@@ -15,8 +15,8 @@ from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
 from nuno.fit.seams import measure_seams
 from nuno.recording.reader import Recording
-from nuno.recording.restore import restored_scene
 from nuno.replay.frame_state import FrameState, states
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.pressure import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES

@@ -11,10 +11,11 @@ import numpy as np
 
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
-from nuno.recording.restore import control_events, restored_scene
+from nuno.recording.restore import control_events
 from nuno.replay.verification import steppers
 from nuno.runtime.resimulation import Resimulation
 from nuno.runtime.stepper import Stepper
+from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import Forces

@@ -15,10 +15,10 @@ from nuno.bus.encodings import BadMessage
 from nuno.recording.gaps import NOTHING, Lacks, find_lacks, shortcoming
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
-from nuno.recording.restore import restored_scene
 from nuno.runtime.resimulation import Resimulation
 from nuno.runtime.stepper import Stepper
 from nuno.scene.provenance import plugins, versions
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, RunFailed
 

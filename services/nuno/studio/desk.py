@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from nuno.plugin_contract import registry
-from nuno.recording.restore import resumed_scene
 from nuno.runtime import runs
 from nuno.scene import edit, yaml_lines
 from nuno.scene.files import stamp_of
+from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.studio import arrivals, paint, scenes
 from nuno.studio.cloth import Starts

@@ -15,8 +15,8 @@ from nuno.bus.encodings import BadMessage
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import read_texture
 from nuno.recording.reader import Recording
-from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of
+from nuno.scene.recorded_scene import restored_scene
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.dyed import viewer_painter

@@ -14,7 +14,7 @@ from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import export_picture
 from nuno.fit.read import read_fits, wearer
 from nuno.recording.reader import Recording
-from nuno.recording.restore import restored_scene
+from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno_bench.contact.run import Oracle
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
