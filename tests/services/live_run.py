@@ -14,8 +14,9 @@ from scenes import BALL, write_scene
 
 from nuno.report.make import Report, make_report
 from nuno.runtime import runs, supervisor
+from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
-from nuno.runtime.supervisor import Deployment, Outcome
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import RunFailed

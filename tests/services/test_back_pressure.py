@@ -23,7 +23,8 @@ from nuno.collision.service import Collision
 from nuno.recorder.service import Recorder
 from nuno.report.make import make_report
 from nuno.report.show import lines
-from nuno.runtime import driver, oversight, supervisor
+from nuno.runtime import driver, supervisor
+from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import Options
 from nuno.runtime.stepper import Stepped
 from nuno.runtime.supervisor import Outcome

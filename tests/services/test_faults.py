@@ -26,9 +26,8 @@ from nuno.recorder import service as recording_service
 from nuno.recording.gaps import shortcoming
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.runtime import supervisor
-from nuno.runtime.oversight import Supervisor
 from nuno.runtime.service import SUPERVISOR, Options
-from nuno.runtime.supervisor import Deployment, Outcome
+from nuno.runtime.supervisor import Deployment, Outcome, Supervisor
 from nuno.scene import scene_file
 from nuno.viewer.service import Viewer
 from nuno_schemas.errors import BadInput, RunFailed

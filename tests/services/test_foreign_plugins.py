@@ -18,8 +18,8 @@ from scenes import write_scene
 import nuno
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno.runtime import oversight as silence
 from nuno.runtime import supervisor
+from nuno.runtime import supervisor as silence
 from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno_schemas.errors import BadInput, RunFailed

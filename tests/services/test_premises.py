@@ -80,7 +80,7 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
         bus.ask_json("finish/collision", {})
         raise RunFailed("no answer", peer="collision")
 
-    monkeypatch.setattr("nuno.runtime.oversight.check_premises", leave)
+    monkeypatch.setattr("nuno.runtime.supervisor.check_premises", leave)
     loaded = scene_file.read(write_scene(tmp_path, bodies=BALL))
     outcome, _, _ = supervise(loaded, {}, tmp_path / "run.mcap")
     assert outcome is not None and outcome.state == "failed"
@@ -89,7 +89,7 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
 
 def test_services_that_are_still_to_be_started_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whenever there are fewer of them. The simulation is not ready before it has heard where bodies are."""
-    monkeypatch.setattr("nuno.runtime.oversight.PREPARING_AFTER", 0.2)
+    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", 0.2)
     loaded = scene_file.read(write_scene(tmp_path, bodies=BALL, duration="0.1 s"))
     outcome, said, _ = supervise(loaded, {}, tmp_path / "run.mcap", "collision")
     assert outcome is not None and outcome.state == "done"
@@ -98,7 +98,7 @@ def test_services_that_are_still_to_be_started_are_named(tmp_path: Path, monkeyp
 
 def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a file, by what was set, in other units, with its solver chosen already, which not every service needs."""
-    monkeypatch.setattr("nuno.runtime.oversight.PREPARING_AFTER", 1e6)  # nothing is to be said of it
+    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", 1e6)  # nothing is to be said of it
     solver = {"plugin": "xpbd", "residual": 1e-5, "iterations": 2}
     scene = write_scene(tmp_path, bodies=BALL, solver=solver, accuracy="preview", duration="0.2 s")
     loaded = scene_file.read(scene)

@@ -26,7 +26,7 @@ from nuno.recorder import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
-from nuno.runtime import oversight
+from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import describe_run

@@ -24,9 +24,9 @@ from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
 from nuno.runtime import supervisor
-from nuno.runtime.oversight import DRAWING, UNDRAWN
 from nuno.runtime.plan import make_plan
 from nuno.runtime.service import Context, Options
+from nuno.runtime.supervisor import DRAWING, UNDRAWN
 from nuno.scene import scene_file
 from nuno_schemas.messages import PICTURE, REPORT, FrameStatus
 

@@ -17,7 +17,7 @@ from nuno.output_files import check_target
 from nuno.process import Terminated
 from nuno.recording.writer import part_of
 from nuno.runtime import log
-from nuno.runtime.oversight import Supervisor
+from nuno.runtime.supervisor import Supervisor
 from nuno.studio.draw.append import write_whole
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FrameStatus

@@ -15,8 +15,8 @@ from nuno.bus.sessions import free_port, hub
 from nuno.cli import main
 from nuno.process import Terminated
 from nuno.recording.reader import Recording, open_recording
-from nuno.replay.publisher import WINDOW, Replay
 from nuno.replay import publisher as replay_module
+from nuno.replay.publisher import WINDOW, Replay
 from nuno.runtime.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE, STATUS, Ack, Topic

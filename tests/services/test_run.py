@@ -23,7 +23,8 @@ from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.replay.verification import verify
-from nuno.runtime import oversight, supervisor
+from nuno.runtime import supervisor
+from nuno.runtime import supervisor as oversight
 from nuno.runtime.driver import WINDOW
 from nuno.runtime.service import Context, Options
 from nuno.runtime.supervisor import Deployment

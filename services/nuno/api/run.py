@@ -26,9 +26,8 @@ from nuno.recording.recorded import per_dye
 from nuno.recording.writer import part_of
 from nuno.report.make import make_report
 from nuno.runtime import runs, supervisor
-from nuno.runtime.oversight import Progress
 from nuno.runtime.service import Options
-from nuno.runtime.supervisor import Deployment
+from nuno.runtime.supervisor import Deployment, Progress
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide

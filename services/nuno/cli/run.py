@@ -17,6 +17,7 @@ from nuno.recording.writer import check_target, part_of
 from nuno.report.make import make_report
 from nuno.report.show import row, show_report
 from nuno.runtime import log, runs, supervisor
+from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene.recorded_scene import resumed_scene
@@ -123,7 +124,7 @@ def _options(args: argparse.Namespace, run: str) -> Options:
                    real_time=args.real_time)  # fmt: skip
 
 
-def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
+def _name_files(options: Options, outcome: Outcome) -> None:
     """Print which files the run has written, and not older ones of the same name."""
     files = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
     if "recorder" in files:

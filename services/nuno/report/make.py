@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nuno.runtime.supervisor import Outcome
+from nuno.runtime.outcome import Outcome
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
 from nuno_schemas.messages import FRAMES

@@ -17,15 +17,13 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from logging.handlers import MemoryHandler
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from nuno.process import check_unprotected
+from nuno.runtime.outcome import Outcome
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
-
-if TYPE_CHECKING:
-    from nuno.runtime.supervisor import Outcome
 
 LOGGER = logging.getLogger("nuno.run")
 LOGGER.addHandler(logging.NullHandler())

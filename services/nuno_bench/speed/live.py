@@ -19,8 +19,9 @@ from nuno.bus.messages import ALL, Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.messages import decode_poses
 from nuno.runtime import runs, supervisor
+from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
-from nuno.runtime.supervisor import Deployment, Outcome
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.machine import cores
