@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from recorded_sheet import RATE, Sheet, write
 
 from nuno.cli import main
 from nuno.exports import paint
-from nuno.exports.animations import _choose_palette, _write_gif, export_animation
+from nuno.exports.animations import Shot, _choose_palette, _write_gif, export_animation
 from nuno.exports.paint import SIDES, tubes
 from nuno.exports.pictures import Painter, choose_frames, export_picture
 from nuno.recording.reader import open_recording
@@ -197,13 +198,13 @@ def test_without_the_encoder_the_extra_is_named(path: Path, tmp_path: Path, monk
         ("a.gif", {"fps": float("nan")}),
         ("a.gif", {"size": (0, 5)}),
         ("a.gif", {"size": (99999, 5)}),
-        ("a.gif", {"start": 5.0}),
+        ("a.gif", {"shot": Shot(start=5.0)}),
         ("no/a.gif", {}),
     ],
 )
-def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: dict[str, float]) -> None:
+def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: dict[str, Any]) -> None:
     with pytest.raises(BadInput):
-        export_animation(path, tmp_path / name, **options)  # type: ignore[arg-type]
+        export_animation(path, tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,7 +12,7 @@ from recorded_sheet import Sheet, write
 from scenes import write_scene
 
 from nuno.cli import main
-from nuno.exports.animations import export_animation
+from nuno.exports.animations import Shot, export_animation
 from nuno.exports.camera import NARROW, SIDES, turned, z_up
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import Changes
@@ -52,7 +52,7 @@ def test_a_turn_comes_round_and_every_side_is_in_the_picture(path: Path, tmp_pat
     for picture in pictures:
         edge = np.concatenate([picture[0], picture[:, 0], picture[:, -1]]).astype(np.int64)
         assert np.abs(np.diff(edge, axis=0)).max() < 40  # of the background alone
-    out = export_animation(path, tmp_path / "turn.gif", SIZE, fps=5.0, turn=2.0, frame=5)
+    out = export_animation(path, tmp_path / "turn.gif", SIZE, fps=5.0, shot=Shot(turn=2.0, frame=5))
     with Image.open(out) as image:
         assert getattr(image, "n_frames", 1) == 10
 

@@ -68,8 +68,8 @@ YARNS = ("samples", "radius", "curl")
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
-class ExportRequest(BaseModel):
-    """A request of files by the names of FILES, and settings, with the names of the flags of `nuno export`."""
+class ExportFiles(BaseModel):
+    """Requested files, by the names of FILES."""
 
     model_config = ConfigDict(extra="forbid")
     npz: Path | None = None
@@ -88,6 +88,11 @@ class ExportRequest(BaseModel):
     pattern: Path | None = None
     yarns: Path | None = None
     scene: Path | None = None
+
+
+class ExportRequest(ExportFiles):
+    """A request of files, and its settings, with the names of the flags of `nuno export`."""
+
     form: Form | None = None
     samples: int | None = None
     radius: str | float | None = None
@@ -131,8 +136,11 @@ def write(recording: Recording, asked: ExportRequest, progress: Progress = show_
 
 def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> list[Path]:
     """Write the requested files, slow ones last; a writer gets the settings among its parameters. Raises BadInput."""
+    from nuno.exports.animations import Shot
+
     settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
-    settings |= {"size": _size(asked.size), "changes": _changes(asked)}
+    shot = Shot(asked.start, asked.end, asked.turn, asked.frame)
+    settings |= {"size": _size(asked.size), "changes": _changes(asked), "shot": shot}
     for name, writer in WRITERS.items():
         path: Path | None = getattr(asked, name)
         if path is None:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -32,50 +33,57 @@ DYED_SECONDS = 5.0
 PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
 
 
+@dataclass(frozen=True)
+class Shot:
+    """What an animation shows: a run from `start` to `end` [s]; or with `turn` the camera's way, in this time [s], once
+    round one frame, by default the last.
+    """
+
+    start: float | None = None
+    end: float | None = None
+    turn: float | None = None
+    frame: int | None = None
+
+
 def export_animation(
     source: Recording | Path | str,
     path: Path,
     size: tuple[int, int] | None = None,
     fps: float | None = None,
-    start: float | None = None,
-    end: float | None = None,
+    shot: Shot | None = None,
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
-    turn: float | None = None,
-    frame: int | None = None,
 ) -> Path:
-    """Draw a recording as .gif or .mp4, from `start` to `end` [s]. Moving cloth is shown in real time, at `fps` or else
-    RATE pictures a second. A dyeing without motion, which takes hours, has one picture per frame, at a rate at which
-    all take DYED_SECONDS, but no more than RATE.
-
-    With `turn` the camera instead goes once round one `frame`, by default the last, in this time [s].
+    """Draw a shot of a recording, by default all of it, as .gif or .mp4. Moving cloth is shown in real time, at `fps`
+    or else RATE pictures a second. A dyeing without motion, which takes hours, has one picture per frame, at a rate at
+    which all take DYED_SECONDS, but no more than RATE.
 
     Moving cloth is painted by `colour` (pictures.py); all else follows the scene and the changes. A GIF's rate is the
     nearest of GIF_RATES; an MP4's sides are rounded down to even. Raises BadInput for another ending, a size, rate or
     colour out of range, nothing to show, or (MP4) if imageio-ffmpeg is not installed; RunFailed if the encoder
     fails.
     """
-    encoder = check_animation(path, fps, size)
+    encoder, shot = check_animation(path, fps, size), shot or Shot()
     check_colour(colour)
     with ExitStack() as stack:
         recording = stack.enter_context(opened(source))
         frames: list[Any]
         draw: Callable[..., Iterator[Picture]]
         if recording.dyed_alone:
-            frames = choose_amounts(recording, start, end)
+            frames = choose_amounts(recording, shot.start, shot.end)
             rate = _rate(encoder, fps or min(RATE, max(1.0, len(frames) / DYED_SECONDS)))
             draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
         else:
             rate = _rate(encoder, fps or RATE)
             width, height = size or SIZE
             shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
-            if turn is None:
-                frames = choose_frames(recording, rate, start, end)
+            if shot.turn is None:
+                frames = choose_frames(recording, rate, shot.start, shot.end)
                 draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
             else:
-                frames = list(range(max(1, round(turn * rate))))
-                draw = _turning(recording, frame, shown, colour, changes)
+                frames = list(range(max(1, round(shot.turn * rate))))
+                draw = _turning(recording, shot.frame, shown, colour, changes)
         # Evenly spaced frames determine a GIF's palette.
         samples = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
         if encoder is not None:
