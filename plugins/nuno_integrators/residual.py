@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from nuno_kernels.forces.yarn_tension import lengths, own_tensions
-from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Fabric, Float, Membrane
 
 TINY = 1e-300
 """stands for the length of a yarn of length 0 [1], which then exerts no force"""

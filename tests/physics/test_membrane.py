@@ -17,8 +17,7 @@ from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import pack, to_rows
-from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Fabric, Float, Membrane, State
 
 MODULI = np.array([400.0, 2000.0, 30.0, 50.0])
 MASS = 1e-3

@@ -23,9 +23,8 @@ from nuno_kernels.forces.yarns import YarnLists, pack_yarns
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Springs
+from nuno_schemas.fabric import Float, Springs, Yarns
 from nuno_schemas.system import System
-from nuno_schemas.yarns import Yarns
 
 
 @pytest.mark.parametrize("c", [0.0, 0.4])

@@ -58,7 +58,7 @@ def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
     """Return the energy of triangles of constant strain [J] and its gradient (n, 3) [N]; x (n, 3) [m].
 
-    nuno_schemas.triangles.Membrane defines it. A yarn of length 0 has no direction and gives no gradient.
+    nuno_schemas.fabric.Membrane defines it. A yarn of length 0 has no direction and gives no gradient.
     """
     gradient, membrane = np.zeros_like(x), fabric.membrane
     if membrane is None:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nuno_contact.offset.bodies import Solids
 from nuno_contact.offset.candidate_pairs import begun_apart, make_list
-from nuno_contact.offset.contact_state import ContactState, tree_of
+from nuno_contact.offset.contact_state import ContactState, Solids, tree_of
 from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels import block_kernel

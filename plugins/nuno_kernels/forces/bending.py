@@ -22,8 +22,7 @@ from nuno_kernels.lanes.simd import WIDTH, Triple, load, read, splat, write
 from nuno_kernels.lanes.triples import dot, gather_triple, minus, plus, read_triple, times
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import Bending
+from nuno_schemas.fabric import Bending, Float, Int
 
 
 class BendingRows(NamedTuple):

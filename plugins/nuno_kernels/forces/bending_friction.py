@@ -35,8 +35,7 @@ from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, root, sp
 from nuno_kernels.lanes.triples import cross, dot, gather_triple, load_triple, minus, plus, times
 from nuno_kernels.step.blocks import BLOCK, Long, list_copies
 from nuno_kernels.terms import over_blocks, register
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import BendingFriction
+from nuno_schemas.fabric import BendingFriction, Float, Int
 
 ROWS = 6
 """rows of the matrix: the normal, and the stiffness of each curvature"""

@@ -27,8 +27,7 @@ from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, root
 from nuno_kernels.lanes.triples import dot, gather_triple, minus, plus, times
 from nuno_kernels.step.blocks import Long, is_small, list_copies
 from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Float, Int, Membrane
 
 
 class MembraneLists(NamedTuple):

@@ -30,8 +30,7 @@ from nuno_kernels.lanes.simd import WIDTH, add_at, load, root
 from nuno_kernels.lanes.triples import dot
 from nuno_kernels.step.blocks import BLOCK, Long, is_small, list_copies
 from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float, Int, Springs
-from nuno_schemas.yarns import Yarns
+from nuno_schemas.fabric import Float, Int, Springs, Yarns
 
 
 class YarnLists(NamedTuple):
