@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from nuno_kernels.meshes.check import volume
-from nuno_kernels.meshes.isosurface import find_isosurface
+from nuno_geometry.check import volume
+from nuno_geometry.isosurface import find_isosurface
 from nuno_schemas.bodies import SKIN, Geometry
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.skin import Skin

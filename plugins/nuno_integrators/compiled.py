@@ -15,15 +15,7 @@ from pydantic import BaseModel
 
 from nuno_integrators.forces import find_forces, find_touched, undisturbed
 from nuno_integrators.nonfinite import describe_nonfinite, find_first, find_nonfinite
-from nuno_integrators.profile import profile_steps
-from nuno_integrators.residual import unbalance
-from nuno_integrators.stability import measure_rates, stable_step
-from nuno_integrators.thread_tuning import ThreadTuning
-from nuno_kernels import threads_available
-from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import (
-    call_each,
+from nuno_integrators.packing import (
     hold_over,
     making_lists,
     pack,
@@ -33,6 +25,13 @@ from nuno_kernels.step.packing import (
     thread_count,
     to_rows,
 )
+from nuno_integrators.profile import profile_steps
+from nuno_integrators.residual import unbalance
+from nuno_integrators.stability import measure_rates, stable_step
+from nuno_integrators.thread_tuning import ThreadTuning
+from nuno_kernels import threads_available
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State

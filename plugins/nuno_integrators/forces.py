@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from nuno_integrators.packing import copy_terms, parts, silence
 from nuno_kernels.forces.yarn_tension import link_tensions
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, copy_terms, parts, silence
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels.step.acceleration import Extra, Packed
-from nuno_kernels.step.packing import call_each, copy_terms, making_lists, parts, silence
+from nuno_integrators.packing import copy_terms, making_lists, parts, silence
+from nuno_kernels.step.acceleration import Extra, Packed, call_each
 from nuno_schemas.fabric import Float
 
 REPEATS = 5

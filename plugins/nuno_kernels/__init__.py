@@ -1,4 +1,4 @@
-"""Compiled functions that plugins share: springs, hinges, contact, the acceleration.
+"""Compiled functions that plugins share: the forces of cloth as terms, the acceleration, lanes, and their compilation.
 
 Kernels use one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when only a callee in another
 module changes, so its folder carries a hash of the sources of the solvers' packages, the compile flags and the

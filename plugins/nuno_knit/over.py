@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from nuno_kernels.meshes.centreline import find_axis
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.centreline import find_axis
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.limb import Rows, find_limb, lay_rows
+from nuno_geometry.tree import build_tree
 from nuno_knit.quantities import Length, Point, Ratio, Share
 from nuno_knit.structure import Knit as Structure
 from nuno_schemas.errors import BadInput

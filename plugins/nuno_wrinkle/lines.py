@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from nuno_geometry.closest_point import leaf_distances, read_triangle, take_nearest
+from nuno_geometry.files.obj import read_obj
+from nuno_geometry.normals import face_normals
+from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.closest_point import leaf_distances, read_triangle, take_nearest
-from nuno_kernels.meshes.normals import face_normals
-from nuno_kernels.meshes.obj import read_obj
-from nuno_kernels.meshes.tree import in_eights
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line

@@ -19,9 +19,9 @@ from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.triangles import face_areas, yarn_axes
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

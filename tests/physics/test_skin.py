@@ -17,7 +17,7 @@ from nuno_contact.motions.hula import Hula, HulaConfig
 from nuno_contact.motions.rotations import from_axis_angle, multiply
 from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import HEAT, find_weights, see_bones
-from nuno_kernels.meshes.check import volume
+from nuno_geometry.check import volume
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

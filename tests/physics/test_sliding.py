@@ -13,7 +13,7 @@ from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
 from nuno_contact.sliding.balance import hold_forces
 from nuno_contact.sliding.plugin import Slid, Sliding, SlidingConfig, make_slides
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State

@@ -10,9 +10,9 @@ from nuno_contact.colliders.surface import make_mannequin
 from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.person import person_mesh
 from nuno_contact.figures.torso import ALONG, GIRTHS, HEIGHTS, JOINT
-from nuno_kernels.meshes.check import check_closed, check_crossings, volume
-from nuno_kernels.meshes.isosurface import find_isosurface, net_of
-from nuno_kernels.meshes.loops import cut_mesh, section_about
+from nuno_geometry.check import check_closed, check_crossings, volume
+from nuno_geometry.isosurface import find_isosurface, net_of
+from nuno_geometry.loops import cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -25,7 +25,7 @@ from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
 from nuno_cloth.sewing.sew import sew
-from nuno_kernels.meshes.file import load_mesh
+from nuno_geometry.files.mesh import load_mesh
 from nuno_schemas.fabric import Fabric, Float
 
 PATTERN = Path(__file__).parents[2] / "scenes" / "sewn" / "patterns" / "top.yaml"

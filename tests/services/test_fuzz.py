@@ -18,7 +18,7 @@ from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.scene.files import SceneFiles
-from nuno_kernels.meshes.file import load_mesh
+from nuno_geometry.files.mesh import load_mesh
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import FIELD, Geometry
 from nuno_schemas.errors import BadInput

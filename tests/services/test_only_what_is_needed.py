@@ -29,8 +29,9 @@ sys.stdout.flush()
 os._exit(0)
 """
 UNNEEDED = (
-    "nuno_contact", "nuno_cloth.wind", "nuno_kernels.bodies", "nuno_kernels.forces.yarns", "nuno.collision.service",
-    "nuno.viewer.service", "nuno.viewer.bridge", "nuno_render", "dye", "trimesh", "rerun", "matplotlib", "nuno_bench",
+    "nuno_contact", "nuno_cloth.wind", "nuno_geometry.poses", "nuno_integrators.bindings", "nuno_kernels.forces.yarns",
+    "nuno.collision.service", "nuno.viewer.service", "nuno.viewer.bridge", "nuno_render", "dye", "trimesh", "rerun",
+    "matplotlib", "nuno_bench",
 )  # fmt: skip
 
 

@@ -16,10 +16,10 @@ from nuno_cloth.models.shirt_pattern import Cut, Sewn
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import Arm, Wearer
 from nuno_cloth.sewing.draw import draw_together
-from nuno_kernels.meshes.harmonic import solve_harmonic
-from nuno_kernels.meshes.limb import spread_hull
-from nuno_kernels.meshes.loops import Loop
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.harmonic import solve_harmonic
+from nuno_geometry.limb import spread_hull
+from nuno_geometry.loops import Loop
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.vectors import dot, norm

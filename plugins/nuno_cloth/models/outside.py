@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import Tree
+from nuno_geometry.check import place_of
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import Tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

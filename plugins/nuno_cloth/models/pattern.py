@@ -29,10 +29,10 @@ from nuno_cloth.sewing.refine import refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.short import close_short
 from nuno_cloth.sewing.wrap import wrap
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.isosurface import net_of
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.check import place_of
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.isosurface import net_of
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked

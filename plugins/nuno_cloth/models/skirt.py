@@ -33,7 +33,7 @@ from nuno_cloth.models.skirt_rows import drape, ellipses
 from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.sewing.draw import draw_together
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Files

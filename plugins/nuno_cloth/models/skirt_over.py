@@ -21,9 +21,9 @@ from nuno_cloth.models.placement import Over
 from nuno_cloth.models.skirt_rows import SAMPLES, UNFOLDED, Curve
 from nuno_cloth.models.wearer import STEP, find_wearer, trunk_at
 from nuno_cloth.quantities import Length, Metres
-from nuno_kernels.meshes.centreline import lengths as lengths_along
-from nuno_kernels.meshes.limb import convex_hull, spread_hull
-from nuno_kernels.meshes.loops import cut_mesh
+from nuno_geometry.centreline import lengths as lengths_along
+from nuno_geometry.limb import convex_hull, spread_hull
+from nuno_geometry.loops import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nuno_kernels.meshes.centreline import lengths as lengths_along
+from nuno_geometry.centreline import lengths as lengths_along
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import TURN
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.loops import cut_mesh
-from nuno_kernels.meshes.tree import Tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.loops import cut_mesh
+from nuno_geometry.tree import Tree
 from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -21,7 +21,7 @@ from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import find_wearer
 from nuno_cloth.quantities import Angle, Length
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files

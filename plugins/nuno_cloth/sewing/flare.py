@@ -14,9 +14,9 @@ from itertools import permutations
 import numpy as np
 
 from nuno_cloth.sewing.sew import Sewn
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.loops import Loop, cut_mesh
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.loops import Loop, cut_mesh
+from nuno_geometry.tree import build_tree
 from nuno_schemas.fabric import Float, Int
 
 WIDE, LESS = np.pi, 1.0

@@ -14,10 +14,10 @@ from nuno_contact.colliders.shapes import OnJoint, find_frame
 from nuno_contact.colliders.surface import Surface
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.quantities import Angle, Direction
-from nuno_kernels.meshes.check import crossing_notes
-from nuno_kernels.meshes.closest_point import Closest, closest_points
-from nuno_kernels.meshes.file import read_closed
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.check import crossing_notes
+from nuno_geometry.closest_point import Closest, closest_points
+from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import MESH, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -48,7 +48,7 @@ class MeshCollider:
     Config: ClassVar[type[BaseModel]] = MeshConfig
 
     def search(self, vertices: Float, faces: Int) -> Search:
-        """Return a mesh's closest-point search, for callers other than contact: nuno_kernels.meshes.closest_point."""
+        """Return a mesh's closest-point search, for callers other than contact: nuno_geometry.closest_point."""
         tree = build_tree(vertices, faces)
 
         def ask(points: Float, start: Int | None = None) -> Closest:

@@ -19,8 +19,8 @@ from nuno_contact.skin.gait import find_lift, fit_gait
 from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
 from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import find_weights
-from nuno_kernels.meshes.check import crossing_notes
-from nuno_kernels.meshes.file import read_closed
+from nuno_geometry.check import crossing_notes
+from nuno_geometry.files.mesh import read_closed
 from nuno_schemas.bodies import SKIN
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

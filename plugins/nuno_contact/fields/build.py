@@ -43,8 +43,8 @@ from nuno_contact.fields.cut import (
 from nuno_contact.fields.exact import Exact
 from nuno_contact.fields.join import check_places
 from nuno_contact.fields.sample import join_fields
+from nuno_geometry.tree import build_tree
 from nuno_kernels import threads_available
-from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField

@@ -15,10 +15,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_contact.fields.winding import Dipoles, winding
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import Vector
+from nuno_geometry.tree import Room, Tree, make_room
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import Room, Tree, make_room
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 

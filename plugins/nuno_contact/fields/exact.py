@@ -6,7 +6,7 @@ import numpy as np
 
 from nuno_contact.fields.cells import measure_points
 from nuno_contact.fields.winding import make_dipoles
-from nuno_kernels.meshes.tree import Tree
+from nuno_geometry.tree import Tree
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 

@@ -18,8 +18,8 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Index
 from nuno_kernels import forced_inline, parallel_kernel, threads_available
-from nuno_kernels.bodies.poses import Index
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 

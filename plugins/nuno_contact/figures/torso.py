@@ -3,7 +3,7 @@
 Level rings of superellipses, between those of a table by monotone cubics, are the trunk and the neck; two
 ellipsoids are the breasts, and two cones with round ends the shoulders and upper arms. Their distance functions, the
 trunk's to first order, are blended (quadratic smooth minimum), and the zero level is drawn
-(nuno_kernels.meshes.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
+(nuno_geometry.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
 other would cut each other.
 
 Girths of waist and hip, and of the arm over the biceps, are the means to a millimetre of the 260 women in the data of
@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.figures.leg import monotone
-from nuno_kernels.meshes.check import check_closed, crossing_notes
-from nuno_kernels.meshes.isosurface import Field, find_isosurface
+from nuno_geometry.check import check_closed, crossing_notes
+from nuno_geometry.isosurface import Field, find_isosurface
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

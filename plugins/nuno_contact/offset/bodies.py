@@ -21,8 +21,8 @@ import math
 import numpy as np
 
 from nuno_contact.offset.contact_state import ContactState, Solids
+from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

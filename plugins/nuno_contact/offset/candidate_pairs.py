@@ -11,8 +11,8 @@ from nuno_contact.offset.places import CHOICES, LACKING, LISTED, LISTS_MADE, NEA
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_near, near_leaves
 from nuno_contact.offset.tree import fit_tree, less
+from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.bodies.poses import Index, Vector
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.step.rows import copy_rows
 from nuno_kernels.terms import over_blocks

@@ -41,8 +41,8 @@ from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_along
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows

@@ -160,7 +160,7 @@ class ContactState(NamedTuple):
     size: Float
     """(n,) see size_of [m]"""
     rotation0: Float
-    """and the rest as nuno_kernels.bodies.poses has it"""
+    """and the rest as nuno_geometry.poses has it"""
     origin0: Float
     spin: Float
     shift: Float

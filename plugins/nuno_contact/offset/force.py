@@ -46,8 +46,8 @@ from nuno_contact.offset.proximity import (
     weigh,
 )
 from nuno_contact.offset.sharing import share_out
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import EVERY, lanes_up_to
 from nuno_kernels.lanes.simd import WIDTH, magnitude
 from nuno_kernels.lanes.triples import dot, minus, read_triple

@@ -24,8 +24,8 @@ from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, frozen_touch, press, touch
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.triples import dot
 from nuno_kernels.step.blocks import PADDING

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from nuno_geometry.poses import Index, Vector
 from nuno_kernels import forced_inline
-from nuno_kernels.bodies.poses import Index, Vector
 from nuno_kernels.lanes.triples import dot, minus
 from nuno_schemas.fabric import Float
 

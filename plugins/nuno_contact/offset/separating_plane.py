@@ -14,8 +14,8 @@ from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot, plus
 from nuno_schemas.fabric import Float
 

@@ -10,10 +10,10 @@ from nuno_contact.offset.candidate_pairs import begun_apart, make_list
 from nuno_contact.offset.contact_state import ContactState, Solids, tree_of
 from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
+from nuno_geometry.check import place_of
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

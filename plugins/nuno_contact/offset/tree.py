@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nuno_geometry.normals import edge_numbers
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.fabric import Float, Int
 
 LEAF = 8

@@ -55,8 +55,8 @@ from nuno_contact.penalty.distance import (  # fmt: skip
     lower_plane,
 )
 from nuno_contact.penalty.field_distance import Bodies, lower_field, primitive_distance
+from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Float, Int

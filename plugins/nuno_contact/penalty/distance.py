@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Index, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.bodies.poses import Index, turn_in, turn_out
 from nuno_kernels.lanes.choose import any_below, higher, lane, lower
 from nuno_kernels.lanes.simd import WIDTH, load, read, splat
 from nuno_schemas.fabric import Float

@@ -24,8 +24,8 @@ from nuno_contact.penalty.distance import (
     box_distance,
     capsule_distance,
 )  # fmt: skip
+from nuno_geometry.poses import Index, Vector, to_frame, turn_out
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.bodies.poses import Index, Vector, to_frame, turn_out
 from nuno_schemas.fabric import Float, Int
 
 

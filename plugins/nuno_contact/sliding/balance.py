@@ -15,10 +15,10 @@ from numba import prange
 from nuno_contact.sliding.planes import PARALLEL
 from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides, tree_of
 from nuno_contact.sliding.vertex import slide
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import Vector, to_frame, turn_in, turn_out
+from nuno_geometry.tree import make_room
 from nuno_kernels import block_kernel, kernel, parallel_kernel
-from nuno_kernels.bodies.poses import Vector, to_frame, turn_in, turn_out
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import make_room
 from nuno_schemas.fabric import Float
 
 TRIAL = 1e-3

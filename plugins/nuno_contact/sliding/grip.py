@@ -26,10 +26,10 @@ import numpy as np
 
 from nuno_contact.sliding.slides import Slides, pose_slides, tree_of
 from nuno_contact.sliding.vertex import outward
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import to_frame
+from nuno_geometry.tree import make_room
 from nuno_kernels import block_kernel
-from nuno_kernels.bodies.poses import to_frame
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import make_room
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 

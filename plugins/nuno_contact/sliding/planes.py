@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
+from nuno_geometry.poses import Vector
 from nuno_kernels import kernel
-from nuno_kernels.bodies.poses import Vector
 
 PARALLEL = 1e-6
 """squared sine between normals below which two planes are one"""

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.vertex import slide, slow_down
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import pose_frame, to_frame, turn_out, write_interval
+from nuno_geometry.tree import Tree, make_room
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import Tree, make_room
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -39,7 +39,7 @@ BLOCK = 64
 class Slides(NamedTuple):
     """b bodies, their motion over one frame of animation, and n vertices in B blocks.
 
-    The trees of all bodies are one after the other in boxes ... edge_normals (nuno_kernels.meshes.tree).
+    The trees of all bodies are one after the other in boxes ... edge_normals (nuno_geometry.tree).
     """
 
     root: NDArray[np.int64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.tree import Tree, fit_tree, make_tree
-from nuno_kernels.meshes.normals import edge_numbers
+from nuno_geometry.normals import edge_numbers
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.operation import Surface
 from nuno_schemas.vectors import norm

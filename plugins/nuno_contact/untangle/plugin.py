@@ -13,7 +13,7 @@ from nuno_contact.quantities import Size
 from nuno_contact.untangle.cloth import JITTER, Cloth, Long, make_cloth
 from nuno_contact.untangle.loosen import loosen
 from nuno_contact.untangle.search import find_crossings
-from nuno_kernels.meshes.check import place_of
+from nuno_geometry.check import place_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
 from nuno_schemas.operation import Arranged, Changed, Outcome, Surface

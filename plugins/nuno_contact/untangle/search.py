@@ -12,9 +12,9 @@ from nuno_contact.offset.proximity import closest, point, unit, weigh
 from nuno_contact.offset.search import HITS, find_near, meet_eights, near_leaves, node_box
 from nuno_contact.offset.tree import Tree, less
 from nuno_contact.untangle.cloth import Cloth, Long, fit
+from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.choose import first_lane
-from nuno_kernels.meshes.check import orient
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05

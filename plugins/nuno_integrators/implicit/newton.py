@@ -24,8 +24,7 @@ from nuno_integrators.implicit.linear_solve import (
 from nuno_integrators.implicit.lumped import add_stiffness
 from nuno_integrators.implicit.stage import Limits, Stage, hold, let_go
 from nuno_kernels import block_kernel
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_schemas.fabric import Float
 
 SLOW = 0.3

@@ -25,8 +25,7 @@ from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, la
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import compile_stage, limit_approach, solve_stage
 from nuno_integrators.implicit.stage import Limits, Stage, make_stage
-from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
-from nuno_kernels.step.packing import call_each
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_integrators.implicit.linear_solve import Counts, Solver, make_solver
-from nuno_kernels.step.acceleration import Packed
-from nuno_kernels.step.packing import call_each, parts, silence
+from nuno_integrators.packing import parts, silence
+from nuno_kernels.step.acceleration import Packed, call_each
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Float
 

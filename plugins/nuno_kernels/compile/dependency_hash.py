@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-SOLVERS = ("nuno_kernels", "nuno_integrators", "nuno_contact", "nuno_dye", "nuno_wrinkle")
+SOLVERS = ("nuno_kernels", "nuno_geometry", "nuno_integrators", "nuno_contact", "nuno_dye", "nuno_wrinkle")
 """packages whose kernels call each other throughout: the cache's folder carries a hash of all their sources"""
 HASHED_BY_FOLDER = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"} | frozenset(SOLVERS)
 """packages that this folder stands for; it carries the versions of libraries"""

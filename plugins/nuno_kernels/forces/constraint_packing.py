@@ -19,9 +19,8 @@ from nuno_kernels.forces.hinges import HingeLists, HingeRuns, hinge_shape
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, root, store
 from nuno_kernels.lanes.triples import dot, gather_triple, load_triple, minus, plus, times
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Packed, call_each
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.step.packing import call_each
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

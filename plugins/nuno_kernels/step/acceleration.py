@@ -15,7 +15,7 @@ from nuno_kernels import block_kernel, shared_source
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.simd import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
-from nuno_kernels.terms import each, over_blocks
+from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force")
@@ -181,3 +181,11 @@ def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, thre
     place(bodies, on, x, v, s)
     hold_bodies(bodies, on, x, v, s, threads)
     settle_bodies(bodies, on, x, v, s, threads)
+
+
+def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
+    """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
+    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
+    acting = {id(term): term for term, on in terms if on}
+    calls = [(role_of(type(term), role), term) for term in acting.values()]
+    return [call(term, *args) for call, term in calls if call is not None]

@@ -1,6 +1,6 @@
 """Trees of boxes for rays: over triangles of bodies, and over pieces of yarns as capsules.
 
-The trees are those of nuno_kernels.meshes.tree, with eight children a node and eight items a leaf, so that a node, like
+The trees are those of nuno_geometry.tree, with eight children a node and eight items a leaf, so that a node, like
 a leaf, is one vector test.
 
 Rejected: Embree, by embreex or Open3D. It is in single precision, its Python packages intersect triangles but not
@@ -17,15 +17,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.tree import ROUNDING, in_eights, order_triangles, stack_boxes
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.tree import ROUNDING, in_eights, order_triangles, stack_boxes
 from nuno_schemas.fabric import Float, Int
 
 
 class RayTree(NamedTuple):
     """N nodes and L leaves over i items.
 
-    boxes (6 N, 8), child (N,)  as in nuno_kernels.meshes.tree.Tree; no nodes without items
+    boxes (6 N, 8), child (N,)  as in nuno_geometry.tree.Tree; no nodes without items
     rows  (r L, 8)              of leaf k in rows r k to r k + r - 1, its eight items; NaN for missing ones. Triangles,
           r = 9: corner a, edges b - a and c - a [m]. Capsules, r = 7: end a, axis b - a and radius [m]
     item  (8 L,) int32          number of the item in each place of the leaves, -1 if empty

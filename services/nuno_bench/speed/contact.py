@@ -25,8 +25,8 @@ from nuno_contact.offset.contact_state import ContactState
 from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
 from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
+from nuno_integrators.packing import copy_term, silence
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import copy_term, silence
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric

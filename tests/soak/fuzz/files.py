@@ -104,7 +104,7 @@ def _mesh(kind: str, *words: str) -> Kind:
 
     name = {"file": f"input.{kind}"}
     cloth: list[Use] = [] if kind == "glb" else [("nuno.models", "mesh", name | {"merge": False})]
-    readers = tuple(f"nuno_kernels.meshes.{name}" for name in ("file", "polygons", "obj", "ply", "stl", "glb"))
+    readers = tuple(f"nuno_geometry.files.{name}" for name in ("mesh", "polygons", "obj", "ply", "stl", "glb"))
     follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.membrane", *readers)
     return _file(kind.upper(), f".{kind}", lambda: mesh_seeds(kind), mutate, follows, *cloth,
                  ("nuno.colliders", "mesh", name))  # fmt: skip

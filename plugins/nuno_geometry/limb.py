@@ -1,7 +1,7 @@
 """Rows round a limb: rings about a closed mesh from one end to the other that follow it round any bend and cover it.
 
 A row is what a band would be, drawn tight round a level of a field on the surface: the convex hull of the level, seen
-along the limb, so that it spans hollows and gaps between toes. The field is harmonic (nuno_kernels.meshes.harmonic)
+along the limb, so that it spans hollows and gaps between toes. The field is harmonic (nuno_geometry.harmonic)
 between plane sections across the limb's axis at both ends, so that its levels never cross, not at a heel either, where
 planes across the axis do. Beyond the first section, towards the limb's tip, levels are planes: all toes come under the
 same rows, where a harmonic field would go round one of them. Rows are the same mean distance apart.
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_kernels.meshes.centreline import Centreline, axis_by_levels, axis_by_planes, follow_axis, way_from
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.harmonic import solve_harmonic
-from nuno_kernels.meshes.loops import Loop, cut_mesh, section_about
-from nuno_kernels.meshes.normals import edge_numbers
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.centreline import Centreline, axis_by_levels, axis_by_planes, follow_axis, way_from
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.harmonic import solve_harmonic
+from nuno_geometry.loops import Loop, cut_mesh, section_about
+from nuno_geometry.normals import edge_numbers
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import dot, norm

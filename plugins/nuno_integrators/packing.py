@@ -140,14 +140,6 @@ def reads_velocity(packed: Packed) -> bool:
     return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
 
 
-def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
-    """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
-    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
-    acting = {id(term): term for term, on in terms if on}
-    calls = [(role_of(type(term), role), term) for term in acting.values()]
-    return [call(term, *args) for call, term in calls if call is not None]
-
-
 def _has_steps(kernels: Kernels) -> bool:
     """Whether terms have a part in steps besides a force by blocks."""
     return kernels.block is None or kernels.hold is not None
@@ -162,7 +154,7 @@ def _pack_carried(system: System) -> tuple[Any, ...]:
     """Return the bindings of vertices that frames carry."""
     if not system.carried:
         return ()
-    from nuno_kernels.bodies.bindings import make_bindings
+    from nuno_integrators.bindings import make_bindings
 
     return (make_bindings(system.carried),)
 

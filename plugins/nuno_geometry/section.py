@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_geometry.normals import edge_numbers
 from nuno_kernels import kernel
-from nuno_kernels.meshes.normals import edge_numbers
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 

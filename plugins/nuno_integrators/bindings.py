@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import kernel
-from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.bodies import Poses
@@ -28,7 +28,7 @@ class Bindings(NamedTuple):
     vertices (b,) int64, frame (b,) int64, local (b, 3) [m] in the frame, or as the skin is bound. Those from number
     b - s on go with a skin: from `begin` to `end` (s, 3) [m]; velocities are the way times `rate` (1,). Its joint,
     weight (s, k) and place (e, 3) are as in nuno_schemas.skin.Skin, carrier (e,) its frames. The rest is laid out as
-    nuno_kernels.bodies.poses has it: rotation0 (f, 9) and origin0 (f, 3) at the start, spin (f, 3)
+    nuno_geometry.poses has it: rotation0 (f, 9) and origin0 (f, 3) at the start, spin (f, 3)
     [rad] and shift (f, 3) [m] over the interval, and frames (f, 18): rotation, origin, velocity and
     angular velocity of the frames as last posed.
     """

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nuno_kernels.meshes.normals import edge_numbers
+from nuno_geometry.normals import edge_numbers
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 

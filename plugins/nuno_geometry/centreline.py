@@ -8,7 +8,7 @@ marching from plane to plane, which leaves the limb at a heel.
 
 Planes that stand askew, as those near an end off the middle or beside a flat cap do, meet the limb farther on than
 their neighbours, and the line folds back on itself. Then it is the middles of levels of a harmonic field between
-sections at both ends (nuno_kernels.meshes.harmonic), which never cross; the sections stand across what the line does
+sections at both ends (nuno_geometry.harmonic), which never cross; the sections stand across what the line does
 over a width of the limb.
 """
 
@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.harmonic import solve_harmonic
-from nuno_kernels.meshes.loops import Loop, cut_mesh, section_about
-from nuno_kernels.meshes.normals import edge_numbers
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.check import place_of
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.harmonic import solve_harmonic
+from nuno_geometry.loops import Loop, cut_mesh, section_about
+from nuno_geometry.normals import edge_numbers
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import dot, norm

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.normals import edge_normals, edge_numbers, vertex_normals
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.normals import edge_normals, edge_numbers, vertex_normals
 from nuno_schemas.fabric import Float, Int
 
 ROUNDING = 2.0**-46

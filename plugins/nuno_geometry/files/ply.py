@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels.meshes.polygons import RawMesh, plain, triangulate
+from nuno_geometry.files.polygons import RawMesh, plain, triangulate
 
 TYPES = {
     "char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d",

@@ -26,12 +26,12 @@ import numba
 import numpy as np
 from numba import prange
 
+from nuno_geometry.poses import Vector
+from nuno_geometry.tree import Room, Tree, make_room
+from nuno_geometry.waiting import push_children
 from nuno_kernels import block_kernel, forced_inline, parallel_kernel, threads_available
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import EVERY, first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
-from nuno_kernels.meshes.tree import Room, Tree, make_room
-from nuno_kernels.meshes.waiting import push_children
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -91,7 +91,7 @@ def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> L
     x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
     y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
     z = higher(higher(load(boxes, row + 2, 0) - pz, pz - load(boxes, row + 5, 0)), zero)
-    # A share of 64 ulp off: see nuno_kernels.meshes.tree.ROUNDING, which does not cover points that are far away.
+    # A share of 64 ulp off: see nuno_geometry.tree.ROUNDING, which does not cover points that are far away.
     return (x * x + y * y + z * z) * (1.0 - 2.0**-46)
 
 

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from nuno_kernels.meshes.polygons import RawMesh, plain, triangulate
+from nuno_geometry.files.polygons import RawMesh, plain, triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.reading import with_point
 

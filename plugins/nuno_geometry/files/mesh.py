@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels.meshes.check import check_closed, place_of
-from nuno_kernels.meshes.glb import read_glb
-from nuno_kernels.meshes.normals import edge_numbers, face_normals
-from nuno_kernels.meshes.obj import read_obj
-from nuno_kernels.meshes.ply import read_ply
-from nuno_kernels.meshes.polygons import RawMesh, plain
+from nuno_geometry.check import check_closed, place_of
+from nuno_geometry.files.glb import read_glb
+from nuno_geometry.files.obj import read_obj
+from nuno_geometry.files.ply import read_ply
+from nuno_geometry.files.polygons import RawMesh, plain
+from nuno_geometry.normals import edge_numbers, face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.reading import read_as

@@ -6,11 +6,11 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from nuno_geometry.normals import edge_numbers
+from nuno_geometry.tree import DEPTH, Tree, build_tree
 from nuno_kernels import kernel, parallel_kernel, threads_available
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to
 from nuno_kernels.lanes.simd import WIDTH, load
-from nuno_kernels.meshes.normals import edge_numbers
-from nuno_kernels.meshes.tree import DEPTH, Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
