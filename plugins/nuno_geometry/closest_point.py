@@ -27,11 +27,21 @@ import numpy as np
 from numba import prange
 
 from nuno_geometry.poses import Vector
-from nuno_geometry.tree import Room, Tree, make_room
-from nuno_geometry.waiting import push_children
+from nuno_geometry.tree import Room, Tree, make_room, push_children
 from nuno_kernels import block_kernel, forced_inline, parallel_kernel, threads_available
-from nuno_kernels.lanes.choose import EVERY, first_lane, higher, lane, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
+from nuno_kernels.lanes.simd import (
+    EVERY,
+    WIDTH,
+    Lanes,
+    first_lane,
+    higher,
+    lane,
+    lanes_up_to,
+    load,
+    lower,
+    splat,
+    where_not_negative,
+)
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

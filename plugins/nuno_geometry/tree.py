@@ -1,11 +1,5 @@
-"""A triangle mesh as a tree of boxes, eight children a node and eight triangles a leaf.
-
-Triangles are cut at medians along the widest axis of their centroids into groups of 8, 64, 512, ...
-of their order, so that a node's children stand side by side and a node, like a leaf, is one vector test.
-A mesh of 330,000 triangles is six levels high.
-
-Not chosen: the surface area heuristic, whose boxes are a little tighter but whose leaves are unequally
-full; pointers to children one by one, which cost a gather where a load will do.
+"""A triangle mesh as a tree of boxes, eight children a node and eight triangles a leaf, and the stack of a search in
+it.
 """
 
 from __future__ import annotations
@@ -17,8 +11,41 @@ from numpy.typing import NDArray
 
 from nuno_geometry.normals import edge_normals, edge_numbers, vertex_normals
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes.simd import WIDTH, Lanes, first_lane, lane
 from nuno_schemas.fabric import Float, Int
+
+# The stack of a tree search, the nearest of each node's children on top.
+
+
+@forced_inline
+def push_children(away: Lanes, bits: int, first: int, waiting: NDArray[np.int64], bound: Float, top: int) -> int:
+    """Push those of a node's eight children whose `bits` are set, the nearest last; return the new height, `top`
+    before.
+
+    `away` are their distances, written to `bound`; `first` is the first child, and counts down where it is negative, as
+    numbers of leaves do.
+    """
+    base = top
+    while bits != 0:
+        j = first_lane(bits)
+        bits &= bits - 1
+        value, k = lane(away, j), top
+        while k > base and bound[k - 1] < value:
+            waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
+            k -= 1
+        waiting[k], bound[k] = first + j if first >= 0 else first - j, value
+        top += 1
+    return top
+
+
+# A triangle mesh as a tree of boxes, eight children a node and eight triangles a leaf.
+#
+# Triangles are cut at medians along the widest axis of their centroids into groups of 8, 64, 512, ...
+# of their order, so that a node's children stand side by side and a node, like a leaf, is one vector test.
+# A mesh of 330,000 triangles is six levels high.
+#
+# Not chosen: the surface area heuristic, whose boxes are a little tighter but whose leaves are unequally
+# full; pointers to children one by one, which cost a gather where a load will do.
 
 ROUNDING = 2.0**-46
 """Boxes are wider than their triangles by this share of the mesh's size, 64 ulp: the distance computed to a triangle is

@@ -11,7 +11,7 @@ from nuno_kernels.forces.bending import pack_bending
 from nuno_kernels.forces.bending_friction import pack_friction
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
-from nuno_kernels.forces.spring_packing import pack_springs
+from nuno_kernels.forces.springs import pack_springs
 from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.terms import Kernels, kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float

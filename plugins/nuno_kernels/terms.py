@@ -40,7 +40,7 @@ class Measured(NamedTuple):
 
 class Displaced(NamedTuple):
     """An xpbd step in progress: x (3, n) [m] at its start, u (3, n) displacements [m], y and w (3, n) scratch, mobility
-    (1, n) [s^2/kg] (see nuno_kernels.forces.constraints), and 1 / the step [1/s].
+    (1, n) [s^2/kg] (see nuno_kernels.forces.constraint_packing), and 1 / the step [1/s].
     """
 
     x: Float
@@ -68,14 +68,14 @@ class Kernels:
                                                    nuno_integrators.implicit.matrix
     diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.assembly. One
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.linear. One
                                                    without stays out of factors: what it couples changes
 
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
     project(term, moved, s, held, threads)         of xpbd: solves for what cloth meets, bodies or cloth; see
                                                    nuno_contact.penalty.projection, nuno_contact.offset.projection
     sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
-                                                   displacements; see nuno_kernels.forces.constraints
+                                                   displacements; see nuno_kernels.forces.constraint_packing
     forget(batches)                                of batches of constraints: begins a step without forces
 
     Called from Python:
@@ -83,8 +83,8 @@ class Kernels:
     energy(term, x) -> float or Measured           energy [J]
     tension(term, x) -> float                      the largest single force [N]
     stiffest(term) -> float                        the largest stiffness [N/m]
-    turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning
-    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
+    turning(term, before, x, d) -> float           see nuno_kernels.forces.springs.turning
+    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
                                                    nuno_kernels.forces.constraint_packing

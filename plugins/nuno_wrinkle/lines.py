@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nuno_geometry.closest_point import leaf_distances, read_triangle, take_nearest
-from nuno_geometry.files.obj import read_obj
+from nuno_geometry.files.polygons import read_obj
 from nuno_geometry.normals import face_normals
 from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import TURN
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.loops import cut_mesh
+from nuno_geometry.section import cut_mesh
 from nuno_geometry.tree import Tree
 from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_geometry.loops import Loop, cut_mesh, section_about
+from nuno_geometry.section import Loop, cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm

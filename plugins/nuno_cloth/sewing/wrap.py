@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_cloth.sewing.sew import Sewn
-from nuno_geometry.loops import Loop, cut_mesh
+from nuno_geometry.section import Loop, cut_mesh
 from nuno_schemas.fabric import Float, Int
 
 LEVELS = 24

@@ -10,9 +10,27 @@ from pydantic import BaseModel, Field
 from nuno_cloth.models.placement import Velocity
 from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import alternate, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, load, magnitude, read, root, splat, store, write
-from nuno_kernels.lanes.triples import cross, dot, gather_triple, minus, plus, read_triple, times
+from nuno_kernels.lanes.simd import (
+    WIDTH,
+    Triple,
+    add_at,
+    alternate,
+    cross,
+    dot,
+    gather_triple,
+    load,
+    magnitude,
+    minus,
+    plus,
+    read,
+    read_triple,
+    root,
+    splat,
+    store,
+    times,
+    where_not_zero,
+    write,
+)
 from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, list_copies
 from nuno_kernels.terms import register
 from nuno_schemas.errors import BadInput

@@ -13,8 +13,7 @@ from nuno_contact.offset.search import find_near, near_leaves
 from nuno_contact.offset.tree import fit_tree, less
 from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.step.blocks import Long
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import Long, copy_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 

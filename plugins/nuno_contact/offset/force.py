@@ -48,11 +48,8 @@ from nuno_contact.offset.proximity import (
 from nuno_contact.offset.sharing import share_out
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes.choose import EVERY, lanes_up_to
-from nuno_kernels.lanes.simd import WIDTH, magnitude
-from nuno_kernels.lanes.triples import dot, minus, read_triple
-from nuno_kernels.step.blocks import PADDING
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.lanes.simd import EVERY, WIDTH, dot, lanes_up_to, magnitude, minus, read_triple
+from nuno_kernels.step.blocks import PADDING, copy_rows
 from nuno_schemas.fabric import Float, Int
 
 STEEPEST = 0.25

@@ -21,7 +21,7 @@ from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR,
 from nuno_contact.offset.plan import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
 from nuno_contact.offset.separating_plane import find_shares
 from nuno_kernels import block_kernel
-from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
+from nuno_kernels.step.blocks import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 
 FREEZE, REFREEZE = 4, 10

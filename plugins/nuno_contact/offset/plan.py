@@ -26,9 +26,21 @@ from nuno_contact.offset.places import (
     NOW,
 )
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.choose import EVERY, higher, lanes_up_to
-from nuno_kernels.lanes.simd import WIDTH, Triple, read, root, splat, write
-from nuno_kernels.lanes.triples import dot, minus, read_triple, times
+from nuno_kernels.lanes.simd import (
+    EVERY,
+    WIDTH,
+    Triple,
+    dot,
+    higher,
+    lanes_up_to,
+    minus,
+    read,
+    read_triple,
+    root,
+    splat,
+    times,
+    write,
+)
 from nuno_schemas.fabric import Float
 
 LIST, CHOSEN = range(2)

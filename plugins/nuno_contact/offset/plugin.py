@@ -48,8 +48,8 @@ from nuno_contact.offset.touching import find_touching
 from nuno_contact.reaction import elastic_stiffness
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes.triples import dot
-from nuno_kernels.step.rows import all_finite, copy_rows, same_rows
+from nuno_kernels.lanes.simd import dot
+from nuno_kernels.step.blocks import all_finite, copy_rows, same_rows
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int

@@ -16,7 +16,7 @@ from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.triples import dot, plus
+from nuno_kernels.lanes.simd import dot, plus
 from nuno_schemas.fabric import Float
 
 MOST = 1000

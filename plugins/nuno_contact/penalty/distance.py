@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.poses import Index, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.choose import any_below, higher, lane, lower
-from nuno_kernels.lanes.simd import WIDTH, load, read, splat
+from nuno_kernels.lanes.simd import WIDTH, any_below, higher, lane, load, lower, read, splat
 from nuno_schemas.fabric import Float
 
 Reading = tuple[float, float, float, float, int]

@@ -13,8 +13,7 @@ from nuno_geometry.closest_point import Answer, closest, take_nearest
 from nuno_geometry.poses import Vector, turn_out
 from nuno_geometry.tree import Room, Tree
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import Lanes, load, splat
+from nuno_kernels.lanes.simd import Lanes, first_lane, higher, lanes_up_to, load, lower, splat, where_not_negative
 from nuno_schemas.fabric import Float
 
 # The first entry of a straight movement into a triangle mesh.

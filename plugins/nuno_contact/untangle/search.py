@@ -14,7 +14,7 @@ from nuno_contact.offset.tree import Tree, less
 from nuno_contact.untangle.cloth import Cloth, Long, fit
 from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.choose import first_lane
+from nuno_kernels.lanes.simd import first_lane
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 from nuno_dye.laws.power import log
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import higher, lower
-from nuno_kernels.lanes.simd import splat
+from nuno_kernels.lanes.simd import higher, lower, splat
 from nuno_schemas.dye import Dye
 from nuno_schemas.fabric import Float
 

@@ -22,8 +22,7 @@ from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
 from nuno_dye.solvers.upkeep import Upkeep, keep_both
 from nuno_kernels import block_kernel, kernel, parallel_kernel
-from nuno_kernels.lanes.choose import higher, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_kernels.lanes.simd import WIDTH, higher, load, lower, splat, store, where_not_negative
 from nuno_schemas.fabric import Float
 
 LEVELS = 4

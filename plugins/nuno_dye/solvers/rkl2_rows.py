@@ -15,8 +15,7 @@ from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, slide
 from nuno_dye.solvers.fixing import taken_at
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.choose import higher, lower, where_greater
-from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_kernels.lanes.simd import WIDTH, higher, load, lower, splat, store, where_greater
 from nuno_schemas.fabric import Float
 
 SLOT = 7

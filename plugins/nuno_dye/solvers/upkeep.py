@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import higher
-from nuno_kernels.lanes.simd import WIDTH, load, store
+from nuno_kernels.lanes.simd import WIDTH, higher, load, store
 from nuno_schemas.fabric import Bool, Float
 
 

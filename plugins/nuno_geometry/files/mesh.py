@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.check import check_closed, place_of
 from nuno_geometry.files.glb import read_glb
-from nuno_geometry.files.obj import read_obj
-from nuno_geometry.files.ply import read_ply
-from nuno_geometry.files.polygons import RawMesh, plain
+from nuno_geometry.files.polygons import RawMesh, plain, read_obj, read_ply
 from nuno_geometry.normals import edge_numbers, face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -1,23 +1,29 @@
-"""The content of a mesh file, and triangles of its polygons: convex or not, flat or not, the same ones whichever corner
-comes first.
-
-A fan is right where a polygon is convex; a quad with one corner that is not convex is a fan from there. All else loses
-its ears one by one, the roundest first, so that no triangle is thinner than need be. Corners on a straight side stay:
-the polygon beyond that side may end there. Rejected: mapbox_earcut, which drops such corners and so opens the surface;
-a fan from the first corner, whose triangles overlap on a concave polygon.
-"""
+"""Polygons of mesh files, OBJ and PLY among them, and triangles of polygons: convex or not, flat or not."""
 
 from __future__ import annotations
 
 import codecs
+import math
+import re
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.reading import with_point
+
+# The content of a mesh file, and triangles of its polygons: convex or not, flat or not, the same ones whichever corner
+# comes first.
+#
+# A fan is right where a polygon is convex; a quad with one corner that is not convex is a fan from there. All else
+# loses its ears one by one, the roundest first, so that no triangle is thinner than need be. Corners on a straight side
+# stay: the polygon beyond that side may end there. Rejected: mapbox_earcut, which drops such corners and so opens the
+# surface; a fan from the first corner, whose triangles overlap on a concave polygon.
 
 Places = NDArray[np.int64]
 ROUNDING = 1e-10
@@ -199,3 +205,182 @@ def _width(p: Float, k: int, left: list[int], least: float) -> float:
     near = (np.abs(_cross(a, c, others)) < STRAIGHT * side) & (along > 0.0) & (along < side) & apart
     width = area / max(side, float(((b - a) ** 2).sum()), float(((c - b) ** 2).sum()))
     return 1e-6 * width if near.any() else width
+
+
+# Polygons of Wavefront OBJ files (Wavefront, Advanced Visualizer manual, appendix B1: object files, version 3.0).
+
+
+def read_obj(data: bytes) -> RawMesh:
+    """Read an OBJ file: faces with their texture coordinates, and lines; all else is left out.
+
+    Raises BadInput with the line of what cannot be read.
+    """
+    # A backslash continues a line: joined by a vertical tab, which is a blank, lines can still be counted.
+    text = re.sub(rb"#[^\n]*", b"", plain(data)).replace(b"\\\n", b"\v")
+    points: list[tuple[float, float, float]] = []
+    texture: list[tuple[float, float]] = [(np.nan, np.nan)]  # the first is of corners without any
+    corner: list[int] = []
+    drawn: list[int] = []
+    count: list[int] = []
+    lines: list[int] = []
+    strokes: list[list[int]] = []
+    number, following = 1, 1
+    for line in text.split(b"\n"):
+        number, following = following, following + 1 + line.count(b"\v")
+        words = line.split()
+        if not words:
+            continue
+        kind = words[0]
+        try:
+            if kind == b"v":
+                points.append((float(words[1]), float(words[2]), float(words[3])))
+                if not all(map(math.isfinite, points[-1])):
+                    raise ValueError("not a finite position")
+            elif kind == b"vt":
+                texture.append((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
+            elif kind in (b"f", b"fo"):
+                for word in words[1:]:
+                    parts = word.split(b"/")
+                    corner.append(_index(parts[0], len(points), "vertex"))
+                    has = len(parts) > 1 and parts[1] != b""
+                    drawn.append(_index(parts[1], len(texture) - 1, "texture coordinate") + 1 if has else 0)
+                count.append(len(words) - 1)
+                lines.append(number)
+                if len(words) < 4:
+                    raise ValueError(f"a face of {len(words) - 1} corners")
+            elif kind == b"l":
+                strokes.append([_index(word.split(b"/")[0], len(points), "vertex") for word in words[1:]])
+                if len(words) < 3 or max(strokes[-1]) >= len(points):
+                    raise ValueError("a line has two vertices at least, which stand before it")
+        except (ValueError, IndexError) as error:
+            reason = str(error) if isinstance(error, ValueError) else "numbers are missing"
+            shown = b" ".join(words).decode("utf-8", "replace")
+            problem, remedy = f"cannot be read as OBJ: {reason}", with_point(reason)
+            raise BadInput(problem, line=number, field="file", value=shown, remedy=remedy) from None
+    for what, numbers, available in (("vertex", corner, len(points)), ("texture coordinate", drawn, len(texture))):
+        if max(numbers, default=0) >= max(available, 1):
+            at = int(np.searchsorted(np.cumsum(count), numbers.index(max(numbers)), side="right"))
+            raise BadInput(
+                f"cannot be read as OBJ: a triangle of a {what} that is not there", field="file", line=lines[at],
+                value=max(numbers) + (what == "vertex"), limit=f"the file has {available - (what != 'vertex')}",
+            )  # fmt: skip
+    x, corners = np.array(points, np.float64).reshape(-1, 3), np.array(corner, np.int64)
+    place = triangulate(x, corners, np.array(count, np.int64), lines)
+    uv = np.array(texture, np.float32)[np.array(drawn, np.int64)[place]] if any(drawn) else None
+    return RawMesh(x, corners[place].astype(np.int32), uv, tuple(np.array(stroke) for stroke in strokes))
+
+
+def _index(word: bytes, available: int, what: str) -> int:
+    """Return a number from 1, or from -1 backwards among those available, as one from 0."""
+    number = int(word)
+    if number == 0 or number < -available:
+        raise ValueError(f"a triangle of a {what} that is not there")
+    return number - 1 if number > 0 else available + number
+
+
+# Polygons of PLY files, ASCII and binary (G. Turk, The PLY polygon file format, Stanford, 1994).
+
+TYPES = {
+    "char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d",
+    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d",
+}  # fmt: skip
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+END = "end_header"
+DRAWN = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+"""common names of texture coordinates of vertices"""
+Table = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
+"""all numbers of each property of an element, and how many each row has (rows,)"""
+NOTHING = np.zeros(0), np.zeros(0, np.int64)
+
+
+class Property(NamedTuple):
+    """A number of each row, or a list of numbers whose count has the type `length`."""
+
+    name: str
+    kind: str
+    length: str = ""
+
+
+def read_ply(data: bytes) -> RawMesh:
+    """Read a PLY file's surface, with the texture coordinates of its vertices or of its faces' corners.
+
+    Raises ValueError or LookupError for a file that is none, and BadInput as `triangulate`.
+    """
+    head, pairs, text = plain(data).partition(b"\n" + END.encode() + b"\n")
+    if not head.startswith(b"ply\n") or not pairs:
+        raise ValueError("it has no header")
+    order, elements = _header(head.decode("utf-8", "replace").splitlines()[1:])
+    if order:
+        data = data[data.index(END.encode()) + len(END) :]
+        data = data[2 if data.startswith(b"\r\n") else 1 :]
+    else:  # as if all words were float64, which hold numbers of vertices
+        data, order = np.array(text.split(), np.float64).tobytes(), "="
+        elements = {
+            name: (rows, [Property(one.name, "d", "d" if one.length else "") for one in row])
+            for name, (rows, row) in elements.items()
+        }
+    at, tables = 0, dict[str, Table]()
+    for name, (rows, row) in elements.items():
+        try:
+            tables[name], at = _read(data, at, rows, row, order)
+        except (struct.error, ValueError):
+            raise ValueError(f"it ends before the last {name} of {rows}") from None
+    if order == "=" and at < len(data):
+        raise ValueError("it has more numbers than its header says")
+    vertex, face = tables.get("vertex", {}), tables.get("face", {})
+    x = np.stack([vertex.get(axis, NOTHING)[0] for axis in "xyz"], axis=1)
+    corner, count = face.get("vertex_indices", face.get("vertex_index", NOTHING))
+    if corner.size and not 0 <= corner.min() <= corner.max() < len(x):
+        raise ValueError(f"triangles of vertices {corner.min():g} to {corner.max():g}, and there are {len(x)}")
+    if "tristrips" in tables:
+        raise ValueError("its triangles are in strips, which are not read")
+    place, uv = triangulate(x, corner.astype(np.int64), count), None
+    faces = corner.astype(np.int64)[place]
+    if "texcoord" in face and (face["texcoord"][1] == 2 * count).all():
+        uv = face["texcoord"][0].reshape(-1, 2)[place].astype(np.float32)
+    for u, v in DRAWN:
+        if u in vertex and v in vertex:
+            uv = np.stack([vertex[u][0], vertex[v][0]], axis=1)[faces].astype(np.float32)
+    return RawMesh(x, faces.astype(np.int32), uv)
+
+
+def _header(lines: list[str]) -> tuple[str, dict[str, tuple[int, list[Property]]]]:
+    """Return the order of bytes, "" for words, and the number of rows and the properties of each element."""
+    order, elements = None, dict[str, tuple[int, list[Property]]]()
+    for words in (line.split() for line in lines):
+        match words:
+            case ["format", name, _] if name in ORDERS:
+                order = ORDERS[name]
+            case ["element", name, rows]:
+                elements[name] = int(rows), []
+            case ["property", "list", length, kind, name] if elements:
+                elements[list(elements)[-1]][1].append(Property(name, TYPES[kind], TYPES[length]))
+            case ["property", kind, name] if elements:
+                elements[list(elements)[-1]][1].append(Property(name, TYPES[kind]))
+            case ["comment" | "obj_info", *_] | []:
+                pass
+            case _:
+                raise ValueError(f"its header says {' '.join(words)!r}")
+    if order is None:
+        raise ValueError("its header names no format")
+    return order, elements
+
+
+def _read(data: bytes, at: int, rows: int, row: list[Property], order: str) -> tuple[Table, int]:
+    """Return the numbers of an element that begins at a byte, and the place of the next one."""
+    if not any(one.length for one in row):
+        kind = np.dtype([(one.name, order + one.kind) for one in row])
+        table = np.frombuffer(data, kind, rows if row else 0, at)
+        return {one.name: (table[one.name].astype(np.float64), np.ones(rows, int)) for one in row}, at + table.nbytes
+    values: dict[str, list[float]] = {one.name: [] for one in row}
+    counts: dict[str, list[int]] = {one.name: [] for one in row}
+    for _ in range(rows):
+        for name, code, length in row:
+            count = 1
+            if length:
+                count = int(struct.unpack_from(order + length, data, at)[0])
+                at += struct.calcsize(order + length)
+            values[name].extend(struct.unpack_from(f"{order}{max(count, 0)}{code}", data, at))
+            counts[name].append(count)
+            at += max(count, 0) * struct.calcsize(order + code)
+    return {name: (np.array(values[name], np.float64), np.array(counts[name], np.int64)) for name in values}, at

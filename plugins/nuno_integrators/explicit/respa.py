@@ -47,7 +47,7 @@ from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, place
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config

@@ -10,8 +10,7 @@ from nuno_integrators.compiled import source_of
 from nuno_integrators.explicit.combine import Buffers, Stage, combine, square
 from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
-from nuno_kernels.step.blocks import Long
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import Long, copy_rows
 from nuno_schemas.fabric import Float
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0

@@ -10,7 +10,7 @@ from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import copy_rows
 from nuno_schemas.fabric import Float
 
 

@@ -19,7 +19,7 @@ from nuno_integrators.implicit.matrix import Linear
 from nuno_integrators.implicit.plan import Elements, Plan
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 

@@ -1,4 +1,4 @@
-"""The membrane as compliant constraints, three a triangle, in the order of nuno_kernels.forces.constraints.
+"""The membrane as compliant constraints, three a triangle, in the order of nuno_kernels.forces.constraint_packing.
 
 Strains e = (e_w, e_f, g) have the gradients J (3, 9), stresses s = A (C e + D de/dt), and vertices the mobilities M.
 Solved alone, a triangle has s = (1 + K N)^-1 A (C e + D de/dt), with K = A (C + D / h), N = J M J^T and strains taken
@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.forces.constraint_packing import ListElements
-from nuno_kernels.forces.constraints import zero_forces
+from nuno_kernels.forces.constraint_packing import ListElements, zero_forces
 from nuno_kernels.forces.membrane import (
     MembraneLists,
     Stresses,
@@ -29,9 +28,22 @@ from nuno_kernels.forces.membrane import (
     stresses,
     stretched,
 )
-from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, splat, store
-from nuno_kernels.lanes.triples import dot, load_triple, minus, plus, times
+from nuno_kernels.lanes.simd import (
+    WIDTH,
+    Triple,
+    add_at,
+    dot,
+    gather,
+    higher,
+    load,
+    load_triple,
+    minus,
+    plus,
+    splat,
+    store,
+    times,
+    where_not_zero,
+)
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.fabric import Float, Int

@@ -1,11 +1,5 @@
-"""Eight float64 lanes as one value, so that kernels vectorise by construction.
-
-LLVM's loop vectoriser gives up on these kernels wherever it cannot prove that arrays do not
-overlap, and leaves remainder loops as long as a row of a small sheet. Here `load`, arithmetic
-and `store` become one instruction each on AVX-512 and a few on anything narrower. Every lane
-is rounded as the scalar operation would be, so results do not depend on the machine's width.
-
-Indices are not checked and never wrap around.
+"""Eight float64 lanes as one value, so that kernels vectorise by construction: arithmetic, choices, and vectors in
+space.
 """
 
 from __future__ import annotations
@@ -20,7 +14,16 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from nuno_kernels import kernel
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
+
+# Eight float64 lanes as one value, so that kernels vectorise by construction.
+#
+# LLVM's loop vectoriser gives up on these kernels wherever it cannot prove that arrays do not
+# overlap, and leaves remainder loops as long as a row of a small sheet. Here `load`, arithmetic
+# and `store` become one instruction each on AVX-512 and a few on anything narrower. Every lane
+# is rounded as the scalar operation would be, so results do not depend on the machine's width.
+#
+# Indices are not checked and never wrap around.
 
 WIDTH = 8
 """lanes of a vector"""
@@ -263,3 +266,182 @@ def write(a: Float, row: int, column: int, count: int, value: Lanes) -> None:
         store(a, row, column, value)
     else:
         store_first(a, row, column, count, value)
+
+
+# Choices between vectors of eight lanes: comparisons, selection, extremes.
+
+
+@instruction
+def alternate(typing: Any, even: Any, odd: Any, first: Any) -> Any:
+    """Return `even` in the lanes whose number `first` + lane is even, `odd` in the others."""
+    if even != vector or odd != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        index = ir.VectorType(ir.IntType(64), WIDTH)
+        number = builder.add(spread(builder, args[2], index), ir.Constant(index, list(range(WIDTH))))
+        parity = builder.and_(number, ir.Constant(index, [1] * WIDTH))
+        return builder.select(builder.icmp_signed("==", parity, ir.Constant(index, [0] * WIDTH)), args[0], args[1])
+
+    return vector(vector, vector, types.int64), build
+
+
+@instruction
+def lower(typing: Any, a: Any, b: Any) -> Any:
+    """Return the lesser of `a` and `b` in every lane; `b` if either is NaN."""
+    return _extreme("<", a, b)
+
+
+@instruction
+def higher(typing: Any, a: Any, b: Any) -> Any:
+    """Return the greater of `a` and `b` in every lane; `b` if either is NaN."""
+    return _extreme(">", a, b)
+
+
+def _extreme(order: str, a: Any, b: Any) -> Any:
+    if a != vector or b != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered(order, *args), *args)
+
+    return vector(vector, vector), build
+
+
+@instruction
+def lane(typing: Any, value: Any, which: Any) -> Any:
+    """Return one of the eight numbers."""
+    if value != vector:
+        return None
+    return types.float64(vector, types.int64), lambda context, builder, sig, args: builder.extract_element(*args)
+
+
+@instruction
+def any_below(typing: Any, value: Any, limit: Any) -> Any:
+    """Whether any lane is less than the number `limit`; NaN is not."""
+    if value != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        below = builder.fcmp_ordered("<", args[0], spread(builder, args[1]))
+        bits = builder.bitcast(below, ir.IntType(WIDTH))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(WIDTH), 0))
+
+    return types.boolean(vector, types.float64), build
+
+
+@instruction
+def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
+    """Return `value` where `test` is not 0, NaN included, and 0 elsewhere."""
+    if test != vector or value != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(LANES, [0.0] * WIDTH)
+        return builder.select(builder.fcmp_unordered("!=", args[0], zero), args[1], zero)
+
+    return vector(vector, vector), build
+
+
+@instruction
+def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
+    """Return 0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
+    if test != vector or limit != vector or value != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(LANES, [0.0] * WIDTH)
+        return builder.select(builder.fcmp_unordered(">", args[0], args[1]), args[2], zero)
+
+    return vector(vector, vector, vector), build
+
+
+@instruction
+def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
+    """Return `value` where `test` >= 0, `other` elsewhere (also where `test` is NaN)."""
+    if not test == value == other == vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(LANES, [0.0] * WIDTH)
+        return builder.select(builder.fcmp_ordered(">=", args[0], zero), args[1], args[2])
+
+    return vector(vector, vector, vector), build
+
+
+EVERY = (1 << WIDTH) - 1
+"""bits of all lanes"""
+
+
+@instruction
+def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
+    """Return the bits of lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
+    if value != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        below = builder.fcmp_ordered("<=", args[0], spread(builder, args[1]))
+        return builder.zext(builder.bitcast(below, ir.IntType(WIDTH)), ir.IntType(64))
+
+    return types.int64(vector, types.float64), build
+
+
+@instruction
+def first_lane(typing: Any, bits: Any) -> Any:
+    """Return the number of the lowest bit that is set, of bits that are not 0."""
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), build
+
+
+# Vectors in space, eight side by side: x, y and z of each are lanes. Lanes may also be single numbers.
+
+
+@kernel
+def plus(a: Triple, b: Triple) -> Triple:
+    """Return a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@kernel
+def minus(a: Triple, b: Triple) -> Triple:
+    """Return a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def times(w: Lanes, a: Triple) -> Triple:
+    """Return w a."""
+    return w * a[0], w * a[1], w * a[2]
+
+
+@kernel
+def dot(a: Triple, b: Triple) -> Lanes:
+    """Return a.b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a: Triple, b: Triple) -> Triple:
+    """Return a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def load_triple(a: Float, row: int, p: int) -> Triple:
+    """Return three rows of `a`, from `row` on, at eight columns from p on."""
+    return load(a, row, p), load(a, row + 1, p), load(a, row + 2, p)
+
+
+@kernel
+def read_triple(a: Float, row: int, p: int, m: int) -> Triple:
+    """Return the same at up to eight columns, m of them."""
+    return read(a, row, p, m), read(a, row + 1, p, m), read(a, row + 2, p, m)
+
+
+@kernel
+def gather_triple(a: Float, indices: Int, which: int, p: int) -> Triple:
+    """Return the first three rows of `a` at the columns of eight indices in row `which`, from place p on."""
+    return gather(a, 0, indices, which, p), gather(a, 1, indices, which, p), gather(a, 2, indices, which, p)

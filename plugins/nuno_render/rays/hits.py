@@ -21,10 +21,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_geometry.waiting import push_children
+from nuno_geometry.tree import push_children
 from nuno_kernels import inlined, kernel
-from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, load, root, splat
+from nuno_kernels.lanes.simd import (
+    WIDTH,
+    first_lane,
+    higher,
+    lane,
+    lanes_up_to,
+    load,
+    lower,
+    root,
+    splat,
+    where_not_negative,
+)
 from nuno_render.rays.tree import RayTree
 from nuno_schemas.fabric import Float
 

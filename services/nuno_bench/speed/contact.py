@@ -27,7 +27,7 @@ from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_integrators.packing import copy_term, silence
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.rows import sum_rows
+from nuno_kernels.step.blocks import sum_rows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
