@@ -30,7 +30,7 @@ def find_forces(
 
     Each kind is computed by the kernels of a step with the others silent, so nothing is compiled for it; with masses of
     1 kg their accelerations are newtons. The reaction of sliding surfaces is found as for balance
-    (nuno_contact.sliding.balance).
+    (nuno_contact.sliding.grip).
     """
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = _bare(packed)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nuno_contact.fields.build import build_field
-from nuno_contact.fields.exact import Exact
+from nuno_contact.fields.cells import Exact
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.figures.leg import leg_mesh
 from nuno_geometry.closest_point import closest_points

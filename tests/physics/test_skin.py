@@ -11,11 +11,11 @@ import pytest
 from closed_meshes import box, grid_faces, outward, sphere
 from persons import person, write_mesh
 
+from nuno_contact.colliders.radii import find_roles
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.hula import Hula, HulaConfig
 from nuno_contact.motions.rotations import from_axis_angle, multiply
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import HEAT, find_weights, see_bones
 from nuno_geometry.check import volume
 from nuno_schemas.bodies import rotation_matrices

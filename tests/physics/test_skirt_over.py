@@ -20,7 +20,7 @@ from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.skirt_config import SkirtConfig
 from nuno_cloth.models.skirt_over import find_height
 from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.torso import HEIGHTS, torso_mesh
+from nuno_contact.figures.person import HEIGHTS, torso_mesh
 from nuno_geometry.files.mesh import read_closed
 from nuno_geometry.section import cut_mesh
 from nuno_schemas.errors import BadInput

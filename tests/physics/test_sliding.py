@@ -11,7 +11,7 @@ import pytest
 
 from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
-from nuno_contact.sliding.balance import hold_forces
+from nuno_contact.sliding.grip import hold_forces
 from nuno_contact.sliding.plugin import Slid, Sliding, SlidingConfig, make_slides
 from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses

@@ -20,7 +20,7 @@ from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
 from nuno.verification import verify
-from nuno_contact.offset.places import CUT
+from nuno_contact.offset.contact_state import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 
 INTEGRATORS = ("dopri5", "implicit_euler", "leapfrog", "xpbd")

@@ -11,13 +11,12 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.mesh import MeshCollider, Search
-from nuno_contact.colliders.surface import Surface
+from nuno_contact.colliders.mesh import MeshCollider, Search, Surface
+from nuno_contact.colliders.radii import find_roles
 from nuno_contact.quantities import Angle, Span
 from nuno_contact.skin.figure import Figure, find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
 from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import find_weights
 from nuno_geometry.check import crossing_notes
 from nuno_geometry.files.mesh import read_closed

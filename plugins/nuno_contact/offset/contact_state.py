@@ -15,6 +15,20 @@ from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.skin import Skin
 from nuno_schemas.vectors import norm
 
+# Indices of the arrays of ContactState that hold single numbers.
+
+LISTED, NEAR, LACKING, LISTS_MADE, CHOICES, SHARED, CLOSE, TOUCHING = range(8)
+"""Indices of ContactState.number: listed pairs; near ones; pairs without room in the list; the number of lists made,
+and of choices of near pairs; the choice that is assigned to blocks; close pairs; touching pairs."""
+CUT, HELD_CUT, STEPS, LEFT_OUT, STILL = range(5)
+"""Indices of ContactState.so_far: shortened steps of vertices, and of held ones; steps; pairs that had no room in a
+list; steps in which nothing moved for that reason."""
+NOW, LIST_BEGUN, LIST_WINDOW, NEAR_BEGUN, NEAR_WINDOW, LIST_ROOM, LAST_STEP = range(7)
+"""Indices of ContactState.clock, in fractions of the interval: the end of the last step; the time of the list, and its
+window; the same of near pairs; the share of the list plan's spread that is allowed at most; the duration of the last
+step of an explicit method [s]."""
+
+
 PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
 """most pairs that are listed for each vertex of cloth, of bodies, and in addition"""
 EDGES = 0.25
@@ -80,7 +94,7 @@ class ContactState(NamedTuple):
     pair_damping: Float
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
     eased: Float
-    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease_part"""
+    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.force.ease_part"""
     pair_friction: Float
     """(P,) Coulomb coefficient of a pair"""
     normal: Float
@@ -151,7 +165,7 @@ class ContactState(NamedTuple):
     share: Float
     """(n,) scratch: the share of a step that each vertex makes"""
     rate: Float
-    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease_part [1/s]"""
+    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
     local: Float
     """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
     frame: Int

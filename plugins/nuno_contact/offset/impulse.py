@@ -13,9 +13,8 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
+from nuno_contact.offset.contact_state import CLOSE, IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.places import CLOSE
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.simd import WIDTH, dot, higher, lane, read_triple, splat

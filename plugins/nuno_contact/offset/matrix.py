@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import ContactState
+from nuno_contact.offset.contact_state import NEAR, ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, frozen_touch, press, touch
-from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel

@@ -47,14 +47,16 @@ from nuno_contact.penalty.distance import (  # fmt: skip
     BOX,
     CAPSULE,
     FIELD,
+    Bodies,
     Deepest,
     are_apart,
     find_bounds,
     lower_box,
     lower_capsule,
+    lower_field,
     lower_plane,
+    primitive_distance,
 )
-from nuno_contact.penalty.field_distance import Bodies, lower_field, primitive_distance
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.terms import over_blocks, register

@@ -35,8 +35,7 @@ from nuno_contact.penalty.contact import (
     rub,
     touch_of,
 )  # fmt: skip
-from nuno_contact.penalty.distance import find_bounds
-from nuno_contact.penalty.field_distance import Bodies
+from nuno_contact.penalty.distance import Bodies, find_bounds
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import Displaced, over_blocks
 from nuno_schemas.fabric import Float

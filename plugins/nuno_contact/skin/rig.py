@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nuno_contact.colliders.radii import find_roles
 from nuno_contact.skin.figure import Figure
 from nuno_contact.skin.gait import ALONG
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import keep_largest
 from nuno_geometry.check import place_of
 from nuno_geometry.files.glb import find_places, join_parts, open_glb, read_parts, way_up

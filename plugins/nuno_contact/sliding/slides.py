@@ -238,7 +238,7 @@ register(
     grip="nuno_contact.sliding.grip:Grip",
     begin=find_room,
     alone=act_alone,
-    unbalance="nuno_contact.sliding.balance:hold_forces",
+    unbalance="nuno_contact.sliding.grip:hold_forces",
     interval=set_slide_poses,
     counts=count_slides,
 )

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.search import HITS, find_near, meet_eights, near_leaves, node_box
-from nuno_contact.offset.tree import Tree, less
-from nuno_contact.untangle.cloth import Cloth, Long, fit
+from nuno_contact.offset.tree import HITS, Tree, find_near, less, meet_eights, near_leaves, node_box
+from nuno_contact.untangle.contours import Cloth, Long, fit
 from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import first_lane

@@ -1,4 +1,5 @@
 """Springs and hinges as compliant constraints of an XPBD step: the sweep, and batches to be solved side by side."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
