@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from nets import accelerations, make_system, wind_force
 
-from nuno_cloth.fabrics.energy import elastic_energy
+from nuno_cloth.fabrics.kes import elastic_energy
 from nuno_cloth.models.sheet import Sheet
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.wind.plugin import ParticleWindConfig, ParticleWindForce, Wind, WindConfig

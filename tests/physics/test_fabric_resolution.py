@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 
-from nuno_cloth.fabrics.energy import spring_energy
+from nuno_cloth.fabrics.kes import spring_energy
 from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_cloth.models.skirt import Skirt, SkirtConfig

@@ -13,7 +13,7 @@ from nets import make_system
 from test_fabric_meshes import KINDS, square
 
 from nuno.cloth.join import join_fabrics
-from nuno_cloth.fabrics.energy import bending_energy
+from nuno_cloth.fabrics.kes import bending_energy
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.triangles import face_areas, yarn_axes

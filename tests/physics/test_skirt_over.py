@@ -16,8 +16,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
-from nuno_cloth.models.skirt import Skirt
-from nuno_cloth.models.skirt_config import SkirtConfig
+from nuno_cloth.models.skirt import Skirt, SkirtConfig
 from nuno_cloth.models.skirt_over import find_height
 from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.figures.person import HEIGHTS, torso_mesh
