@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells
-from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
-from nuno_dye.pictures.texture import TextureConfig
+from nuno_dye.cloths.woven_cloth import WovenConfig, YarnConfig, build_cells
+from nuno_dye.pictures.picture import TextureConfig, YarnsPicture, YarnsPictureConfig
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.dye_picture import Picture, Window
 from nuno_schemas.fabric import Float

@@ -1,4 +1,5 @@
 """Panels that start bent round the body: tubes wrapped round a limb, and more than half of a ring in waves."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_dye.drafts.text import listed
-from nuno_dye.drafts.wif import Draft
-from nuno_dye.drafts.yarns import Yarns
+from nuno_dye.drafts.wif import Draft, Yarns, listed
 from nuno_schemas.colour import to_linear, to_srgb
 from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.dye_picture import Picture
