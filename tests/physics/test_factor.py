@@ -9,12 +9,10 @@ from nets import make_fabric, make_system, start
 
 import nuno_integrators.packing
 from nuno_integrators.implicit.conjugate import multiply
-from nuno_integrators.implicit.dissection import dissect
 from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored
-from nuno_integrators.implicit.lumped import keep_positive
 from nuno_integrators.implicit.matrix import fill, make_linear
-from nuno_integrators.implicit.newton import turning_work
-from nuno_integrators.implicit.plan import make_plan
+from nuno_integrators.implicit.newton import keep_positive, turning_work
+from nuno_integrators.implicit.plan import dissect, make_plan
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
 from nuno_integrators.packing import pack, to_rows
 from nuno_schemas.fabric import Hinges, Springs

@@ -15,8 +15,7 @@ from yarn_nets import chains, locking
 
 from nuno_cloth.wind.plugin import WindLists, prepare_wind
 from nuno_contact.penalty.plugin import Penalty
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
+from nuno_integrators.explicit.fixed_step import RK4, Leapfrog
 from nuno_integrators.packing import pack
 from nuno_kernels.forces.hinges import HingeLists
 from nuno_kernels.forces.springs import SpringLists

@@ -11,7 +11,7 @@ from nets import accelerations, make_fabric, make_system, random_net, start
 from yarn_nets import chains, locking, reference
 
 from nuno_integrators.explicit.adaptive import Dop853
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler

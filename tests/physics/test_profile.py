@@ -13,8 +13,7 @@ from numba.core import event
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.wind.plugin import Wind, WindConfig
 from nuno_contact.penalty.plugin import Penalty
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import Leapfrog, SymplecticEuler
 from nuno_integrators.xpbd.plugin import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State

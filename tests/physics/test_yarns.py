@@ -12,9 +12,7 @@ from nets import accelerations, make_fabric, make_system, random_net, run, start
 from yarn_nets import balance, chains, line, reference
 
 from nuno_integrators.explicit.adaptive import Dop853, Dopri5
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import RK4, Leapfrog, SymplecticEuler
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
 from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates

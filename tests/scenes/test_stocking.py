@@ -17,7 +17,7 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
 from nuno_integrators.packing import to_rows
-from nuno_integrators.profile import profile_steps
+from nuno_integrators.residual import profile_steps
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

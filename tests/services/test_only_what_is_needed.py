@@ -59,7 +59,7 @@ def test_one_mass_loads_no_module_of_what_it_lacks(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     code, modules = json.loads(done.stdout.splitlines()[-1])
     assert code == 0
-    assert "nuno_integrators.explicit.rk4" in modules and "nuno_cloth.models.net" in modules, (
+    assert "nuno_integrators.explicit.fixed_step" in modules and "nuno_cloth.models.net" in modules, (
         "the run did not happen here"
     )
     loaded = set(modules) - {"nuno_schemas.dyeing"}  # what a scene may say of dye

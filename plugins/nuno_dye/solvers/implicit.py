@@ -10,8 +10,9 @@ one after cloth or supplies have changed, is taken in parts that double from an 
 
 Every stage ends with the fluxes of the sweeps' solution, so that dye is conserved to rounding whatever the residual.
 Amounts below 0 or above capacity after the second stage go to the neighbours (see nuno_dye.solvers.long_steps). If
-these cannot take them, as when many cells fill up in one step, backward Euler takes the step, and `damped` counts it. If its sweeps
-do not converge either, the step is taken again as two halves, up to eight times over; then the run ends as unconverged.
+these cannot take them, as when many cells fill up in one step, backward Euler takes the step, and `damped` counts it.
+If its sweeps do not converge either, the step is taken again as two halves, up to eight times over; then the run ends
+as unconverged.
 """
 
 from __future__ import annotations

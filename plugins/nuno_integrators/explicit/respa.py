@@ -41,7 +41,7 @@ import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step

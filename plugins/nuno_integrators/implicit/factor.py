@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_integrators.implicit.fronts import TILE, Fronts
 from nuno_integrators.implicit.matrix import Linear
-from nuno_integrators.implicit.plan import Elements, Plan
+from nuno_integrators.implicit.plan import TILE, Elements, Fronts, Plan
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
 from nuno_kernels.step.blocks import copy_rows

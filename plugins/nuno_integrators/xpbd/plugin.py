@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, lacking, source_of
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.packing import silence, silence_bodies
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
