@@ -8,9 +8,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from nuno_knit.over import Over, draw_over
 from nuno_knit.quantities import Length, Mass, Metres, Rate, Ratio
 from nuno_knit.structure import Knit as Structure
+from nuno_knit.structure import Over, draw_over
 from nuno_knit.yarns import Yarn, YarnName, list_yarns, resolve
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, Springs, Yarns

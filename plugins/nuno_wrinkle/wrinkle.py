@@ -15,10 +15,8 @@ from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
-from nuno_wrinkle.kept import kept_rigidity
 from nuno_wrinkle.lines import Crossed, follow_lines, on_texture, read_lines
-from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near, find_sprung
-from nuno_wrinkle.net import Net, build_net
+from nuno_wrinkle.net import ON_SPRINGS, Net, Rule, build_net, describe, find_near, find_sprung, kept_rigidity
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
 

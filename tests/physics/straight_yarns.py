@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import radiance
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh

@@ -15,7 +15,7 @@ from nuno_geometry.files.mesh import read_closed
 from nuno_geometry.harmonic import solve_harmonic
 from nuno_geometry.limb import Rows, find_limb, lay_rows
 from nuno_geometry.tree import build_tree
-from nuno_knit.over import ROOM, Over, _lift_off
+from nuno_knit.structure import ROOM, Over, _lift_off
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
