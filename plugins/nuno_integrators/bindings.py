@@ -16,9 +16,8 @@ from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import kernel
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, register
-from nuno_schemas.bodies import Poses
+from nuno_schemas.bodies import Poses, Skin, join_skins
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import Skin, join_skins
 from nuno_schemas.system import Carried
 
 
@@ -27,7 +26,7 @@ class Bindings(NamedTuple):
 
     vertices (b,) int64, frame (b,) int64, local (b, 3) [m] in the frame, or as the skin is bound. Those from number
     b - s on go with a skin: from `begin` to `end` (s, 3) [m]; velocities are the way times `rate` (1,). Its joint,
-    weight (s, k) and place (e, 3) are as in nuno_schemas.skin.Skin, carrier (e,) its frames. The rest is laid out as
+    weight (s, k) and place (e, 3) are as in nuno_schemas.bodies.Skin, carrier (e,) its frames. The rest is laid out as
     nuno_geometry.poses has it: rotation0 (f, 9) and origin0 (f, 3) at the start, spin (f, 3)
     [rad] and shift (f, 3) [m] over the interval, and frames (f, 18): rotation, origin, velocity and
     angular velocity of the frames as last posed.

@@ -23,10 +23,9 @@ from nuno_kernels import kernel
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
 from nuno_knit.skin import Skin
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface, YarnCurves
 from nuno_schemas.plugin import Config
 
 # Chords between points on a triangle mesh as strings: the shortest path in one plane that stays outside.

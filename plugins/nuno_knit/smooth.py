@@ -19,10 +19,9 @@ from nuno_knit.paths import WIDEST, Net, Paths, face_of_knit, find_axes, find_ne
 from nuno_knit.quantities import Share
 from nuno_knit.repair import CHECKED, Repaired, YarnConfig, count_links, measure, radius_of, repair, to_skin
 from nuno_knit.skin import Skin, to_unit
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
-from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface, YarnCurves
 
 # Centripetal Catmull-Rom curves through points.
 #

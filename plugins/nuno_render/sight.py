@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_schemas.camera import axes
-from nuno_schemas.drawing import Camera
+from nuno_schemas.drawing import Camera, axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -12,9 +12,8 @@ from nuno_geometry.normals import face_normals
 from nuno_kernels import kernel
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
-from nuno_schemas.lines import Smoothing
 from nuno_wrinkle.edges import any_of
-from nuno_wrinkle.lines import Crossed
+from nuno_wrinkle.lines import Crossed, Smoothing
 from nuno_wrinkle.surface import link_faces
 
 # Algorithm 2 of the wrinkle paper: new vertices in triangles, and flips of these triangles' edges.

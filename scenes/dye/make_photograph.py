@@ -16,8 +16,8 @@ from nuno_dye.cloths.woven_cloth import Lay, WovenConfig, build_cells, lay_measu
 from nuno_dye.drafts.weaves import draw_plain
 from nuno_dye.pictures.picture import TextureConfig, shade_window
 from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.drawing import Window
 from nuno_schemas.dye import Tortuosity
-from nuno_schemas.dye_picture import Window
 
 PATH = Path(__file__).with_name("photograph.jpg")
 WIDTH, HEIGHT = 640, 480

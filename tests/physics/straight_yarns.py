@@ -6,9 +6,8 @@ import numpy as np
 
 from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import radiance
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera, Mesh
-from nuno_schemas.yarn_picture import Worn
+from nuno_schemas.drawing import Camera, Mesh, Worn
+from nuno_schemas.operation import YarnCurves
 
 BARE = {"ground": "none", "shadows": False, "occlusion": False}
 

@@ -25,10 +25,10 @@ from nuno_dye.pictures.picture import (
     mix,
 )
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
-from nuno_schemas.dye_picture import Window, amount_seen
+from nuno_schemas.drawing import Window, amount_seen
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.look import DyeColour
 
 INDIGO, MADDER, WELD = (
     DyeColour(full=1.0),

@@ -12,9 +12,9 @@ from nuno_contact.fields.sample import sample_field
 from nuno_contact.figures.leg import leg_mesh
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
+from nuno_schemas.bodies import DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 
 CASES = {
     "sphere": (meshes.sphere(24), 5e-3),

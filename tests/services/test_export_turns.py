@@ -18,7 +18,7 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import ROOM, Painter, draw_turn
 from nuno.recording.reader import open_recording
-from nuno_schemas.camera import axes
+from nuno_schemas.drawing import axes
 from nuno_schemas.fabric import Float
 
 SIZE = (96, 64)

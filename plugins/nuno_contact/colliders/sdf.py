@@ -24,10 +24,9 @@ from nuno_geometry.check import check_closed, check_crossings, volume
 from nuno_geometry.files.mesh import read_mesh
 from nuno_geometry.normals import face_normals
 from nuno_kernels import CACHE
-from nuno_schemas.bodies import FIELD
+from nuno_schemas.bodies import FIELD, DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 from nuno_schemas.plugin import BodyShape, Files, Mover
 
 # Distance fields on disk, by a hash of their input: a body is sampled once, not at every start.

@@ -20,11 +20,10 @@ from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
 from nuno_contact.skin.weights import find_weights
 from nuno_geometry.check import crossing_notes
 from nuno_geometry.files.mesh import read_closed
-from nuno_schemas.bodies import SKIN
+from nuno_schemas.bodies import SKIN, Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Files, Mover
-from nuno_schemas.skin import Skin
 
 # Lines in a body that carry its skin.
 

@@ -35,9 +35,9 @@ from nuno_contact.fields.sample import Fields, blend, find_leaf, join_fields
 from nuno_geometry.tree import build_tree
 from nuno_kernels import kernel, parallel_kernel, threads_available
 from nuno_kernels.step.blocks import Long
+from nuno_schemas.bodies import DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
-from nuno_schemas.field import DistanceField
 
 # Leaves of a distance field beside larger ones: continuity across their common faces, and its error.
 

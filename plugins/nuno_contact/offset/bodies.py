@@ -23,10 +23,9 @@ import numpy as np
 from nuno_contact.offset.contact_state import ContactState, Solids
 from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import block_kernel, kernel
-from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses
+from nuno_schemas.bodies import NO_SKIN, OF_TRIANGLES, SKIN, Geometry, Poses, Skin, join_skins
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import NO_SKIN, Skin, join_skins
 
 CATCH_UP = 1.0
 """largest speed by which a vertex behind its body catches up [m/s]"""

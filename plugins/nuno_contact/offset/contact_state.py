@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from nuno_contact.offset.tree import Tree, adjacent_faces, make_tree, rings
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import Long, block_count
+from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
-from nuno_schemas.skin import Skin
 from nuno_schemas.vectors import norm
 
 # Indices of the arrays of ContactState that hold single numbers.

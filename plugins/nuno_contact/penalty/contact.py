@@ -60,9 +60,8 @@ from nuno_contact.penalty.distance import (  # fmt: skip
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.terms import over_blocks, register
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 
 # Primitives of bodies posed at a moment of a frame, by the frames that carry them.

@@ -26,7 +26,7 @@ from nuno_dye.drafts.wif import UNDYED, Draft, Yarns, read_wif
 from nuno_dye.quantities import Angle, Length, Metres, Share
 from nuno_dye.supplies.resist import read_image, stretch
 from nuno_dye.supplies.supply import find_dye
-from nuno_schemas.draft import DrawnDraft
+from nuno_schemas.drawing import DrawnDraft
 from nuno_schemas.dye import Cells, DyeState, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

@@ -10,8 +10,7 @@ import numpy as np
 
 from nuno_dye.drafts.wif import Draft, Yarns, listed
 from nuno_schemas.colour import to_linear, to_srgb
-from nuno_schemas.draft import DrawnDraft
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import DrawnDraft, Picture
 from nuno_schemas.fabric import Bool, Float, Int
 
 SIDE, LEAST_SIDE, MARGIN = 900, 480, 16

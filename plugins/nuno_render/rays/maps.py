@@ -20,11 +20,9 @@ from nuno_render.rays.worn import Skin, check_eye, gather_skin
 from nuno_render.rays.yarns import draw_in_parts
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import colours, parse_hex
-from nuno_schemas.drawing import Camera
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import Camera, Picture, Progress, SurfaceValues, Worn
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
 
 # Points near a place: sorted into cells as wide as the reach, so that near ones are in nine runs of three cells.
 

@@ -19,12 +19,11 @@ from nuno_render.rays.hits import (
     triangle_tree,
 )
 from nuno_render.scene import join_meshes, join_rows, vertex_normals
-from nuno_schemas.camera import axes
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera, Mesh
+from nuno_schemas.drawing import Camera, Mesh, axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.operation import YarnCurves
 
 # Bodies and yarns as checked arrays for the kernels of rays.
 

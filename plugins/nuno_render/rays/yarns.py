@@ -22,12 +22,10 @@ from nuno_render.rays.surfaces import Look, shade_floor, shade_skin, shade_yarn
 from nuno_render.rays.worn import Skin, Threads, check_eye, cross_yarns, gather_skin, gather_threads
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import Camera, Picture, Progress, Worn
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.yarn_picture import Progress, Worn
+from nuno_schemas.operation import YarnCurves
 
 # Rows of a picture of yarns on bodies, by rays. Each sample's ray ends at the first body, or the floor. Yarns that it
 # crosses transmit a share of the light behind them, each crossing once however many of the yarn's capsules it passes,

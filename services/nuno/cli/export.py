@@ -12,7 +12,7 @@ from nuno.exporting import FILES, ExportRequest, Painted, ask, show_progress, wr
 from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
 from nuno.supervision import runs
-from nuno_schemas.look import DyeView, Form
+from nuno_schemas.dyeing import DyeView, Form
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from nuno import registry
 from nuno.exports.dyed_pictures import caption
 from nuno.exports.target import check_target, write_png
-from nuno_schemas.draft import DrawnDraft
+from nuno_schemas.drawing import DrawnDraft
 from nuno_schemas.errors import BadInput
 
 

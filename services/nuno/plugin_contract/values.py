@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nuno_schemas.bodies import SKIN, Geometry
-from nuno_schemas.field import DistanceField
+from nuno_schemas.bodies import SKIN, DistanceField, Geometry
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import BodyShape
 

@@ -18,8 +18,8 @@ from nuno.pages.worker import Workshop
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
 from nuno.studio.cloth import Start
+from nuno_schemas.drawing import Picture, Window, amount_seen
 from nuno_schemas.dye import Cells, DyeState, Supply
-from nuno_schemas.dye_picture import Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

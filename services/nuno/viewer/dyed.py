@@ -15,7 +15,7 @@ from nuno.bus.encodings import decode_arrays
 from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import Picture
 from nuno_schemas.messages import DyeStatus
 
 MOST_PIXELS = 2**21

@@ -19,7 +19,7 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import Picture
 from nuno_schemas.errors import RunFailed
 
 EFFECT = 1.2

@@ -19,7 +19,7 @@ from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.drawing import Picture
 from nuno_schemas.fabric import Float, Int
 
 BAND = 0.02

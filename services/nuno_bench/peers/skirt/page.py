@@ -24,7 +24,7 @@ from nuno_bench.report.result import number, spread_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Float
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 HEADINGS = (
     "peer", "setting", "off [%]", "hem height [mm]", "hem radius [mm]", "stretch [%]", "crossed", "by ipctk",
