@@ -22,7 +22,7 @@ from nuno_geometry.check import place_of
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.harmonic import solve_harmonic
 from nuno_geometry.normals import edge_numbers
-from nuno_geometry.section import Loop, cut_mesh, section_about
+from nuno_geometry.sections import Loop, cut_mesh, section_about
 from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from nuno_geometry.normals import edge_numbers
 from nuno_geometry.tree import DEPTH, Tree, build_tree
 from nuno_kernels import kernel, parallel_kernel, threads_available
-from nuno_kernels.lanes.simd import WIDTH, first_lane, higher, lanes_up_to, load
+from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

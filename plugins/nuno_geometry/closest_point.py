@@ -29,7 +29,7 @@ from numba import prange
 from nuno_geometry.poses import Vector
 from nuno_geometry.tree import Room, Tree, make_room, push_children
 from nuno_kernels import block_kernel, forced_inline, parallel_kernel, threads_available
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     EVERY,
     WIDTH,
     Lanes,

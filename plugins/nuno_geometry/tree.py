@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.normals import edge_normals, edge_numbers, vertex_normals
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.simd import WIDTH, Lanes, first_lane, lane
+from nuno_kernels.lanes import WIDTH, Lanes, first_lane, lane
 from nuno_schemas.fabric import Float, Int
 
 # The stack of a tree search, the nearest of each node's children on top.

@@ -14,6 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from nuno_integrators.diagnostics import (
+    describe_nonfinite,
+    find_first,
+    find_forces,
+    find_nonfinite,
+    find_touched,
+    profile_steps,
+    unbalance,
+    undisturbed,
+)
 from nuno_integrators.packing import (
     hold_over,
     making_lists,
@@ -23,16 +33,6 @@ from nuno_integrators.packing import (
     silence_bodies,
     thread_count,
     to_rows,
-)
-from nuno_integrators.residual import (
-    describe_nonfinite,
-    find_first,
-    find_forces,
-    find_nonfinite,
-    find_touched,
-    profile_steps,
-    unbalance,
-    undisturbed,
 )
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import threads_available

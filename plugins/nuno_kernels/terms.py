@@ -40,7 +40,7 @@ class Measured(NamedTuple):
 
 class Displaced(NamedTuple):
     """An xpbd step in progress: x (3, n) [m] at its start, u (3, n) displacements [m], y and w (3, n) scratch, mobility
-    (1, n) [s^2/kg] (see nuno_kernels.forces.constraint_packing), and 1 / the step [1/s].
+    (1, n) [s^2/kg] (see nuno_kernels.forces.constraints), and 1 / the step [1/s].
     """
 
     x: Float
@@ -75,7 +75,7 @@ class Kernels:
     project(term, moved, s, held, threads)         of xpbd: solves for what cloth meets, bodies or cloth; see
                                                    nuno_contact.penalty.projection, nuno_contact.offset.projection
     sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
-                                                   displacements; see nuno_kernels.forces.constraint_packing
+                                                   displacements; see nuno_kernels.forces.constraints
     forget(batches)                                of batches of constraints: begins a step without forces
 
     Called from Python:
@@ -87,7 +87,7 @@ class Kernels:
     rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
-                                                   nuno_kernels.forces.constraint_packing
+                                                   nuno_kernels.forces.constraints
     stick(term, x)                                 lets nothing slip on a short way from x (3, n)
     hold_over(term, inverse_mass) -> term          the same whose force is held over several steps
     interval(term, start, end)                     writes the bodies' poses over a frame into the term

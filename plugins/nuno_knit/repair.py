@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from nuno_geometry.section import STEPS, Joined, edge_share, find_start, follow_section, make_chord
+from nuno_geometry.sections import STEPS, Joined, edge_share, find_start, follow_section, make_chord
 from nuno_kernels import kernel
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
@@ -30,7 +30,7 @@ from nuno_schemas.plugin import Config
 
 # Chords between points on a triangle mesh as strings: the shortest path in one plane that stays outside.
 #
-# The path is the upper hull of the line in which the plane cuts the mesh (nuno_geometry.section) and of both
+# The path is the upper hull of the line in which the plane cuts the mesh (nuno_geometry.sections) and of both
 # ends: it bends round ridges and is straight over hollows. All its inner points are on edges of the mesh.
 #
 # Rejected: the knit paper's path, which projects the rest of the chord onto every triangle again, so that the plane

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.closest_point import Closest, closest_points
 from nuno_geometry.normals import blend_normals, face_normals
-from nuno_geometry.section import Joined, join_faces
+from nuno_geometry.sections import Joined, join_faces
 from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.fabric import Float, Int
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from nuno_kernels import kernel
 from nuno_schemas.colour import parse_hex, to_linear
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.pictures import Mesh
 
 # Images on cloth: mip maps in linear light, and trilinear look-up with a few taps along the slant.
 

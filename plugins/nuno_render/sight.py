@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_schemas.drawing import Camera, axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import Camera, axes
 
 # Places of samples: correlated multi-jittered sampling (Kensler, Pixar technical memo 13-01, 2013).
 #

@@ -17,7 +17,7 @@ from nuno_geometry.files.polygons import read_obj
 from nuno_geometry.normals import face_normals
 from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.parts import Metres, Part

@@ -14,10 +14,10 @@ from PIL import Image, ImageFilter
 
 from nuno_dye.cloths.woven_cloth import Lay, WovenConfig, build_cells, lay_measured
 from nuno_dye.drafts.weaves import draw_plain
-from nuno_dye.pictures.picture import TextureConfig, shade_window
+from nuno_dye.picture import TextureConfig, shade_window
 from nuno_schemas.colour import parse_hex, to_srgb
-from nuno_schemas.drawing import Window
 from nuno_schemas.dye import Tortuosity
+from nuno_schemas.pictures import Window
 
 PATH = Path(__file__).with_name("photograph.jpg")
 WIDTH, HEIGHT = 640, 480

@@ -6,8 +6,8 @@ import numpy as np
 
 from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import radiance
-from nuno_schemas.drawing import Camera, Mesh, Worn
 from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, Worn
 
 BARE = {"ground": "none", "shadows": False, "occlusion": False}
 

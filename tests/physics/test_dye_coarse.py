@@ -11,8 +11,8 @@ from dye_runs import run
 from test_dye_resist import Folder
 
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
+from nuno_dye.laws.diffusivity import face_values
 from nuno_dye.laws.isotherms import Langmuir
-from nuno_dye.laws.potential import face_values
 from nuno_schemas.dye import Cells, Dye, DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -10,8 +10,8 @@ import pytest
 from test_dye_diffusion import random_cells
 from test_dye_step import ISOTHERMS, plain_step, resisted, start
 
+from nuno_dye.laws.diffusivity import face_values, largest_sum
 from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
-from nuno_dye.laws.potential import face_values, largest_sum
 from nuno_dye.solvers.explicit import Explicit, ExplicitConfig
 from nuno_dye.solvers.solving import CELLS_PER_THREAD, sum_compensated
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm

@@ -10,7 +10,7 @@ from drawn_cloth import cloth, whole
 
 from nuno_dye.cloths.woven_cloth import lay_evenly
 from nuno_dye.drafts.weaves import draw_plain
-from nuno_dye.pictures.picture import (
+from nuno_dye.picture import (
     Shades,
     TextureConfig,
     draw_noise,

@@ -15,7 +15,7 @@ from nuno_dye.cloths.woven_cloth import (
     lay_measured,
 )
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill, read_matrix
-from nuno_dye.laws.potential import face_values
+from nuno_dye.laws.diffusivity import face_values
 from nuno_schemas.dye import Tortuosity
 from nuno_schemas.errors import BadInput
 

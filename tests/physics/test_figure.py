@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from persons import ARMS, limbs, person
 
-from nuno_contact.colliders.radii import find_roles
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.skin.figure import find_figure
 from nuno_schemas.bodies import rotation_matrices

@@ -13,7 +13,7 @@ from explicit_methods import ALL, METHODS, name
 from nets import grid_springs, make_fabric, make_hinges, make_system, random_net, run, start
 from yarn_nets import chains, locking
 
-from nuno_cloth.wind.plugin import WindLists, prepare_wind
+from nuno_cloth.wind import WindLists, prepare_wind
 from nuno_contact.penalty.plugin import Penalty
 from nuno_integrators.explicit.fixed_step import RK4, Leapfrog
 from nuno_integrators.packing import pack

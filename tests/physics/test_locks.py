@@ -17,7 +17,7 @@ from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
 from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK

@@ -11,7 +11,7 @@ import pytest
 from closed_meshes import box, grid_faces, outward, sphere
 from persons import person, write_mesh
 
-from nuno_contact.colliders.radii import find_roles
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.hula import Hula, HulaConfig

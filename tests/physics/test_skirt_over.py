@@ -21,7 +21,7 @@ from nuno_cloth.models.skirt_over import find_height
 from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.figures.person import HEIGHTS, torso_mesh
 from nuno_geometry.files.mesh import read_closed
-from nuno_geometry.section import cut_mesh
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Files

@@ -22,8 +22,8 @@ from nuno_render.rays.maps import (
     sum_near,
 )
 from nuno_schemas.colour import colours, to_srgb
-from nuno_schemas.drawing import SurfaceValues
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import SurfaceValues
 
 
 @pytest.mark.parametrize("reach", [0.15, 0.4, 5.0])

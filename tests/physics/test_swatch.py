@@ -13,7 +13,7 @@ from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.swatch import Swatch, SwatchConfig, lay
 from nuno_contact.figures.person import torso_mesh
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.section import section_about
+from nuno_geometry.sections import section_about
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int

@@ -10,7 +10,7 @@ from nuno_contact.figures.leg import LANDMARKS, leg_mesh
 from nuno_contact.figures.person import ALONG, GIRTHS, HEIGHTS, JOINT, person_mesh
 from nuno_geometry.check import check_closed, check_crossings, volume
 from nuno_geometry.isosurface import find_isosurface, net_of
-from nuno_geometry.section import cut_mesh, section_about
+from nuno_geometry.sections import cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

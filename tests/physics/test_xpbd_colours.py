@@ -11,8 +11,8 @@ from xpbd_nets import DOWN, POSES, advance, sheet
 import nuno_integrators.packing
 from nuno_integrators.implicit.plugin import ImplicitEuler
 from nuno_integrators.packing import pack
-from nuno_integrators.xpbd.plugin import XPBD
-from nuno_kernels.forces.constraint_packing import find_batches, pack_constraints
+from nuno_integrators.xpbd import XPBD
+from nuno_kernels.forces.constraints import find_batches, pack_constraints
 from nuno_schemas.fabric import Springs
 from nuno_schemas.system import Term
 
@@ -73,7 +73,7 @@ def test_a_sheet_has_three_colours_and_chaos_two(monkeypatch):
     (batch,), colour = find_batches([rows])
     assert colour.tolist() == [0, 4, 6, 7]
     assert batch.tolist() == [0, 4, 1, 6, 5, 2, 3]
-    monkeypatch.setattr("nuno_kernels.forces.constraint_packing.MOST_BATCHES", 5)
+    monkeypatch.setattr("nuno_kernels.forces.constraints.MOST_BATCHES", 5)
     (batch,), colour = find_batches([rows])
     assert colour.tolist() == [0, 4, 5]
     assert batch.tolist() == [0, 4, 1, 4, 4, 2, 3]

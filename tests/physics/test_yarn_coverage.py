@@ -11,8 +11,8 @@ from straight_yarns import BARE, above, curves, everywhere, joined, parallel, pl
 from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import Lines, Yarns, radiance
 from nuno_schemas.colour import to_linear
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import Camera, Mesh
 
 WIDE = 1.0 / 8.0
 """A pixel of `above` [m]."""

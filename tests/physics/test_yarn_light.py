@@ -12,7 +12,7 @@ from nuno_render.config import YarnsConfig
 from nuno_render.light.lighting import GROUND, KEY, SKY
 from nuno_render.rays.surfaces import fibre_highlight
 from nuno_render.rays.yarns import radiance
-from nuno_schemas.drawing import Camera, axes
+from nuno_schemas.pictures import Camera, axes
 
 
 def unit(*v):

@@ -16,7 +16,7 @@ from nuno_integrators.explicit.fixed_step import RK4, Leapfrog, SymplecticEuler
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
 from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.yarns import YarnLists, pack_yarns
 from nuno_kernels.step.blocks import BLOCK

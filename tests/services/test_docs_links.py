@@ -104,7 +104,7 @@ def test_paths_and_names_of_the_source_are_there(page: Path) -> None:
 
 
 def test_stale_paths_and_names_are_seen() -> None:
-    text = "`nuno_kernels/constraints.py`, `nuno_kernels/forces/constraint_packing.py`, `nuno_schemas.plugin.Config`"
+    text = "`nuno_kernels/constraints.py`, `nuno_kernels/forces/constraints.py`, `nuno_schemas.plugin.Config`"
     assert stale(f"{text}, `nuno_schemas.plugin.Konfig`, `nuno_schemas.plug`, `nuno_kernels.terms.register`") == {
         "nuno_kernels/constraints.py", "nuno_schemas.plugin.Konfig", "nuno_schemas.plug",
     }  # fmt: skip

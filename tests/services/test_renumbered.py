@@ -21,7 +21,7 @@ from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import supervisor
 from nuno.verification import Verification, verify
-from nuno_cloth.wind.plugin import Wind
+from nuno_cloth.wind import Wind
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import Term

@@ -18,11 +18,11 @@ from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.models.wearer import check_openings, check_place, check_stance
 from nuno_cloth.quantities import EdgeLength, Length
-from nuno_cloth.sewing.assemble import PatternFile, as_written, require_sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
 from nuno_cloth.sewing.pattern import Pattern as Drawn
+from nuno_cloth.sewing.pattern_file import PatternFile, as_written, require_sound
 from nuno_cloth.sewing.refine import close_short, refine
 from nuno_cloth.sewing.sew import Sewn, sew
 from nuno_cloth.sewing.wrap import LESS, WIDE, flare, wrap

@@ -21,7 +21,7 @@ from nuno_cloth.quantities import Angle, Length
 from nuno_cloth.sewing.draw import draw_together
 from nuno_geometry.harmonic import solve_harmonic
 from nuno_geometry.limb import spread_hull
-from nuno_geometry.section import Loop
+from nuno_geometry.sections import Loop
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int

@@ -23,7 +23,7 @@ from nuno_cloth.models.wearer import STEP, find_wearer, trunk_at
 from nuno_cloth.quantities import Length, Metres
 from nuno_geometry.centreline import lengths as lengths_along
 from nuno_geometry.limb import convex_hull, spread_hull
-from nuno_geometry.section import cut_mesh
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from nuno_cloth.models.triangles import Edges
 from nuno_geometry.check import place_of
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.section import Loop, cut_mesh, section_about
+from nuno_geometry.sections import Loop, cut_mesh, section_about
 from nuno_geometry.tree import Tree
 from nuno_schemas.bodies import fits_person
 from nuno_schemas.errors import BadInput

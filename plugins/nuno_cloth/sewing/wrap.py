@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_cloth.sewing.sew import Sewn
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.section import Loop, cut_mesh
+from nuno_geometry.sections import Loop, cut_mesh
 from nuno_geometry.tree import build_tree
 from nuno_schemas.fabric import Float, Int
 

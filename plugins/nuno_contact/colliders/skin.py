@@ -11,8 +11,8 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.colliders.mesh import MeshCollider, Search, Surface
-from nuno_contact.colliders.radii import find_roles
 from nuno_contact.quantities import Angle, Span
 from nuno_contact.skin.figure import Figure, find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nuno_geometry.poses import Vector
 from nuno_geometry.tree import Room, Tree
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.fabric import Float
 
 BETA = 2.3

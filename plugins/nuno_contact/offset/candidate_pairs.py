@@ -31,7 +31,7 @@ from nuno_contact.offset.proximity import closest, point, spread_between, unit, 
 from nuno_contact.offset.tree import find_near, fit_tree, less, near_leaves
 from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     EVERY,
     WIDTH,
     Triple,

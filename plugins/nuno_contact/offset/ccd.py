@@ -46,7 +46,7 @@ from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_
 from nuno_contact.offset.tree import more
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes.simd import dot
+from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import Long, all_finite, copy_rows, sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float

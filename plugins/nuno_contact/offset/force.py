@@ -39,7 +39,7 @@ from nuno_contact.offset.proximity import (
 )
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes.simd import EVERY, WIDTH, dot, lanes_up_to, magnitude, minus, read_triple
+from nuno_kernels.lanes import EVERY, WIDTH, dot, lanes_up_to, magnitude, minus, read_triple
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long, copy_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int

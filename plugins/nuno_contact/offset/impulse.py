@@ -17,7 +17,7 @@ from nuno_contact.offset.contact_state import CLOSE, IN_TURN, PARTS, WORTH, Cont
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.simd import WIDTH, dot, higher, lane, read_triple, splat
+from nuno_kernels.lanes import WIDTH, dot, higher, lane, read_triple, splat
 from nuno_kernels.step.blocks import Long, sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int

@@ -26,7 +26,7 @@ from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.compile.reference import by_reference
-from nuno_kernels.lanes.simd import dot
+from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
 

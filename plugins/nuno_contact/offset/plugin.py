@@ -62,7 +62,7 @@ from nuno_geometry.check import place_of
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes.simd import dot
+from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import all_finite, copy_rows, same_rows
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import MESH, SKIN, Geometry, Poses

@@ -3,7 +3,7 @@
 A pair's force (nuno_contact.offset.force) acts on the way between its closest points, r = sum w_i x_i. Where the pair
 were alone, backward Euler has
 
-    d' = d + W N',    W = sum w_i^2 mobility_i,    mobility = h^2 / m'  (nuno_kernels.forces.constraint_packing),
+    d' = d + W N',    W = sum w_i^2 mobility_i,    mobility = h^2 / m'  (nuno_kernels.forces.constraints),
     N' = N(d') - c / h (s + W N')  and not negative,
 
 d the distance along the normal and s the way gone along it in the step, both without the pair's force. The law N is of
@@ -41,7 +41,7 @@ from nuno_contact.offset.impulse import IMPULSE_RANGE, LEVER
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_contact.offset.separating_plane import cover, on_the_way
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.simd import dot, minus
+from nuno_kernels.lanes import dot, minus
 from nuno_kernels.step.blocks import all_finite, copy_rows
 from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float

@@ -21,7 +21,7 @@ from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.simd import dot, plus
+from nuno_kernels.lanes import dot, plus
 from nuno_kernels.step.blocks import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nuno_contact.fields.sample import Fields, sample, sample_distance
 from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.simd import WIDTH, any_below, higher, lane, load, lower, read, splat
+from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat
 from nuno_schemas.fabric import Float, Int
 
 # Signed distances from points to posed primitives, one point or a block of vertices at a time.

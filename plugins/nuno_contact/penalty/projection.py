@@ -2,7 +2,7 @@
 
 The penalty force on a vertex is linear in its displacement while it touches: N = -k s - c ds/dt along the
 normal (s the signed distance), -k xi - c u_t across, to the spring of Coulomb friction. Backward Euler
-for the vertex alone is therefore solved in one go. With the mobility h^2 / m' (nuno_kernels.forces.constraint_packing),
+for the vertex alone is therefore solved in one go. With the mobility h^2 / m' (nuno_kernels.forces.constraints),
 and both forces taken where the vertex is without them,
 
     N' = max(0, N / (1 + (k + c / h) mobility)),    F' = F_t / (1 + (k + c / h) mobility), |F'| <= mu N',

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_geometry.centreline import way_from
-from nuno_geometry.section import Loop, cut_mesh
+from nuno_geometry.sections import Loop, cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm

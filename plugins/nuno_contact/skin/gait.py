@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_contact.colliders.radii import carrier_of
+from nuno_contact.colliders.body_parts import carrier_of
 from nuno_contact.motions.rotations import (
     AXES,
     ease,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nuno_contact.colliders.radii import find_roles
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.skin.figure import Figure
 from nuno_contact.skin.gait import ALONG
 from nuno_contact.skin.weights import keep_largest

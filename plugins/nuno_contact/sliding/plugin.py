@@ -13,7 +13,7 @@ from nuno_contact.quantities import Size
 from nuno_contact.sliding.slides import BLOCK, Slides
 from nuno_geometry.check import check_closed, check_crossings
 from nuno_geometry.tree import Tree, build_tree
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

@@ -9,7 +9,7 @@ from nuno_geometry.closest_point import Answer, closest, take_nearest
 from nuno_geometry.poses import Vector, turn_out
 from nuno_geometry.tree import Room, Tree
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.simd import Lanes, first_lane, higher, lanes_up_to, load, lower, splat, where_not_negative
+from nuno_kernels.lanes import Lanes, first_lane, higher, lanes_up_to, load, lower, splat, where_not_negative
 from nuno_schemas.fabric import Float
 
 # A movement constrained by planes, with Coulomb friction: the motion of a vertex that meets a surface.

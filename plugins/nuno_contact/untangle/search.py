@@ -13,7 +13,7 @@ from nuno_contact.offset.tree import HITS, Tree, find_near, less, meet_eights, n
 from nuno_contact.untangle.contours import Cloth, Long, fit
 from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.simd import first_lane
+from nuno_kernels.lanes import first_lane
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05

@@ -26,11 +26,11 @@ from nuno_dye.drafts.wif import UNDYED, Draft, Yarns, read_wif
 from nuno_dye.quantities import Angle, Length, Metres, Share
 from nuno_dye.supplies.resist import read_image, stretch
 from nuno_dye.supplies.supply import find_dye
-from nuno_schemas.drawing import DrawnDraft
 from nuno_schemas.dye import Cells, DyeState, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.parts import Name
+from nuno_schemas.pictures import DrawnDraft
 from nuno_schemas.plugin import Config, Files
 
 # Cells of a drawdown: yarns laid out in two layers, up or down by the weave, varied from yarn to yarn.

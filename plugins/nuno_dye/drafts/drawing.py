@@ -10,8 +10,8 @@ import numpy as np
 
 from nuno_dye.drafts.wif import Draft, Yarns, listed
 from nuno_schemas.colour import to_linear, to_srgb
-from nuno_schemas.drawing import DrawnDraft, Picture
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.pictures import DrawnDraft, Picture
 
 SIDE, LEAST_SIDE, MARGIN = 900, 480, 16
 """Approximate longer side of a picture, its least width, and its margin [pixels]."""

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 from numba import prange
 
 from nuno_dye.laws.adsorption import NOTHING, Law, Uptake, adsorb, adsorb_both
-from nuno_dye.laws.potential import Curve, potentials
+from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
 from nuno_dye.solvers.solving import Upkeep, keep_both
 from nuno_kernels import block_kernel, kernel, parallel_kernel
-from nuno_kernels.lanes.simd import WIDTH, higher, load, lower, splat, store, where_not_negative
+from nuno_kernels.lanes import WIDTH, higher, load, lower, splat, store, where_not_negative
 from nuno_schemas.fabric import Float
 
 LEVELS = 4

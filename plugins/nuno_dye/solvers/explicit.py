@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_dye.laws.adsorption import NOTHING, Uptake
-from nuno_dye.laws.potential import curve_of, face_values, largest_sum
+from nuno_dye.laws.diffusivity import curve_of, face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
 from nuno_dye.solvers.dyeing import LEVELS, DyeBands, dye

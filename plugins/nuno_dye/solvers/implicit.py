@@ -25,7 +25,7 @@ from numba import prange
 from pydantic import BaseModel, Field
 
 from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law, Uptake
-from nuno_dye.laws.potential import Curve, amount, potential, raise_levels
+from nuno_dye.laws.diffusivity import Curve, amount, potential, raise_levels
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_dye.solvers.fixing import limit_beside
@@ -162,7 +162,7 @@ def remove_excess(law: Law, floor: Float, least: Float, fixed: Float, room: Floa
 # best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
 # weights of a cell. A multigrid method would need a coarse form of all three conditions.
 #
-# If D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only a cell's own
+# If D falls with dye, everything is in G (nuno_dye.laws.diffusivity): fluxes are linear in it, and only a cell's own
 # amounts are not. W is then that of the largest D.
 
 CROSSINGS = 8
@@ -172,7 +172,7 @@ CROSSINGS = 8
 class Stage(NamedTuple):
     """One dye in a stage, (2 r, w) each, weft rows before warp rows.
 
-    level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
+    level    G of mobile dye (nuno_dye.laws.diffusivity), from a first guess to the solution
     passed   f, 1 if nothing can be limited
     begun    b
     least    fixed dye at the step's start

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nuno_dye.laws.adsorption import NOTHING
-from nuno_dye.laws.potential import Curve, curve_of
+from nuno_dye.laws.diffusivity import Curve, curve_of
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.bands import Cut
 from nuno_dye.solvers.diffusion import LEFT, Rows, Weights

@@ -21,13 +21,13 @@ from numba import prange
 from pydantic import BaseModel, Field
 
 from nuno_dye.laws.adsorption import NOTHING, Law, Uptake
-from nuno_dye.laws.potential import Curve, potentials
+from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows, Weights, slide
 from nuno_dye.solvers.fixing import bound_bands, settle_bands, taken_at
 from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
 from nuno_kernels import block_kernel, forced_inline, kernel, parallel_kernel
-from nuno_kernels.lanes.simd import WIDTH, higher, load, lower, splat, store, where_greater
+from nuno_kernels.lanes import WIDTH, higher, load, lower, splat, store, where_greater
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
 

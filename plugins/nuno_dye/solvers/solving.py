@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Law
-from nuno_dye.laws.potential import Faces, face_sums, face_values
+from nuno_dye.laws.diffusivity import Faces, face_sums, face_values
 from nuno_kernels import kernel, threads_available
-from nuno_kernels.lanes.simd import WIDTH, higher, load, store
+from nuno_kernels.lanes import WIDTH, higher, load, store
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Memory

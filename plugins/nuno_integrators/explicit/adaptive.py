@@ -25,7 +25,7 @@ from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, so
 from nuno_integrators.explicit.updates import Buffers, Stage, combine, square
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import Long, block_count, copy_rows
 from nuno_schemas.errors import BadInput

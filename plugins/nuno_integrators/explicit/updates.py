@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.simd import WIDTH, read, splat, store, write
+from nuno_kernels.lanes import WIDTH, read, splat, store, write
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float

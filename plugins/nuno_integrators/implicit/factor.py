@@ -17,7 +17,7 @@ import numpy as np
 from nuno_integrators.implicit.matrix import Linear
 from nuno_integrators.implicit.plan import TILE, Elements, Fronts, Plan
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
+from nuno_kernels.lanes import WIDTH, fused, load, splat, store
 from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float

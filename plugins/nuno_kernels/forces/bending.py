@@ -18,7 +18,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import edge
 from nuno_kernels.forces.linear import LinearLists
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Triple,
     dot,

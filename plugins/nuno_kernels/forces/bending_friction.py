@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.forces.linear import LinearLists, linear_lists
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,
@@ -184,7 +184,7 @@ for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, a
         energy=f"nuno_kernels.forces.energy:measure_hinge_{_layout}",
         rows=f"nuno_kernels.forces.linear:rows_of_hinge_{_layout}",
         elements=f"nuno_kernels.forces.linear:elements_of_hinge_{_layout}",
-        constraints=f"nuno_kernels.forces.constraint_packing:constraints_of_hinge_{_layout}",
+        constraints=f"nuno_kernels.forces.constraints:constraints_of_hinge_{_layout}",
         fill=f"nuno_kernels.forces.linear:fill_hinge_{_layout}",
         diagonal=f"nuno_kernels.forces.linear:sum_hinge_{_layout}",
         multiply=f"nuno_kernels.forces.linear:multiply_hinge_{_layout}",

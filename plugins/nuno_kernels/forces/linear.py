@@ -25,7 +25,7 @@ from nuno_kernels.forces.springs import (
     tensions,
 )
 from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,

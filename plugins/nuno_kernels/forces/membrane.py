@@ -10,7 +10,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import edge
 from nuno_kernels.forces.linear import LinearLists, Rows, linear_lists, listed_elements
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,

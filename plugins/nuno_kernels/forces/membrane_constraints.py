@@ -1,4 +1,4 @@
-"""The membrane as compliant constraints, three a triangle, in the order of nuno_kernels.forces.constraint_packing.
+"""The membrane as compliant constraints, three a triangle, in the order of nuno_kernels.forces.constraints.
 
 Strains e = (e_w, e_f, g) have the gradients J (3, 9), stresses s = A (C e + D de/dt), and vertices the mobilities M.
 Solved alone, a triangle has s = (1 + K N)^-1 A (C e + D de/dt), with K = A (C + D / h), N = J M J^T and strains taken
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.forces.constraint_packing import ListElements, zero_forces
+from nuno_kernels.forces.constraints import ListElements, zero_forces
 from nuno_kernels.forces.membrane import (
     MembraneLists,
     Stresses,
@@ -28,7 +28,7 @@ from nuno_kernels.forces.membrane import (
     stresses,
     stretched,
 )
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Triple,
     add_at,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,
@@ -250,7 +250,7 @@ for _kind, _add, _layout in ((SpringRuns, add_runs, "runs"), (SpringLists, add_l
         stiffest="nuno_kernels.forces.springs:stiffest",
         rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
         elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
-        constraints=f"nuno_kernels.forces.constraint_packing:constraints_of_spring_{_layout}",
+        constraints=f"nuno_kernels.forces.constraints:constraints_of_spring_{_layout}",
         fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
         diagonal=f"nuno_kernels.forces.linear:sum_spring_{_layout}",
         multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",

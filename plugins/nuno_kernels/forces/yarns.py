@@ -10,7 +10,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.forces.linear import LinearLists, linear_lists, listed_elements, slope_at
 from nuno_kernels.forces.springs import listed_difference, listed_lock, spring_constants, tensions
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_kernels import block_kernel
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.fabric import Bool, Float, Int
 
 # Whole arrays (rows, n) by loops: numba compiles each expression over arrays anew where it stands, for a second.

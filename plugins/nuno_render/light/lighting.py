@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from nuno_kernels import kernel
 from nuno_render.config import PictureConfig, RasterConfig
 from nuno_render.scene import DrawnScene
-from nuno_schemas.drawing import Camera
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.pictures import Camera
 
 # Depth maps seen along directions, which give shadows and the openness of a point.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.tree import ROUNDING, in_eights, order_triangles, push_children, stack_boxes
 from nuno_kernels import inlined, kernel
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     first_lane,
     higher,

@@ -20,10 +20,10 @@ from nuno_render.rays.hits import (
 )
 from nuno_render.scene import join_meshes, join_rows, vertex_normals
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.drawing import Camera, Mesh, axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, axes
 
 # Bodies and yarns as checked arrays for the kernels of rays.
 

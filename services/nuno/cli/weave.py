@@ -8,8 +8,8 @@ from pathlib import Path
 from nuno import registry
 from nuno.exports.dyed_pictures import caption
 from nuno.exports.target import check_target, write_png
-from nuno_schemas.drawing import DrawnDraft
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import DrawnDraft
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

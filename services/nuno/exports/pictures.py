@@ -33,9 +33,9 @@ from nuno.exports.target import Progress, check_target, following, opened, write
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import Mesh
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch", "pressure"]

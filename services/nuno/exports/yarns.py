@@ -23,10 +23,10 @@ from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.drawing import Camera, Mesh, SurfaceValues, Worn
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, SurfaceValues, Worn
 from nuno_schemas.scene import View
 
 GROUP = "nuno.yarn_pictures"

@@ -18,10 +18,10 @@ from nuno.pages.worker import Workshop
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
 from nuno.studio.cloth import Start
-from nuno_schemas.drawing import Picture, Window, amount_seen
 from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import Picture, Window, amount_seen
 
 SIDE, MOST_SCALE = 1000, 8
 """Approximate pixels of a picture's longer side, and the most pixels per cell."""

@@ -24,10 +24,10 @@ from nuno.studio import scenes
 from nuno.templates.laboratory_sheet import import_sheet, in_units
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
 from nuno_schemas.colour import as_rgb
-from nuno_schemas.drawing import DrawnDraft
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.pattern import Checked
+from nuno_schemas.pictures import DrawnDraft
 from nuno_schemas.plugin import BodyShape
 
 Rows = list[tuple[str, str]]

@@ -25,7 +25,6 @@ from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.layout import BACKGROUND
 from nuno_schemas.colour import colours, to_srgb
-from nuno_schemas.drawing import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
@@ -47,6 +46,7 @@ from nuno_schemas.messages import (
     Penetration,
     Status,
 )
+from nuno_schemas.pictures import Picture
 from nuno_schemas.scene import View
 
 # Explanations for the user: a page, and the colour scale of tension.

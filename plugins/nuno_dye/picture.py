@@ -15,11 +15,11 @@ from nuno_dye.cloths.cloth import Layout
 from nuno_dye.quantities import Positive, Share
 from nuno_kernels import kernel
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
-from nuno_schemas.drawing import Layers, Picture, Window
 from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.parts import Colour
+from nuno_schemas.pictures import Layers, Picture, Window
 from nuno_schemas.plugin import Config, Files
 
 # Shade of woven yarns: the visible layer at a pixel, and its brightness.

@@ -19,8 +19,8 @@ from nuno_render.light.shade import shade_point
 from nuno_render.scene import DrawnScene, gather
 from nuno_render.sight import Sight, sight_of
 from nuno_schemas.colour import to_srgb
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.pictures import Camera, Mesh
 
 # Pixels from samples: surfaces, ground and background, averaged in linear light.
 

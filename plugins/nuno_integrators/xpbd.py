@@ -29,8 +29,8 @@ from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.packing import silence, silence_bodies
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
-from nuno_kernels.forces.constraint_packing import Constraints, clear, pack_constraints, sweep
-from nuno_kernels.forces.constraint_packing import forget as forget_each
+from nuno_kernels.forces.constraints import Constraints, clear, pack_constraints, sweep
+from nuno_kernels.forces.constraints import forget as forget_each
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each, kernels_of, over_blocks

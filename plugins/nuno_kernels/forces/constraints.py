@@ -11,7 +11,7 @@ from nuno_kernels import block_kernel, kernel
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns, hinge_shape
 from nuno_kernels.forces.springs import SpringLists, SpringRuns, listed_difference, run_constant, run_difference
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Lanes,
     Triple,
@@ -63,7 +63,7 @@ from nuno_schemas.fabric import Bool, Float, Int
 #
 # Elements are sorted into batches, and batches into colours: batches of one colour share no vertex, so
 # that threads change nothing; within a batch, eight elements computed together share none either
-# (nuno_kernels.forces.constraint_packing).
+# (nuno_kernels.forces.constraints).
 
 
 class RunBatches(NamedTuple):
@@ -229,7 +229,7 @@ def sweep(moved: Displaced, constraints: Constraints, threads: int | None) -> No
 # three colours. What a batch holds in lists is coloured once more, so that eight elements side by side never meet at a
 # vertex. All of it depends on the fabric alone.
 
-# Hinges as compliant constraints, solved one after another in the order of nuno_kernels.forces.constraint_packing.
+# Hinges as compliant constraints, solved one after another in the order of nuno_kernels.forces.constraints.
 
 
 class HingeBatches(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_dye.laws.power import log
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import higher, lower, splat
+from nuno_kernels.lanes import higher, lower, splat
 from nuno_schemas.dye import Cells, Dye
 from nuno_schemas.fabric import Float
 

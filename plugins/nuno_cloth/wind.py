@@ -1,4 +1,4 @@
-"""Wind and air drag as force plugins; the laws are in nuno_cloth.wind.plugin."""
+"""Wind and air drag as force plugins; the laws are in nuno_cloth.wind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 from nuno_cloth.models.placement import Velocity
 from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import (
+from nuno_kernels.lanes import (
     WIDTH,
     Triple,
     add_at,
