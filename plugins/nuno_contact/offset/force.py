@@ -295,8 +295,8 @@ def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, forc
             if not at.distance < h:
                 continue
         c = damping[p] * (eased[p] if step == 0.0 and (fresh or anchored[p]) else 1.0)
-        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu[p], anchored[p],
-                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
+        law, held = Law(stiffness[p], c, mu[p]), (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, law, anchored[p], held, step)
         for corner in range(4):
             local = pair[p, corner] - origin
             if 0 <= local < width:
@@ -306,15 +306,23 @@ def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, forc
                 force[2, local] += w * fz
 
 
+class Law(NamedTuple):
+    """Stiffness [N/m], damping [N s/m] and Coulomb coefficient of a pair."""
+
+    stiffness: float
+    damping: float
+    friction: float
+
+
 @forced_inline
 def rub(
-    x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four,
-    step: float,
+    x: Corners, v: Corners, at: Touch, h: float, law: Law, anchored: bool, anchor: Four, step: float
 ) -> Vector:  # fmt: skip
     """Return the force [N] of friction on the first of two primitives that touch.
 
     A contact that is new at the end of an implicit step has friction for its way in that step.
     """
+    k, c, mu = law.stiffness, law.damping, law.friction
     u = weigh(at.weights, v)
     n = press(k, c, h, at, u)
     t = across(u, at.normal)

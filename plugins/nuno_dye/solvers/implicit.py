@@ -348,25 +348,31 @@ def relax_edges(
         worst[b, 1] = largest
 
 
+class Sweeps(NamedTuple):
+    """Limits of relaxation: the most sweeps, the residual that ends them [amounts], and the radius of convergence."""
+
+    most: int
+    bound: float
+    radius: float
+
+
 @kernel
 def relax(
-    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
-    most: Float | None, nx: int, leave: Rows,
+    sweeps: Sweeps, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
+    leave: Rows,
 ) -> tuple[int, float]:  # fmt: skip
-    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0.
-    Return the number of sweeps and the last residual.
-    """
+    """Sweep within the limits, or until `leave` (1,) is not 0. Return the number of sweeps and the last residual."""
     worst = np.zeros((cuts.shape[0] - 1, 2))
-    square, omega, residual = radius * radius, 1.0, np.inf
-    for n in range(sweeps):
+    square, omega, residual = sweeps.radius * sweeps.radius, 1.0, np.inf
+    for n in range(sweeps.most):
         second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
         relax_bands(omega, second, cuts, stage, curve, uptake, most, nx, worst)
         relax_edges(second, cuts, stage, curve, uptake, most, nx, worst)
         omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
-        if residual <= bound or not np.isfinite(residual) or leave[0] != 0:
+        if residual <= sweeps.bound or not np.isfinite(residual) or leave[0] != 0:
             return n + 1, residual
-    return sweeps, residual
+    return sweeps.most, residual
 
 
 @kernel
@@ -490,9 +496,8 @@ class Implicit(LongSteps):
             weight_sum * _steepest(guess, layout, curve),
         )
         nx, radius = layout.cut.nx, steepest / (1.0 + steepest)
-        count, residual = relax(
-            sweeps, radius, bound, layout.cuts, stage, curve, uptake, limits, nx, layout.derived.system.leave
-        )
+        limit = Sweeps(sweeps, bound, radius)
+        count, residual = relax(limit, layout.cuts, stage, curve, uptake, limits, nx, layout.derived.system.leave)
         dyed.totals["sweeps"] += count
         out, fixed = np.zeros_like(guess), np.zeros_like(guess) if dyed.fixes else begun[1]
         settle(out, fixed, layout.cuts, stage, curve, uptake, nx)
