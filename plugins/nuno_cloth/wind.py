@@ -1,4 +1,4 @@
-"""Wind and air drag as force plugins; the laws are in nuno_cloth.wind."""
+"""Wind and air drag on triangles and on particles: the laws, their kernels, and the force plugins."""
 
 from __future__ import annotations
 

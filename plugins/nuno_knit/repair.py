@@ -2,7 +2,7 @@
 
 Links between points on different faces can enter the body. Such a link gains points on the edges of the skin, at which
 it bends, so that it follows the skin where it would be inside and is straight where it is outside or over a hollow. No
-point moves. nuno_knit.repair finds the points.
+point moves.
 
 If no plane leads from one end to the other (ends on opposite sides of an edge, or below an overhang) the middle of the
 link moves to the closest place on the skin, and the halves are repaired separately.

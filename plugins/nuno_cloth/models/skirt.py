@@ -5,7 +5,7 @@ hem_radius fullness at the hem, linear between. It starts on a cone from waist_r
 longer than the cone's circle (fullness > 1) goes into `pleats` folds, whose depth follows row by row from the length.
 So the folds are real cloth, not a texture, and they stay when the skirt swings.
 
-A circle skirt is cut from a flat ring (nuno_cloth.models.skirt) and starts as an equally flat cone, where it has
+A circle skirt is cut from a flat ring (see `lay_ring`) and starts as an equally flat cone, where it has
 room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's.
 """
 

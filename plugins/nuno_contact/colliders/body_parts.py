@@ -98,7 +98,7 @@ def default_radius(part: str, first: float, last: float) -> float:
     return float(np.interp(np.linspace(first, last, 17), at, radius).mean())
 
 
-# The joints of a motion's skeleton that correspond to a body's, by name: see nuno_contact.colliders.body_parts.
+# The joints of a motion's skeleton that correspond to a body's, by name.
 
 PARENTS = {
     "hips": "", "spine": "hips", "chest": "spine", "neck": "chest", "head": "neck",

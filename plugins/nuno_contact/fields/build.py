@@ -154,7 +154,7 @@ def check_places(
             bad[to_blame(np.int64(place), tests, 0.667 * at_vertices, grid)] = True
 
 
-# Cells of an unfinished distance field (nuno_contact.fields.build), cut into eight until they are accurate.
+# Cells of an unfinished distance field, cut into eight until they are accurate.
 
 Single = NDArray[np.float32]
 

@@ -245,7 +245,7 @@ def _at(places: Float, scale: Mapping[str, float], arms: float) -> Float:
 # A whole mannequin: the torso with legs, feet, arms, hands and a head without a face, as one smooth closed mesh.
 #
 # It stands in an A-pose, feet apart, so that trousers have room between its legs. Trunk, breasts and upper arms are
-# those of nuno_contact.figures.person, with its girths; legs have the rings of nuno_contact.figures.leg down to the
+# the torso's, with its girths; legs have the rings of nuno_contact.figures.leg down to the
 # ankle, and so the girths of thigh, knee, calf and ankle. Feet, forearms and hands are cones and ellipsoids, chosen to
 # look like those of a woman of 164.9 cm.
 

@@ -21,7 +21,7 @@ from nuno_schemas.vectors import dot, norm
 
 Long = NDArray[np.int64]
 HELD = 1e6
-"""weight that a held vertex adds to its part of the cloth, in areas of all (nuno_contact.untangle.contours)"""
+"""weight that a held vertex adds to its part of the cloth, in areas of all"""
 JITTER = 1e-6
 """Share of the mean edge by which vertices are shifted before they are examined. Grids laid on each other meet edge on
 edge and vertex on edge; where nothing does so exactly, a crossing is a crossing."""

@@ -1,5 +1,4 @@
-"""Implicit steps of any length: diffusion, limits, supplies and adsorption solved together
-(nuno_dye.solvers.implicit).
+"""Implicit steps of any length: diffusion, limits, supplies and adsorption solved together, by sweeps over cells.
 
 `sdirk2` (Alexander 1977) takes two backward Euler stages of gamma = 1 - 1/sqrt(2) of the step, the second from the
 extrapolated result of the first. It is of second order and has the amplification of TR-BDF2, but needs no rate at the
@@ -149,8 +148,8 @@ def remove_excess(law: Law, floor: Float, least: Float, fixed: Float, room: Floa
 # An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
 #
 # A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
-# depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved
-# (nuno_dye.solvers.implicit); the cell is then
+# depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved;
+# the cell is then
 #
 #     at its floor   where a supply keeps it up
 #     full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,

@@ -31,7 +31,7 @@ from nuno_kernels.lanes import WIDTH, higher, load, lower, splat, store, where_g
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
 
-# M of a row's cells and a stage from it, vector by vector: the inner loops of nuno_dye.solvers.rkl2.
+# M of a row's cells and a stage from it, vector by vector: the inner loops of a super-step.
 #
 # A kernel processes a row of both layers, (2 r, w), weft rows before warp rows, and stores data for the next one in
 # `scratch` from row `slots`: four rows of SLOT each in turn. Amounts are in three consecutive planes (6 r, w), given by
@@ -297,7 +297,7 @@ class Amounts(NamedTuple):
     seen     mobile dye as neighbours see it: at least its `floor` (2 r, w) if it is maintained
     held     the planes of fixed dye in `amounts`; `fibre` (2 r, w) is V_d
     factors  of even and odd stages, the first plane unused
-    scratch  (bands, levels ROWS, w), ROWS as in nuno_dye.solvers.rkl2
+    scratch  (bands, levels ROWS, w), see ROWS
 
     Arrays without use (of fibre that takes no dye, `floor` without maintained cells, `factors` without limits) are
     arbitrary.

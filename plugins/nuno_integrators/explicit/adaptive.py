@@ -44,7 +44,7 @@ LANDED = 1e-9
 
 
 class Pair(NamedTuple):
-    """A tableau in the layout of compiled code; see nuno_integrators.explicit.adaptive.Tableau."""
+    """A tableau in the layout of compiled code; see Tableau."""
 
     stages: int
     estimate: int

@@ -53,7 +53,7 @@ from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
-# How many steps of tension one kick of all other forces may stand for: see nuno_integrators.explicit.respa.
+# How many steps of tension one kick of all other forces may stand for.
 
 SAFE, SMOOTH = 0.7, 0.75
 """shares of the stable step, and of a radian"""

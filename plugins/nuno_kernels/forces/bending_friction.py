@@ -80,7 +80,7 @@ class FrictionLists(NamedTuple):
 
 
 class HeldFriction(NamedTuple):
-    """The same, with a force that is held over several steps; see nuno_kernels.forces.bending_friction.
+    """The same, with a force that is held over several steps; see `hold`.
 
     start, corners, shares, constants, rested  as above
     force      (3, n)  [N]

@@ -62,8 +62,7 @@ from nuno_schemas.fabric import Bool, Float, Int
 # about the step on that explicit methods stop at.
 #
 # Elements are sorted into batches, and batches into colours: batches of one colour share no vertex, so
-# that threads change nothing; within a batch, eight elements computed together share none either
-# (nuno_kernels.forces.constraints).
+# that threads change nothing; within a batch, eight elements computed together share none either.
 
 
 class RunBatches(NamedTuple):
@@ -229,7 +228,7 @@ def sweep(moved: Displaced, constraints: Constraints, threads: int | None) -> No
 # three colours. What a batch holds in lists is coloured once more, so that eight elements side by side never meet at a
 # vertex. All of it depends on the fabric alone.
 
-# Hinges as compliant constraints, solved one after another in the order of nuno_kernels.forces.constraints.
+# Hinges as compliant constraints, solved one after another in the order of those of springs.
 
 
 class HingeBatches(NamedTuple):

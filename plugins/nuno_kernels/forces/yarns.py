@@ -179,7 +179,7 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
 #
 # Of links a (i to j) and b (j to l) that follow each other, with unit vectors a^, b^ and y the vertices' displacements,
 # let s_a = a^.(y_j - y_i) and s_b = b^.(y_l - y_j) be the links' elongations. The pair's force
-# (nuno_kernels.forces.yarns) is mu T_b along a and mu T_a along b, and its derivative
+# is mu T_b along a and mu T_a along b, and its derivative
 #
 #     on i  -f_a,  on j  f_a - f_b,  on l  f_b,    f_a = m_a s_b a^ + alpha_a (I - a^ a^T)(y_j - y_i),
 #                                                  f_b = m_b s_a b^ + alpha_b (I - b^ b^T)(y_l - y_j)

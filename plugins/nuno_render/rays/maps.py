@@ -83,7 +83,7 @@ BACKGROUND = -np.inf
 
 
 class Shown(NamedTuple):
-    """The kind of value, values of vertices or faces, and points with theirs as in nuno_render.rays.maps."""
+    """The kind of value, values of vertices or faces, and points with theirs; see SortedPoints."""
 
     mode: int
     on_surface: Float
