@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,20 +149,6 @@ class Response(NamedTuple):
     """tangential velocity relative to the body [m/s]"""
     mark: int
     """1 if the point has no normal of its own, else 0"""
-
-
-@forced_inline
-def fields_of(contact: Contact) -> Fields | None:
-    """Return the distance fields of bodies, None without any: the code that reads them is then not compiled."""
-    return join_parts(contact.field_head, contact.field_child, contact.field_corners)
-
-
-@forced_inline
-def join_parts(head: Float | None, child: Int | None, corners: NDArray[np.float32] | None) -> Fields | None:
-    """Return fields of three arrays, None of three None: numba prunes by arguments."""
-    if head is None or child is None or corners is None:
-        return None
-    return Fields(head, child, corners)
 
 
 @forced_inline
@@ -380,10 +366,8 @@ class Contact(NamedTuple):
     """(B, 6) scratch: bounds of a block's vertices"""
     tally: NDArray[np.int64]
     """(B, 2) vertices touching after the last step; evaluations without a normal so far"""
-    field_head: Float | None = None
-    """Distance fields as nuno_contact.fields.sample.Fields has them, read only; None where no body is one"""
-    field_child: Int | None = None
-    field_corners: NDArray[np.float32] | None = None
+    fields: Fields | None = None
+    """distance fields, read only; None where no body is one: the code that reads them is then not compiled"""
 
 
 def count_contacts(contact: Contact) -> dict[str, int]:
@@ -397,7 +381,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     find_bounds(x, low, high, contact.bounds, block)
-    bodies, fields = bodies_of(contact), fields_of(contact)
+    bodies, fields = bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if find_deepest(x, low, high, block, body, contact, fields):
             on_axis = add_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields, force)
@@ -408,7 +392,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
 def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), fields_of(contact)
+    touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if contact.near[body, block]:
             touching += commit_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields)
@@ -517,13 +501,13 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         near=np.zeros((bodies, blocks), np.bool_),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),
-        **(pack_fields(fields) if of_field.any() else {}),
+        fields=pack_fields(fields) if of_field.any() else None,
     )
 
 
-def pack_fields(fields: Sequence[DistanceField]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of distance fields, read-only: solvers share them."""
+def pack_fields(fields: Sequence[DistanceField]) -> Fields:
+    """Return distance fields whose arrays are read-only: solvers share them."""
     joined = join_fields(fields)
     for array in joined:
         array.setflags(write=False)
-    return {f"field_{name}": array for name, array in joined._asdict().items()}
+    return joined

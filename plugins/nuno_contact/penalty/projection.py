@@ -27,7 +27,6 @@ from nuno_contact.penalty.contact import (
     Contact,
     Touch,
     bodies_of,
-    fields_of,
     find_deepest,
     limit_friction,
     pose_bodies,
@@ -88,7 +87,7 @@ def push_body(
 @block_kernel
 def push_block(block: int, contact: Contact, moved: Displaced, held: Float | None) -> None:
     """Solve the contact of one block's vertices; bodies are posed already."""
-    y, bodies, fields = moved.y, bodies_of(contact), fields_of(contact)
+    y, bodies, fields = moved.y, bodies_of(contact), contact.fields
     low, high = block * BLOCK, min((block + 1) * BLOCK, y.shape[1])
     place_block(low, high, moved, held)
     find_bounds(y, low, high, contact.bounds, block)

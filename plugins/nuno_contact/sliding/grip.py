@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import prange
 
-from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides, tree_of
+from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides
 from nuno_contact.sliding.vertex import PARALLEL, outward, slide
 from nuno_geometry.closest_point import closest
 from nuno_geometry.poses import Vector, to_frame, turn_in, turn_out
@@ -46,7 +46,7 @@ def along_planes(m: Vector, n1: Vector, n2: Vector, planes: int) -> Vector:
 @block_kernel
 def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
     """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
-    room, tree = make_room(), tree_of(s)
+    room, tree = make_room(), s.tree
     for body in range(s.root.shape[0]):
         f, gap = s.frame[body], s.gap[body]
         length = TRIAL * gap
@@ -107,7 +107,7 @@ def find_touching(x: Float, body: Long, s: Slides, found: Float) -> None:
     """Write, for vertices x (3, n) that body (n,) holds, into found (7, n): position in the body's frame, normal, and
     distance beyond the gap [m].
     """
-    room, tree = make_room(), tree_of(s)
+    room, tree = make_room(), s.tree
     for i in range(x.shape[1]):
         b = body[i]
         if b >= 0:
@@ -124,7 +124,7 @@ def find_entering(x: Float, body: Long, s: Slides, found: Float) -> None:
     """Add the free vertices that a step to x (3, n) brings nearer than the gap to body (n,), and write into found
     (7, n) their position before the step, the normal, and how far they are to go against it [m].
     """
-    room, tree = make_room(), tree_of(s)
+    room, tree = make_room(), s.tree
     for b in range(s.root.shape[0]):
         for i in range(x.shape[1]):
             if body[i] >= 0 or s.mass[i] == 0.0:
