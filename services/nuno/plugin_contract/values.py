@@ -28,7 +28,7 @@ def check_layout(what: str, value: Any, lengths: Mapping[str, int] | None = None
     """Raise ContractError for the first field of a dataclass or named tuple that violates its annotation.
 
     `what` is the prefix of a field's name; `lengths` are those that are known beforehand. `nuno_schemas.layout` defines
-    the annotations. A named tuple, which is passed to compiled code, has only arrays, finite numbers, others of its kind and
+    the annotations. A named tuple, which is passed to compiled code, has only arrays, finite numbers, named tuples and
     None; its arrays without lengths may have any, and hold NaN: they may be scratch memory.
     """
     known_lengths = dict(lengths or {})
