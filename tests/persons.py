@@ -6,11 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from nuno_kernels.meshes.check import volume
-from nuno_kernels.meshes.isosurface import find_isosurface
-from nuno_schemas.bodies import SKIN, Geometry
+from nuno_geometry.check import volume
+from nuno_geometry.isosurface import find_isosurface
+from nuno_schemas.bodies import SKIN, Geometry, Skin
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import Skin
 
 ROUNDING = 0.02
 """How far limbs are blended into each other [m]."""

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing.assemble import require_sound
-from nuno_cloth.sewing.fields import PatternFile
 from nuno_cloth.sewing.pattern import Pattern
+from nuno_cloth.sewing.pattern_file import PatternFile, require_sound
 from nuno_schemas.fabric import Float, Int
 
 Body = tuple[Float, Int]

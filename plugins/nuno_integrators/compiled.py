@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -13,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_integrators.forces import find_forces, find_touched, undisturbed
-from nuno_integrators.nonfinite import describe_nonfinite, find_first, find_nonfinite
-from nuno_integrators.profile import profile_steps
-from nuno_integrators.residual import unbalance
-from nuno_integrators.stability import measure_rates, stable_step
-from nuno_integrators.thread_tuning import ThreadTuning
-from nuno_kernels import threads_available
-from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import (
-    call_each,
+from nuno_integrators.diagnostics import (
+    describe_nonfinite,
+    find_first,
+    find_forces,
+    find_nonfinite,
+    find_touched,
+    profile_steps,
+    unbalance,
+    undisturbed,
+)
+from nuno_integrators.packing import (
     hold_over,
     making_lists,
     pack,
@@ -33,11 +34,55 @@ from nuno_kernels.step.packing import (
     thread_count,
     to_rows,
 )
+from nuno_integrators.stability import measure_rates, stable_step
+from nuno_kernels import threads_available
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
+
+# The number of threads that steps fastest at present, which depends on the machine's load, not on the mesh alone.
+#
+# Threads meet after every pass over the vertices. Where another process has one of the cores, each meeting waits
+# for it, and two threads are several times slower than one; where it has not, they are up to twice as fast. The
+# result is the same to the last bit, so the number may change from frame to frame by what the frames took.
+
+TRY_AGAIN = 24
+"""frames after which the other number is tried for one"""
+SLOWER = 1.2
+"""factor by which one frame may raise the known time of a number of threads"""
+BETTER = 0.95
+"""share of the present time that a change must promise: times vary by a few percent"""
+
+
+class ThreadTuning:
+    """Chooses between one thread and `most` by the time that an evaluation took with each."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.threads, self.used, self.frames = most, most, most, 0
+        self.taken: dict[int, float] = {}
+
+    def choose(self) -> int:
+        """Return the threads for the next frame. The first one is not counted: its data are not yet in the caches."""
+        self.frames += 1
+        other = 1 if self.threads == self.most else self.most
+        again = self.frames == 3 or self.frames % TRY_AGAIN == 0
+        self.used = other if again else self.threads
+        return self.used
+
+    def took(self, seconds: float, work: int) -> None:
+        """Note the time of the frame just chosen for, and its work (steps, or evaluations)."""
+        if work < 1 or self.frames == 1:
+            return
+        # A single slow frame is a disturbance; a second one is a change.
+        self.taken[self.used] = min(seconds / work, SLOWER * self.taken.get(self.used, math.inf))
+        best = min(self.taken, key=self.taken.__getitem__)
+        if self.taken[best] < BETTER * self.taken.get(self.threads, 0.0):
+            self.threads = best
+
 
 AGAIN = 5.0
 """Steps that took this long [s] are not repeated to find where vertices became non-finite."""

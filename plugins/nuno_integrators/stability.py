@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from nuno_integrators.packing import pack, python_terms, reads_velocity, silence_bodies, to_rows
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System

@@ -1,14 +1,15 @@
-"""Compiled functions that plugins share: springs, hinges, contact, the acceleration.
+"""Compiled functions that plugins share: the forces of cloth as terms, the acceleration, lanes, and their compilation.
 
 Kernels use one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when only a callee in another
 module changes, so its folder carries a hash of the sources of the solvers' packages, the compile flags and the
 versions; it is set here, before any function is decorated. Kernels of other packages are keyed by all that they reach,
-see `nuno_kernels.compile.dependency_hash`.
+see `nuno_kernels.compile.cache`.
 """
 
 from __future__ import annotations
 
 import functools
+import gc
 import hashlib
 import os
 import sys
@@ -19,13 +20,42 @@ from typing import Any, TypeVar, cast
 import llvmlite
 import numba
 import numpy as np
+from numba.core import event
 from numba.extending import register_jitable
 
-from nuno_kernels.compile.borrowed import Borrowing
-from nuno_kernels.compile.cache import dependencies_of, keep
-from nuno_kernels.compile.calling_convention import call_by_address, call_from_kernels
-from nuno_kernels.compile.dependency_hash import SOLVERS
-from nuno_kernels.compile.quiet import compile_quietly
+from nuno_kernels.compile.cache import SOLVERS, dependencies_of, keep
+from nuno_kernels.compile.calling_convention import Borrowing, call_by_address, call_from_kernels
+
+# Compilation without garbage collection.
+#
+# Python looks for cycles of objects whenever many have been made, and the compiler makes millions that are wanted until
+# it is done: of a first run's compilation that took a seventh. Without, the process has a sixth more memory at its end.
+
+
+class _Quiet(event.Listener):  # type: ignore[misc]
+    """Stops collection from a compilation's start, through nested ones, to its end. One thread compiles at a time."""
+
+    def __init__(self) -> None:
+        self.compilations, self.looked = 0, False
+
+    def on_start(self, event: Any) -> None:
+        """See numba."""
+        if self.compilations == 0:
+            self.looked = gc.isenabled()
+            gc.disable()
+        self.compilations += 1
+
+    def on_end(self, event: Any) -> None:
+        """See numba."""
+        self.compilations -= 1
+        if self.compilations == 0 and self.looked:
+            gc.enable()
+
+
+def compile_quietly() -> None:
+    """Suspend garbage collection in all of numba's compilations in this process."""
+    event.register("numba:compile", _Quiet())
+
 
 F = TypeVar("F", bound=Callable[..., Any])
 

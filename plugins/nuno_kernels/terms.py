@@ -68,7 +68,7 @@ class Kernels:
                                                    nuno_integrators.implicit.matrix
     diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.assembly. One
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.linear. One
                                                    without stays out of factors: what it couples changes
 
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
@@ -83,11 +83,11 @@ class Kernels:
     energy(term, x) -> float or Measured           energy [J]
     tension(term, x) -> float                      the largest single force [N]
     stiffest(term) -> float                        the largest stiffness [N/m]
-    turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning
-    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
+    turning(term, before, x, d) -> float           see nuno_kernels.forces.springs.turning
+    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
-                                                   nuno_kernels.forces.constraint_packing
+                                                   nuno_kernels.forces.constraints
     stick(term, x)                                 lets nothing slip on a short way from x (3, n)
     hold_over(term, inverse_mass) -> term          the same whose force is held over several steps
     interval(term, start, end)                     writes the bodies' poses over a frame into the term

@@ -8,15 +8,14 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from nuno_knit.over import Over, draw_over
 from nuno_knit.quantities import Length, Mass, Metres, Rate, Ratio
 from nuno_knit.structure import Knit as Structure
+from nuno_knit.structure import Over, draw_over
 from nuno_knit.yarns import Yarn, YarnName, list_yarns, resolve
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Int, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Preset
-from nuno_schemas.yarns import Yarns
 
 Number = Annotated[int, Field(ge=1, le=8192)]
 PinName = Literal["top-row", "bottom-row", "left-edge", "right-edge", "all-rim"]

@@ -2,7 +2,7 @@
 
 Links between points on different faces can enter the body. Such a link gains points on the edges of the skin, at which
 it bends, so that it follows the skin where it would be inside and is straight where it is outside or over a hollow. No
-point moves. nuno_knit.repair finds the points.
+point moves.
 
 If no plane leads from one end to the other (ends on opposite sides of an edge, or below an overhang) the middle of the
 link moves to the closest place on the skin, and the halves are repaired separately.
@@ -18,20 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from nuno_geometry.sections import STEPS, Joined, edge_share, find_start, follow_section, make_chord
 from nuno_kernels import kernel
-from nuno_kernels.meshes.section import STEPS, Joined, edge_share, find_start, follow_section, make_chord
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
 from nuno_knit.skin import Skin
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface, YarnCurves
 from nuno_schemas.plugin import Config
 
 # Chords between points on a triangle mesh as strings: the shortest path in one plane that stays outside.
 #
-# The path is the upper hull of the line in which the plane cuts the mesh (nuno_kernels.meshes.section) and of both
+# The path is the upper hull of the line in which the plane cuts the mesh (nuno_geometry.sections) and of both
 # ends: it bends round ridges and is straight over hollows. All its inner points are on edges of the mesh.
 #
 # Rejected: the knit paper's path, which projects the rest of the chord onto every triangle again, so that the plane

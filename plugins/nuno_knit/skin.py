@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels.meshes.closest_point import Closest, closest_points
-from nuno_kernels.meshes.normals import blend_normals, face_normals
-from nuno_kernels.meshes.section import Joined, join_faces
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.closest_point import Closest, closest_points
+from nuno_geometry.normals import blend_normals, face_normals
+from nuno_geometry.sections import Joined, join_faces
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.fabric import Float, Int
 
 CHUNK = 1 << 16

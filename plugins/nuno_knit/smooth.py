@@ -1,6 +1,6 @@
 """Yarns of a knit as smooth curves: loops that hook into each other, on the skin or without one.
 
-Curves go through the points of nuno_knit.loops, each raised off the skin by its level: an arc's centre is a radius
+Curves go through the points of nuno_knit.paths, each raised off the skin by its level: an arc's centre is a radius
 above the skin (or as high as the net, if that is farther off), a turn one radius higher, a leg two. Samples of the
 curve that are still too low are raised, and pieces that dip between their ends are divided. Of yarns of different
 thickness, the thickest one's radius counts, so that thinner ones have a little more room. Without skin the net itself
@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_knit.loops import WIDEST, Net, face_of_knit, find_axes, find_net, find_widths, lay_loops
-from nuno_knit.paths import Paths, find_paths
+from nuno_knit.paths import WIDEST, Net, Paths, face_of_knit, find_axes, find_net, find_paths, find_widths, lay_loops
 from nuno_knit.quantities import Share
 from nuno_knit.repair import CHECKED, Repaired, YarnConfig, count_links, measure, radius_of, repair, to_skin
 from nuno_knit.skin import Skin, to_unit
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
-from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface, YarnCurves
 
 # Centripetal Catmull-Rom curves through points.
 #

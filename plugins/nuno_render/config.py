@@ -1,4 +1,4 @@
-"""The configuration of a picture."""
+"""The configuration of a picture, of meshes or of yarns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from nuno_schemas.parts import Colour
 from nuno_schemas.plugin import Config
-from nuno_schemas.units import quantity
+from nuno_schemas.units import Plausible, quantity
+
+# The configuration of a picture.
 
 
 def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -64,3 +66,77 @@ class RasterConfig(PictureConfig):
     sheen: float = Field(default=0.18, ge=0.0, le=1.0, description="strength of the velvet-like rim of cloth")
     caption: str = Field(default="", max_length=200, description="written in the lower left corner")
     legend: Legend | None = Field(default=None, description="a colour bar in the lower right corner")
+
+
+# The configuration of pictures of yarns.
+
+Thickness = Annotated[float, quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)]
+
+PALETTE: tuple[Colour, ...] = ("#3a2a24", "#74503c", "#8c5f48", "#3b5b8c", "#5d8a4f", "#7d5ba6")
+SKIN = "#e0b096"
+
+
+class CastConfig(PictureConfig):
+    """The fields of all pictures of yarns."""
+
+    samples: int = Field(default=16, ge=1, le=4096, description="rays per pixel; grain shrinks with its root")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="of the places of the samples")
+    light_size: float = Field(
+        default=0.12, ge=0.0, le=0.5, description="tangent of the key light's angular radius: how soft shadows are"
+    )
+    skin: Colour = Field(default=SKIN, description="of bodies that bring no colour of their own, sRGB")
+    caption: str | None = Field(
+        default=None, max_length=200, description="in the lower left corner; left out: the scene's name and the time"
+    )
+
+
+class YarnsConfig(CastConfig):
+    """Settings of the pictures `yarns`."""
+
+    radius: Thickness | tuple[Thickness, ...] | None = Field(
+        default=None,
+        description="of every yarn, or of each kind in their order [m]; left out: what each yarn has of its own",
+    )
+    colour: Colour | None = Field(default=None, description="of all yarns, sRGB; left out: of each kind its own")
+    colours: tuple[Colour, ...] = Field(
+        default=PALETTE, min_length=1, max_length=100, description="of the kinds in their order, over again if more"
+    )
+    translucency: float = Field(
+        default=0.3, ge=0.0, lt=1.0, description="share of light that a yarn lets through at each crossing"
+    )
+    highlight: float = Field(default=0.35, ge=0.0, le=4.0, description="strength of the highlight along the fibres")
+    sharpness: float = Field(
+        default=24.0, ge=1.0, le=1e4, allow_inf_nan=False, description="exponent of the highlight: larger is narrower"
+    )
+
+
+class LinesConfig(CastConfig):
+    """Settings of the pictures `lines`."""
+
+    width: float = Field(default=1.0, gt=0.0, le=64.0, description="of a line at the camera's target [pixels]")
+    colour: Colour = Field(default="#2b2320", description="of the lines, sRGB")
+    shadows: bool = Field(default=True, description="whether bodies cast them; lines cast none")
+
+
+class MapConfig(CastConfig):
+    """Settings of the pictures `map`."""
+
+    low: float | None = Field(
+        default=None, allow_inf_nan=False, description="value of the dark end; left out: the least that is seen"
+    )
+    high: float | None = Field(
+        default=None,
+        allow_inf_nan=False,
+        description="value of the bright end; left out: what 19 of 20 places that are seen are below",
+    )
+    radius: Thickness | None = Field(
+        default=None,
+        description="how near points count at a place of the surface [m]; left out: five times the mean link",
+    )
+    samples: int = Field(default=4, ge=1, le=64, description="rays per pixel")
+
+
+def grid_of(samples: int) -> tuple[int, int]:
+    """Return columns and rows of at least so many samples a pixel, as square as possible."""
+    columns = math.isqrt(samples)
+    return columns, -(-samples // columns)

@@ -1,28 +1,172 @@
-"""Springs, hinges and masses of a raised surface, rebuilt near its lines.
-
-A spring that the split leaves in place keeps its stiffness; the rest length of one at a new or smoothed vertex is its
-present length over the mean stretch of the old triangles at it. New springs of rest length r have k = (r / r_avg) k_std
-by the wrinkle paper, or k = k_std r_avg / r like an elastic body's, with r_avg and k_std the means of the model as
-built, also for later lines. The paper's rule keeps the stable step, for short springs are soft; but then cloth is
-softest where its triangles are small.
-
-Masses are m_i = sum A_j rho / 3 with A_j the area at rest, by Heron from rest lengths, so that stretched cloth weighs
-no more. Hinges and bending springs are built once, after all flips, across each edge of a changed triangle. A hinge's
-stiffness is B e^2 / (A_1 + A_2), B being the mean of those that it replaces.
-"""
+"""Springs, hinges and masses of a raised surface, rebuilt near its lines; and the stiffness of folds that are kept."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import BENDING, STRUCTURAL, Bool, Fabric, Float, Hinges, Int, Springs
-from nuno_wrinkle.edges import Edges, any_of, edges_of, fold_angles, heron, keys_of, pairs_of, quads_of
-from nuno_wrinkle.kept import most_stiffness
-from nuno_wrinkle.near import Near, Rule, damping_of, stiffness_of
+from nuno_wrinkle.edges import Edges, any_of, area_of, edges_of, fold_angles, heron, keys_of, pairs_of, quads_of
 from nuno_wrinkle.raised import Raised, Region
+
+# The springs and triangles near a line, and the rules for its new springs.
+
+Rule = Literal["paper", "physical"]
+ON_SPRINGS = "draw on a mesh or a shirt of tension: springs, or on a sheet or skirt of cells: triangles"
+
+
+def describe(fabric: Fabric) -> dict[str, float]:
+    """Return the parameters of a model as built, also for later lines: r_avg [m], k_std [N/m], density [kg/m^2], the
+    damping ratio of springs, and r_bend, k_bend of bending springs. Raises BadInput for a model without structural
+    springs.
+
+    A mesh without inner edges has no bending springs: k_bend is then that of `fabric.origin`, and r_bend is sqrt(3)
+    r_avg, the distance of the far corners of two equilateral triangles of side r_avg.
+    """
+    springs = fabric.springs
+    if springs is None or not springs.of_kind(STRUCTURAL).any():
+        problem = "the cloth has no structural springs, and so neither k_std nor r_avg"
+        raise BadInput(problem, field="k_std", remedy=ON_SPRINGS)
+    pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
+    one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
+    critical = 2.0 * np.sqrt(k * one * other / (one + other))
+    structural, bent = springs.of_kind(STRUCTURAL), springs.of_kind(BENDING)
+    damped = structural & (critical > 0.0)  # on elongated triangles a measured fabric has springs of stiffness 0
+    r_avg = float(rest[structural].mean())
+    return {
+        "r_avg": r_avg,
+        "k_std": float(k[structural].mean()),
+        "density": float(fabric.mass.sum()) / area_of(fabric.position, fabric.faces),
+        "damping_ratio": float((c[damped] / critical[damped]).mean()),
+        "r_bend": float(rest[bent].mean()) if bent.any() else float(np.sqrt(3.0)) * r_avg,
+        "k_bend": float(k[bent].mean()) if bent.any() else fabric.origin.get("k_bend", 0.0),
+    }
+
+
+@dataclass(frozen=True)
+class Near:
+    """Springs and triangles of a region: `edges` of its triangles, their rest lengths (e,), the springs (e,)
+    on them, and the mean stretch (f,) of each triangle of the whole mesh, 1 outside of the region.
+    """
+
+    edges: Edges
+    rest: Float
+    spring: NDArray[np.int64]
+    stretch: Float
+
+
+def find_sprung(fabric: Fabric) -> NDArray[np.bool_]:
+    """Return whether triangles (f,) have structural springs along all their edges."""
+    springs, edges = fabric.springs, edges_of(fabric.faces)
+    assert springs is not None
+    pairs = springs.pairs()[springs.of_kind(STRUCTURAL)]
+    return np.asarray(np.isin(edges.key, keys_of(pairs))[edges.of_face].all(axis=1))
+
+
+def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
+    """Return the region's springs and triangles. Raises BadInput if edges lack springs, as on a grid of quads."""
+    springs = fabric.springs
+    assert springs is not None
+    edges = edges_of(fabric.faces[region.face])
+    pairs = springs.pairs()
+    inside = np.zeros(fabric.number, np.bool_)
+    inside[fabric.faces[region.face]] = True
+    selected = inside[pairs[:, 0]] & inside[pairs[:, 1]] & springs.of_kind(STRUCTURAL)
+    chosen = np.flatnonzero(selected)
+    key = keys_of(pairs[chosen])
+    order = np.argsort(key, kind="stable")
+    place, present = Edges(key[order], np.zeros((0, 3), np.int64)).rows(edges.key)
+    ends = pairs_of(edges.key)
+    if not present.all():
+        raise BadInput(
+            "the cloth has no spring along an edge of its triangles", field="lines",
+            value=ends[~present][0].tolist(), limit="springs on all edges, as the wrinkle paper has them",
+            remedy=ON_SPRINGS,
+        )  # fmt: skip
+    length = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+    spring = chosen[order][place]
+    rest = springs.per_spring(springs.rest)[spring]
+    stretch = np.ones(len(fabric.faces))
+    stretch[region.face] = (length / rest)[edges.of_face].mean(axis=1)
+    return Near(edges, rest, spring, stretch)
+
+
+def stiffness_of(rest: Float, k_std: float, r_avg: float, rule: Rule) -> Float:
+    return np.asarray(k_std * (rest / r_avg if rule == "paper" else r_avg / rest))
+
+
+def damping_of(k: Float, pairs: Int, mass: Float, ratio: float) -> Float:
+    m = mass[pairs]
+    return np.asarray(2.0 * ratio * np.sqrt(k * m[:, 0] * m[:, 1] / m.sum(axis=1)))
+
+
+# Stiffness of the folds of a kept wrinkle, which bear the cloth that hangs from it.
+#
+# A fold of rigidity B whose rest shape is a wave of height h and length w, under a line tension T along it, has the
+# height
+#
+#     y / h = B q^2 / (B q^2 + T) = 1 / (1 + T w^2 / (4 pi^2 B)),    q = 2 pi / w,
+#
+# the balance of B (y'''' - h'''') and T y''. T is the weight of hung cloth below, rho g L at most. So B must grow with
+# the load and the width of the fold: no multiple of the cloth's rigidity suits all weights of cloth and all sizes of
+# meshes.
+
+GRAVITY = 9.81
+"""Acceleration that kept wrinkles bear [m/s^2], also in a scene without gravity."""
+HOLD = 0.03
+"""B / (rho g L w^2). A wave under the whole weight would need 0.1 to keep four fifths of its height, but most of the
+cloth bears less, and flat cloth at the ends of a line bears part of it: on cloth hung at its corners 0.03 keeps that
+share of ridges of several heights, directions and weights, and 0.02 loses a quarter of low ones."""
+
+
+def kept_rigidity(density: float, x: Float, crests: Int) -> float:
+    """Return the rigidity [N m] of folds that hold on cloth of `density` [kg/m^2] at x (n, 3) [m]; crests (5, c) are
+    those of `find_crests`. 0 if the width is unknown, as of a line of two triangles.
+    """
+    if not crests.size:
+        return 0.0
+    width = float(np.linalg.norm(x[crests[1]] - x[crests[2]], axis=1).mean())
+    return HOLD * density * GRAVITY * float(np.ptp(x, axis=0).max()) * width**2
+
+
+def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Springs) -> Float:
+    """Return the stiffness (h,) [N m] at which a hinge alone moves its vertices as fast as the net's springs may.
+
+    A hinge of stiffness k moves along its gradients g with omega^2 = k sum |g_c|^2 / m_c, and springs with at most 2
+    max sum_j k_j / m_i (Gershgorin). Slivers as stiff as the rest would halve the step without raising the wrinkle.
+    """
+    free = ~pinned
+    pairs, stiffness = springs.pairs(), springs.per_spring(springs.k)
+    row = np.bincount(pairs[:, 0], stiffness, len(mass)) + np.bincount(pairs[:, 1], stiffness, len(mass))
+    edge = x[quads[:, 1]] - x[quads[:, 0]]
+    square = np.einsum("hk,hk->h", edge, edge)
+    slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))
+    for corner in (2, 3):
+        side = x[quads[:, corner]] - x[quads[:, 0]]
+        share = np.einsum("hk,hk->h", side, edge) / square
+        tilt = np.sqrt(square / np.square(np.cross(edge, side)).sum(axis=1))
+        slope += tilt**2 / mass[quads[:, corner]]
+        lever += tilt * np.stack([1.0 - share, share])
+    slope += (lever**2 / mass[quads[:, :2].T]).sum(axis=0)
+    return np.asarray(2.0 * (row[free] / mass[free]).max(initial=0.0) / slope)
+
+
+# Springs, hinges and masses of a raised surface, rebuilt near its lines.
+#
+# A spring that the split leaves in place keeps its stiffness; the rest length of one at a new or smoothed vertex is its
+# present length over the mean stretch of the old triangles at it. New springs of rest length r have k = (r / r_avg)
+# k_std by the wrinkle paper, or k = k_std r_avg / r like an elastic body's, with r_avg and k_std the means of the model
+# as built, also for later lines. The paper's rule keeps the stable step, for short springs are soft; but then cloth is
+# softest where its triangles are small.
+#
+# Masses are m_i = sum A_j rho / 3 with A_j the area at rest, by Heron from rest lengths, so that stretched cloth weighs
+# no more. Hinges and bending springs are built once, after all flips, across each edge of a changed triangle. A hinge's
+# stiffness is B e^2 / (A_1 + A_2), B being the mean of those that it replaces.
 
 # Bending springs and hinges of a raised surface: built once, after all flips, across edges of changed triangles.
 

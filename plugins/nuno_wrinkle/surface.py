@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_geometry.sections import crossed_edge, edge_share, make_chord
 from nuno_kernels import kernel
-from nuno_kernels.meshes.section import crossed_edge, edge_share, make_chord
 from nuno_schemas.fabric import Bool, Float, Int
 
 BORDER, CROWDED = -1, -2
@@ -102,7 +102,7 @@ def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: flo
 def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tuple[int, int, int]:
     """Follow a polyline over the triangles. Return its status, the point where it ended, and the number of triangles
     passed. Between two points a line follows the cut of the surface with the plane through both along the mean of their
-    normals (nuno_kernels.meshes.section).
+    normals (nuno_geometry.sections).
     """
     face, at, path, count = way.face, way.at, passed.path, 0
     entry, leave = np.empty(3), np.empty(3)

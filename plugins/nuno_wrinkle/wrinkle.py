@@ -11,14 +11,11 @@ from pydantic import BaseModel, Field
 from nuno_kernels import kernel
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Springs, State
-from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
-from nuno_wrinkle.kept import kept_rigidity
-from nuno_wrinkle.lines import Crossed, follow_lines, on_texture, read_lines
-from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near, find_sprung
-from nuno_wrinkle.net import Net, build_net
+from nuno_wrinkle.lines import Crossed, Line, Smoothing, follow_lines, on_texture, read_lines
+from nuno_wrinkle.net import ON_SPRINGS, Net, Rule, build_net, describe, find_near, find_sprung, kept_rigidity
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
 

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
-from nuno_dye.cloths.woven import Lay, WovenConfig, build_cells, lay_measured
+from nuno_dye.cloths.woven_cloth import Lay, WovenConfig, build_cells, lay_measured
 from nuno_dye.drafts.weaves import draw_plain
-from nuno_dye.pictures.picture import shade_window
-from nuno_dye.pictures.texture import TextureConfig
+from nuno_dye.picture import TextureConfig, shade_window
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.dye import Tortuosity
-from nuno_schemas.dye_picture import Window
+from nuno_schemas.pictures import Window
 
 PATH = Path(__file__).with_name("photograph.jpg")
 WIDTH, HEIGHT = 640, 480

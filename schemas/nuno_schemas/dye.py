@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.dye_picture import Layers
 from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Bool, Float, Memory
 from nuno_schemas.layout import Bounds
+from nuno_schemas.pictures import Layers
 from nuno_schemas.plugin import Files, Plugin
 
 

@@ -1,17 +1,181 @@
-"""The part of a scene that describes dyeing."""
+"""The part of a scene that describes dyeing: dyes and their presets, the solver, and the look of dyed cloth."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_schemas.errors import nearest
-from nuno_schemas.look import DyeColour, DyePicture
-from nuno_schemas.parts import Choice, Name, Part, require_distinct
-from nuno_schemas.solver import AUTO, Solver
+from nuno_schemas.parts import AUTO, Choice, Colour, Interval, Metres, Name, Part, Solver, require_distinct
+from nuno_schemas.preset import Measure, Preset
 from nuno_schemas.units import quantity
+
+# Presets of dyes. The diffusion coefficient follows from the molar mass; most other values are assumed, and marked so.
+#
+# D0       3.6 sqrt(76 / M) mm^2/h, M in g/mol (dye paper, equation 5), unless measured.
+# isotherm its measured kind, if any: indigo on silk follows Langmuir (Kongkachuichay et al., Chiang Mai Journal of
+#          Science 37(2), 2010, 363-367), madder on wool Nernst and Temkin (Chemchame et al., International Journal of
+#          Chemical Sciences 19(1), 2021, 306). Amounts here are shares of a cell's capacity, so that constants from a
+#          laboratory, in grams per litre, cannot be used: all constants are chosen.
+# colour   chosen by eye from dyed cloth, without a colour standard.
+
+MM2_PER_HOUR = 1e-6 / 3600.0
+"""[m^2/s]."""
+
+
+@dataclass(frozen=True)
+class KnownDye:
+    """A dye preset: fields of the scene's dye, in SI; fibre and mordant they apply to; the origin `how` of each of
+    these: `measured`, or `derived` or `assumed`, a colon and the reason; source; molar mass of the colourant [g/mol].
+    """
+
+    fields: Mapping[str, Any]
+    fibre: str
+    mordant: str
+    how: Mapping[str, str]
+    source: str
+    mass: float | None = None
+
+
+def spread(mass: float) -> float:
+    """Return the diffusion coefficient in water [m^2/s] of a dye of this molar mass [g/mol]."""
+    return 3.6 * math.sqrt(76.0 / mass) * MM2_PER_HOUR
+
+
+def _natural(
+    colourant: str, mass: float, fibre: str, mordant: str, source: str, isotherm: Mapping[str, Any], kind: str,
+    colour: Mapping[str, str] | None = None,
+) -> KnownDye:  # fmt: skip
+    fields: dict[str, Any] = {"D0": spread(mass), "adsorption": 0.01, "isotherm": isotherm}
+    how = {
+        "D0": f"derived: 3.6 sqrt(76 / M) mm^2/h of {colourant}, M = {mass:g} g/mol",
+        "adsorption": "assumed: as of the dye paper's figure 9",
+        "isotherm": f"assumed: {kind}; its constant is chosen",
+        "fibre": "assumed: a fibre that is dyed so",
+        "mordant": "assumed: as is customary",
+    }
+    if colour is not None:
+        fields["colour"], how["colour"] = colour, "assumed: by eye"
+    return KnownDye(fields, fibre, mordant, how, source, mass)
+
+
+_PARTITION = {"plugin": "partition", "k": 0.5}
+_MADDER = {"light": "#f7eeee", "mid": "#d0605a", "dark": "#7a1518"}
+_WELD = {"light": "#f6f4e4", "mid": "#e8c94a", "dark": "#c08a10"}
+_WALNUT = {"light": "#f5f0ea", "mid": "#a87c50", "dark": "#46290f"}
+
+PRESETS: dict[str, KnownDye] = {
+    "indigo": _natural(
+        "indigotin", 262.26, "silk", "none, from a vat",
+        "kind of isotherm: Kongkachuichay et al., Chiang Mai Journal of Science 37(2), 2010, 363-367",
+        {"plugin": "langmuir", "K": 5.0}, "Langmuir, as measured on silk",
+    ),
+    "madder": _natural(
+        "alizarin", 240.21, "wool", "alum",
+        "kind of isotherm: Chemchame et al., International Journal of Chemical Sciences 19(1), 2021, 306",
+        _PARTITION, "partition, which with Temkin's was measured to fit on wool", _MADDER,
+    ),
+    "weld": _natural("luteolin", 286.24, "wool", "alum", "no measurement", _PARTITION, "as of madder", _WELD),
+    "walnut": _natural("juglone", 174.15, "wool", "none", "no measurement", _PARTITION, "as of madder", _WALNUT),
+    "dye-paper": KnownDye(
+        {"D0": 1.93 * MM2_PER_HOUR, "adsorption": 0.01, "isotherm": _PARTITION}, "not said", "not said",
+        {
+            "D0": "assumed: of table 1, for which 264 g/mol would do",
+            "adsorption": "assumed: of table 1, figure 9",
+            "isotherm": "assumed: of figure 9(a); its constant is not printed, and chosen",
+            "fibre": "assumed: not said",
+            "mordant": "assumed: not said",
+        },
+        "the dye of the dye paper's figures, which it does not name",
+    ),
+}  # fmt: skip
+"""A preset without a colour has the default colour of a scene's dye."""
+
+
+def written_out(name: str, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a dye's fields as in a scene: those of the preset, replaced by those in `own`, also within the colour."""
+    fields = {"name": name, **PRESETS[name].fields, **own}
+    colour, changed = PRESETS[name].fields.get("colour"), own.get("colour")
+    if isinstance(colour, Mapping) and isinstance(changed, Mapping):
+        fields["colour"] = {**colour, **changed}
+    return fields
+
+
+def list_dyes() -> tuple[Preset, ...]:
+    """Return every preset, in units of scenes, with the constants of its isotherm by name."""
+    return tuple(_preset(name, known) for name, known in PRESETS.items())
+
+
+def _preset(name: str, known: KnownDye) -> Preset:
+    isotherm = known.fields["isotherm"]
+    measures = (
+        Measure("M", "g/mol", known.mass),
+        Measure("D0", "mm^2/h", known.fields["D0"] / MM2_PER_HOUR),
+        Measure("adsorption", "", known.fields["adsorption"]),
+        *(Measure(constant, "", isotherm.get(constant)) for constant in ("k", "K")),
+    )
+    source = f"{isotherm['plugin']}; fibre: {known.fibre}; mordant: {known.mordant}; {known.source}"
+    return Preset(name, source, measures, known.how)
+
+
+# The part of a scene that describes the look of dyed cloth: a dye's colours, and the picture.
+
+Amount = Annotated[float, quantity("", gt=0)]
+
+YARNS = "yarns"
+"""The default plugin for pictures of dyed cloth."""
+DyeView = Literal["all", "fixed", "mobile"]
+"""Dye that is shown: all, fixed by fibre, or mobile."""
+Form = Literal["straight", "smooth"]
+"""Form of yarns as curves."""
+Scale = Annotated[int, Field(strict=True, ge=1, le=256)]
+
+
+class DyeColour(Part):
+    """A dye's colours on cloth; indigo on cotton unless given."""
+
+    light: Colour = Field(
+        default="#eef2f7", description="where there is none of it; of the dye's own hue, for hues between are passed"
+    )
+    mid: Colour = Field(default="#5f86b3", description="at half of the full amount")
+    dark: Colour = Field(default="#16264f", description="at the full amount, and beyond")
+    full: Amount = Field(default=0.25, description="the amount that is dark, as a share of v_max")
+
+
+class Crop(Part):
+    """A part of the cloth, from its upper left corner, x to the right and y down."""
+
+    low: tuple[Metres, Metres] = Field(description="upper left corner [m]")
+    high: tuple[Metres, Metres] = Field(description="lower right corner [m]")
+
+    @model_validator(mode="after")
+    def _holds_something(self) -> Crop:
+        if not (self.low[0] < self.high[0] and self.low[1] < self.high[1]):
+            problem = "there is nothing between the corners; low is the upper left one, y counts down"
+            raise PydanticCustomError("empty_crop", problem, {"inside": ("high",)})
+        return self
+
+
+class DyePicture(Choice):
+    """The plugin that draws dyed cloth, and its settings; all other fields are the plugin's own."""
+
+    plugin: str = Field(default=YARNS, description="its name; nuno plugins lists what is installed")
+    view: DyeView = Field(default="all", description="all dye, what fibre has fixed of it, or what is mobile")
+    scale: Scale | Literal["auto"] = Field(
+        default="auto", description="pixels a cell; auto: the picture about 1000 pixels wide or high"
+    )
+    crop: Crop | None = Field(default=None, description="the part that is shown; left out: all of the cloth")
+    every: Interval | None = Field(
+        default=None, description="at most one picture in this time in the viewer [s]; left out: one a frame"
+    )
+
+
+# The part of a scene that describes dyeing.
 
 Diffusion = Annotated[float, quantity("m^2/s", ge=0)]
 Speed = Annotated[float, quantity("", gt=0, le=1e9)]
@@ -44,8 +208,6 @@ class WeiszZollinger(Part):
 
 
 def _presets() -> list[str]:
-    from nuno_schemas.dye_presets import PRESETS
-
     return list(PRESETS)
 
 
@@ -86,8 +248,6 @@ class Dyestuff(Part):
         fields = {"preset": data} if isinstance(data, str) else data
         if not isinstance(fields, dict) or fields.get("preset") is None:
             return data
-        from nuno_schemas.dye_presets import PRESETS, written_out  # not imported for scenes without presets
-
         overrides = {key: value for key, value in fields.items() if key != "preset"}
         name = fields["preset"]
         if not isinstance(name, str) or name not in PRESETS:

@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_schemas.bodies import CAPSULE, SKIN, Geometry, Poses, no_rows
+from nuno_schemas.bodies import CAPSULE, SKIN, DistanceField, Geometry, Poses, Skin, no_rows
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
-from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 from nuno_schemas.live import Live
 from nuno_schemas.parts import Part
-from nuno_schemas.skin import Skin
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Touched
 from nuno_schemas.written import Fields, Written
 

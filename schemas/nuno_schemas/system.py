@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.layout import Bounds
-from nuno_schemas.skin import Skin
 
 
 @dataclass(frozen=True)

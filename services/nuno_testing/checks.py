@@ -14,11 +14,10 @@ from trimesh.creation import box
 from nuno.plugin_contract import registry
 from nuno.runtime.stepper import check_kept
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
-from nuno_schemas.camera import frame
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Beside, Outcome
+from nuno_schemas.pictures import Mesh, frame
 from nuno_schemas.system import System, Term
 from nuno_testing import bodies, dye, forces, integrators, rides
 from nuno_testing.subject import Subject, made_twice

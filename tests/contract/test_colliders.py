@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nuno_contact.colliders.radii import PELVIS_HALF_WIDTH, default_radius
+from nuno_contact.colliders.body_parts import PELVIS_HALF_WIDTH, default_radius
 from nuno_contact.colliders.shapes import (
     Box,
     BoxConfig,

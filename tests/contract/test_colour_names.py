@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from nuno.scene import shipped
 from nuno.scene.json_schema import scene_schema
-from nuno_dye.pictures.picture import YarnsPictureConfig
+from nuno_dye.picture import YarnsPictureConfig
 from nuno_render.config import PictureConfig
 from nuno_schemas.colour import as_hex, names
 from nuno_schemas.parts import Colour

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nuno.scene.files import SceneFiles
-from nuno_schemas.dye_picture import Layers, Photograph, Window
-from nuno_schemas.look import DyeColour
+from nuno_schemas.dyeing import DyeColour
+from nuno_schemas.pictures import Layers, Photograph, Window
 
 PLUGINS = sorted(entry_points(group="nuno.dye_pictures"), key=lambda entry: entry.name)
 NY, NX = 24, 30

@@ -14,10 +14,8 @@ from nuno.cli import main
 from nuno.cli.presets import KINDS, find_presets, table
 from nuno.scene import scene_file, shipped
 from nuno.scene.json_schema import scene_schema
-from nuno_schemas.dye_presets import PRESETS
-from nuno_schemas.dyeing import Dyestuff
+from nuno_schemas.dyeing import PRESETS, DyeColour, Dyestuff
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import DyeColour
 from nuno_schemas.scene import Scene
 from nuno_schemas.units import to_si
 

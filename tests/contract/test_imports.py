@@ -25,8 +25,10 @@ def allowed(package: str) -> set[str]:
         return {"nuno_schemas"}
     if package == "nuno_kernels":
         return {"nuno_schemas", "nuno_kernels"}
+    if package == "nuno_geometry":
+        return {"nuno_schemas", "nuno_kernels", "nuno_geometry"}
     if package in PLUGINS:
-        return {"nuno_schemas", "nuno_kernels", package}
+        return {"nuno_schemas", "nuno_kernels", "nuno_geometry", package}
     if package == "nuno_bench":  # a tool over the rest: it also times the parts of a plugin one by one
         return {"nuno_schemas", "nuno", package} | PLUGINS
     return {"nuno_schemas", "nuno", package}

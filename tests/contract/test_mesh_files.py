@@ -12,9 +12,9 @@ import trimesh
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
 from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.sliding.plugin import check_meshes
-from nuno_kernels.meshes.check import check_closed, check_crossings, volume
-from nuno_kernels.meshes.file import load_mesh, read_closed
-from nuno_kernels.meshes.loops import cut_mesh
+from nuno_geometry.check import check_closed, check_crossings, volume
+from nuno_geometry.files.mesh import load_mesh, read_closed
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.bodies import MESH
 from nuno_schemas.errors import BadInput
 from nuno_testing.bodies import Distance

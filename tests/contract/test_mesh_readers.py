@@ -18,13 +18,12 @@ from nuno_cloth.models.mesh import Mesh
 from nuno_cloth.models.triangles import face_areas
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
 from nuno_contact.skin.rig import Rig, weights_of
-from nuno_kernels.meshes.check import volume
-from nuno_kernels.meshes.file import clean_mesh, load_mesh, read_closed
-from nuno_kernels.meshes.polygons import triangulate
+from nuno_geometry.check import volume
+from nuno_geometry.files.mesh import clean_mesh, load_mesh, read_closed
+from nuno_geometry.files.polygons import triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.lines import Line
-from nuno_wrinkle.lines import read_lines
+from nuno_wrinkle.lines import Line, read_lines
 
 CUBE = trimesh.creation.box((1.0, 1.0, 1.0))
 QUADS = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6), (1, 2, 6, 5), (0, 4, 7, 3))

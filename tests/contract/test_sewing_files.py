@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sewing_patterns import REAL, front, panel, pattern, read, read_pattern, stitch, tube
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.sewing import fields
+from nuno_cloth.sewing import pattern_file
 from nuno_cloth.sewing.check import check_pattern
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Config
@@ -107,7 +107,9 @@ def test_what_is_wrong_is_told(fault: str, tmp_path: Path) -> None:
 
 def test_what_is_said_for_example_may_be_written() -> None:
     shown = 0
-    for model in (value for value in vars(fields).values() if isinstance(value, type) and issubclass(value, Config)):
+    for model in (
+        value for value in vars(pattern_file).values() if isinstance(value, type) and issubclass(value, Config)
+    ):
         for field in model.model_fields.values():
             for example in field.examples or ():
                 TypeAdapter(field.annotation).validate_python(example, strict=False)

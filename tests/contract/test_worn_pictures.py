@@ -8,11 +8,9 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from nuno_schemas.camera import frame
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.yarn_picture import SurfaceValues, Worn
+from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, SurfaceValues, Worn, frame
 
 PLUGINS = sorted(entry_points(group="nuno.yarn_pictures"), key=lambda entry: entry.name)
 

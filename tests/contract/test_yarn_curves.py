@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nuno_schemas.curves import YarnCurves
+from nuno_schemas.operation import YarnCurves
 
 
 def make_curves(sizes):

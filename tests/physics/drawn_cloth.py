@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells
-from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
-from nuno_dye.pictures.texture import TextureConfig
+from nuno_dye.cloths.woven_cloth import WovenConfig, YarnConfig, build_cells
+from nuno_dye.picture import TextureConfig, YarnsPicture, YarnsPictureConfig
 from nuno_schemas.dye import Cells, Tortuosity
-from nuno_schemas.dye_picture import Picture, Window
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.fabric import Float
-from nuno_schemas.look import DyeColour
+from nuno_schemas.pictures import Picture, Window
 
 INK = DyeColour(light="#ffffff", mid="#808080", dark="#000000", full=1.0)
 BYTE = 0.5 + 0.5 / 65535 * 12.92 * 255

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from closed_meshes import brute_distance, winding_number
 
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_knit.knit import Knit, KnitConfig
 from nuno_schemas.fabric import Fabric, Float, Int
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from nuno_integrators.packing import pack, python_terms, to_rows
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
-from nuno_kernels.step.packing import pack, python_terms, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs, State
 from nuno_schemas.system import Carried, System, Term

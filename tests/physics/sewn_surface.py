@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_cloth.models.triangles import find_edges
-from nuno_cloth.sewing.joined import find_openings
-from nuno_cloth.sewing.pattern import Pattern
+from nuno_cloth.sewing.pattern import Pattern, find_openings
 from nuno_cloth.sewing.sew import Sewn
 from nuno_schemas.fabric import Float
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import radiance
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera, Mesh
-from nuno_schemas.yarn_picture import Worn
+from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, Worn
 
 BARE = {"ground": "none", "shadows": False, "occlusion": False}
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from nuno_kernels.meshes.normals import edge_numbers
+from nuno_geometry.normals import edge_numbers
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
 SIDE = 12

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nuno_integrators.explicit.adaptive import Dop853, Dopri5
-from nuno_integrators.explicit.stepsize import AT, BEFORE, NEXT, PENDING, take
+from nuno_integrators.explicit.adaptive import AT, BEFORE, NEXT, PENDING, Dop853, Dopri5, take
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs, State
 from nuno_schemas.system import System, Term

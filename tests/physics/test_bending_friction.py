@@ -20,10 +20,10 @@ from nuno_cloth.models.triangles import face_areas, yarn_axes
 from nuno_integrators.compiled import Compiled
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Packed, evaluate
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, State
 

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from nets import make_fabric, make_system, random_net, start
 
-from nuno_integrators.explicit.euler import Euler
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import RK4, Euler, Leapfrog, SymplecticEuler
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import Carried

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nuno_contact.figures.leg import leg_mesh
-from nuno_kernels.meshes.centreline import find_axis, follow_axis
-from nuno_kernels.meshes.loops import cut_mesh
+from nuno_geometry.centreline import find_axis, follow_axis
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -6,8 +6,8 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_wrinkle.lines import scan_triangles

@@ -12,8 +12,8 @@ from closed_meshes import box, sphere
 from met_bodies import Met, Motion, Shape, still
 from sheets import sheet
 
-from nuno_contact.offset.places import HELD_CUT, LEFT_OUT, TOUCHING
-from nuno_kernels.step import packing
+from nuno_contact.offset.contact_state import HELD_CUT, LEFT_OUT, TOUCHING
+from nuno_integrators import packing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

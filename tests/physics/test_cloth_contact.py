@@ -14,9 +14,8 @@ from sheets import DOWN, Pile, sheet
 
 from nuno.simulation.cloth.join import join_fabrics
 from nuno_bench.problem import piles
-from nuno_contact.offset.candidate_pairs import make_list
-from nuno_contact.offset.places import LEFT_OUT, LISTED, LISTS_MADE, STEPS, TOUCHING
-from nuno_contact.offset.plan import AHEAD, is_quiet
+from nuno_contact.offset.candidate_pairs import AHEAD, is_quiet, make_list
+from nuno_contact.offset.contact_state import LEFT_OUT, LISTED, LISTS_MADE, STEPS, TOUCHING
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State

@@ -6,8 +6,8 @@ import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
 from nuno.collision.surfaces import surface
-from nuno_contact.penalty.field_distance import Bodies, primitive_distance
-from nuno_contact.penalty.poses import pose_bodies
+from nuno_contact.penalty.contact import pose_bodies
+from nuno_contact.penalty.distance import Bodies, primitive_distance
 from nuno_schemas.bodies import rotation_matrices
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])

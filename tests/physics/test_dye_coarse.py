@@ -11,7 +11,7 @@ from dye_runs import run
 from test_dye_resist import Folder
 
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
-from nuno_dye.laws.faces import face_values
+from nuno_dye.laws.diffusivity import face_values
 from nuno_dye.laws.isotherms import Langmuir
 from nuno_schemas.dye import Cells, Dye, DyeSystem
 from nuno_schemas.errors import BadInput

@@ -12,16 +12,23 @@ from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, spots, who
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.cloths.coarse import Layout
+from nuno_dye import picture as module
+from nuno_dye.cloths.cloth import Layout
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
-from nuno_dye.pictures import picture as module
-from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig, colour_of, mix
-from nuno_dye.pictures.texture import Shades, TextureConfig, find_layouts
+from nuno_dye.picture import (
+    Shades,
+    TextureConfig,
+    YarnsPicture,
+    YarnsPictureConfig,
+    colour_of,
+    find_layouts,
+    mix,
+)
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
-from nuno_schemas.dye_picture import Window, amount_seen
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.look import DyeColour
+from nuno_schemas.pictures import Window, amount_seen
 
 INDIGO, MADDER, WELD = (
     DyeColour(full=1.0),

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from nuno_dye.laws.faces import Faces, face_values, largest_sum
+from nuno_dye.laws.diffusivity import Faces, face_values, largest_sum
 from nuno_dye.solvers.bands import make_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, diffuse
 from nuno_schemas.dye import Cells, Tortuosity

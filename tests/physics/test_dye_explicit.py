@@ -10,11 +10,10 @@ import pytest
 from test_dye_diffusion import random_cells
 from test_dye_step import ISOTHERMS, plain_step, resisted, start
 
-from nuno_dye.laws.faces import face_values, largest_sum
+from nuno_dye.laws.diffusivity import face_values, largest_sum
 from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
 from nuno_dye.solvers.explicit import Explicit, ExplicitConfig
-from nuno_dye.solvers.solving import CELLS_PER_THREAD
-from nuno_dye.solvers.upkeep import sum_compensated
+from nuno_dye.solvers.solving import CELLS_PER_THREAD, sum_compensated
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
 from nuno_schemas.fabric import Float
 

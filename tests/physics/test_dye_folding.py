@@ -11,9 +11,9 @@ import pytest
 from pydantic import ValidationError
 from test_dye_resist import SIZE, Folder
 
-from nuno_dye.supplies.folding import fold_cells
 from nuno_dye.supplies.regions import Disc, Polygon, Rectangle, Stroke, contains, cover
 from nuno_dye.supplies.resist import Folded, Shibori, find_resist
+from nuno_dye.supplies.shibori import fold_cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -26,10 +26,10 @@ from nuno_dye.cloths.photograph_cloth import (
     to_oklab,
 )
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
-from nuno_schemas.dye_picture import Layers, Window
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool
-from nuno_schemas.look import DyeColour
+from nuno_schemas.pictures import Layers, Window
 
 SCENES = Path(__file__).parents[2] / "scenes" / "dye"
 HEIGHT, WIDTH = 12, 21

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nuno_dye.solvers.diffusion import LEFT, Weights
-from nuno_dye.solvers.repair import repair
+from nuno_dye.solvers.long_steps import repair
 from nuno_schemas.fabric import Float
 
 MARGIN = 2

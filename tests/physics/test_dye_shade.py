@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drawn_cloth import cloth, whole
 
-from nuno_dye.cloths.woven import lay_evenly
+from nuno_dye.cloths.woven_cloth import lay_evenly
 from nuno_dye.drafts.weaves import draw_plain
-from nuno_dye.pictures.texture import (
+from nuno_dye.picture import (
     Shades,
     TextureConfig,
     draw_noise,

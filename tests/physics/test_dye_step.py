@@ -10,7 +10,7 @@ import pytest
 from test_dye_diffusion import random_cells, spread, step_plainly
 
 from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
-from nuno_dye.laws.faces import face_values, largest_sum
+from nuno_dye.laws.diffusivity import face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_dye_bands, read_bands
 from nuno_dye.solvers.dyeing import LEVELS, dye
 from nuno_schemas.dye import Cells

@@ -11,7 +11,7 @@ from test_dye_diffusion import random_cells
 from test_dye_explicit import CONFIG, D0, LAWS, dyed
 from test_dye_step import ISOTHERMS, plain_step, resisted, start
 
-from nuno_dye.laws.faces import face_values, largest_sum
+from nuno_dye.laws.diffusivity import face_values, largest_sum
 from nuno_dye.solvers.explicit import Explicit
 from nuno_dye.solvers.solving import CELLS_PER_THREAD
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem

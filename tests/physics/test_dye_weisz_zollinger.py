@@ -15,10 +15,10 @@ from test_dye_explicit import LAWS, dyed
 from test_dye_step import face_flows, resisted, start
 from test_dye_upkeep import kept
 
-from nuno_dye.laws.potential import Curve, amount, curve_of, potential, potentials
+from nuno_dye.laws.diffusivity import Curve, amount, curve_of, potential, potentials
 from nuno_dye.laws.power import log
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import WIDTH, load, store
+from nuno_kernels.lanes import WIDTH, load, store
 from nuno_schemas.dye import Cells, Dye, DyeSystem, Tortuosity
 from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Float

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_dye.cloths.woven import MOST_CELLS, VaryConfig, WovenConfig, YarnConfig, build_cells, lay_evenly, lay_measured
+from nuno_dye.cloths.woven_cloth import (
+    MOST_CELLS,
+    VaryConfig,
+    WovenConfig,
+    YarnConfig,
+    build_cells,
+    lay_evenly,
+    lay_measured,
+)
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill, read_matrix
-from nuno_dye.laws.faces import face_values
+from nuno_dye.laws.diffusivity import face_values
 from nuno_schemas.dye import Tortuosity
 from nuno_schemas.errors import BadInput
 

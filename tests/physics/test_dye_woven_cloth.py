@@ -15,12 +15,12 @@ from test_dye_resist import write_image
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.laws.isotherms import Langmuir
-from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
+from nuno_dye.picture import YarnsPicture, YarnsPictureConfig
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
-from nuno_schemas.dye_picture import Window
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import DyeColour
+from nuno_schemas.pictures import Window
 
 DROP = {"kind": "drop", "place": ["1 mm", "1 mm"], "diameter": "0.6 mm"}
 WIF = """[WIF]

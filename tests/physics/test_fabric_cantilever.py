@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_cloth.fabrics.energy import elastic_energy
-from nuno_cloth.fabrics.kes import minimise
+from nuno_cloth.fabrics.kes import elastic_energy, minimise
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_schemas.fabric import Float

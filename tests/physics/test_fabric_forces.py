@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from nets import accelerations, make_system, wind_force
 
-from nuno_cloth.fabrics.energy import elastic_energy
+from nuno_cloth.fabrics.kes import elastic_energy
 from nuno_cloth.models.sheet import Sheet
 from nuno_cloth.models.skirt import Skirt
-from nuno_cloth.wind.plugin import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
+from nuno_cloth.wind import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
 
 GARMENTS: list[tuple[Any, dict[str, Any]]] = [
     (Sheet(), {"resolution": (9, 13), "size": (0.2, 0.3), "pin": ["top-row"], "fabric": "jacket"}),

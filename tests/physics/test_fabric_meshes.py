@@ -11,7 +11,7 @@ import scipy.sparse.linalg
 from test_fabric_resolution import hanging_drop, sunk
 
 from nuno.scene.files import SceneFiles
-from nuno_cloth.fabrics.energy import membrane_energy
+from nuno_cloth.fabrics.kes import membrane_energy
 from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.membrane import build_elements

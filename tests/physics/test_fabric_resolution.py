@@ -9,11 +9,11 @@ import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 
-from nuno_cloth.fabrics.energy import spring_energy
+from nuno_cloth.fabrics.kes import spring_energy
 from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.system import System
 

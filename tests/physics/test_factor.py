@@ -7,16 +7,14 @@ import pytest
 from implicit_nets import DOWN, PLUGINS, dense, sheet
 from nets import make_fabric, make_system, start
 
-import nuno_kernels.step.packing
+import nuno_integrators.packing
 from nuno_integrators.implicit.conjugate import multiply
-from nuno_integrators.implicit.dissection import dissect
 from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored
-from nuno_integrators.implicit.lumped import keep_positive
 from nuno_integrators.implicit.matrix import fill, make_linear
-from nuno_integrators.implicit.newton import turning_work
-from nuno_integrators.implicit.plan import make_plan
+from nuno_integrators.implicit.newton import keep_positive, turning_work
+from nuno_integrators.implicit.plan import dissect, make_plan
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
-from nuno_kernels.step.packing import pack, to_rows
+from nuno_integrators.packing import pack, to_rows
 from nuno_schemas.fabric import Hinges, Springs
 
 
@@ -169,7 +167,7 @@ def test_newton_steps_grow_little_with_stiffness(plugin, growth):
 @PLUGINS
 @pytest.mark.full
 def test_factorisations_give_equal_bytes_for_any_number_of_threads(plugin, monkeypatch):
-    monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(nuno_integrators.packing, "PARALLEL_FROM", 0)
     ends = []
     for threads in (1, 2):
         system = make_system(sheet(24, k=1e7), DOWN, 0.1, threads=threads)

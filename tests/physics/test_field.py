@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from nuno_contact.fields.build import build_field
-from nuno_contact.fields.exact import Exact
+from nuno_contact.fields.cells import Exact
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.figures.leg import leg_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
+from nuno_schemas.bodies import DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 
 CASES = {
     "sphere": (meshes.sphere(24), 5e-3),

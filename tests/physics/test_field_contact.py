@@ -13,11 +13,10 @@ from nuno_contact.fields.build import build_field
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.penalty.contact import Contact, add_contact, count_contacts
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
-from nuno_schemas.bodies import FIELD, Geometry, rotation_matrices
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
+from nuno_schemas.bodies import FIELD, DistanceField, Geometry, rotation_matrices
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from persons import ARMS, limbs, person
 
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.skin.figure import find_figure
-from nuno_contact.skin.roles import find_roles
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -22,8 +22,7 @@ from nuno.fit.slices import cut
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.sewing.sew import sew
-from nuno_schemas.fabric import Bool, Float
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Bool, Float, Membrane
 
 AROUND, LEVELS = 32, 6
 

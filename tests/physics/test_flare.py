@@ -10,10 +10,10 @@ import pytest
 from sewing_patterns import Body, column, moved, panel, pattern, read, stitch, together
 from test_wrap import put_on, turns
 
-from nuno_cloth.sewing.flare import find_ring, flare
 from nuno_cloth.sewing.sew import sew
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_cloth.sewing.wrap import find_ring, flare
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 
 UP = np.array([0.0, 1.0, 0.0])

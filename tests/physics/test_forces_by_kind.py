@@ -11,7 +11,7 @@ from nets import make_fabric, make_system, random_net
 from test_sliding import GAP, STILL, G, World, body, loose
 
 from nuno.plugin_contract import registry
-from nuno_cloth.wind.plugin import ParticleWindForce
+from nuno_cloth.wind import ParticleWindForce
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.system import Forces, Term

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from nets import accelerations, find_hinges, make_fabric, make_hinges, make_system, triangulate
 
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Float, Hinges
 from nuno_schemas.system import System
 from nuno_wrinkle.edges import fold_angles

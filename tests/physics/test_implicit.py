@@ -12,12 +12,12 @@ from contact_world import G, contact_for, geometry, move, plane
 from implicit_nets import DOWN, PLUGINS, sheet
 from nets import make_fabric, make_system, start
 
-import nuno_kernels.step.packing
+import nuno_integrators.packing
 from nuno_integrators.explicit.adaptive import Dop853
 from nuno_integrators.implicit import newton
 from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Springs
 from nuno_schemas.system import Term
@@ -118,7 +118,7 @@ def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
 @PLUGINS
 @pytest.mark.full
 def test_any_number_of_threads_gives_equal_bytes(plugin, monkeypatch):
-    monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(nuno_integrators.packing, "PARALLEL_FROM", 0)
     ends = []
     for threads in (1, 2):
         system = make_system(sheet(50, bend=1e-5), DOWN, 0.1, threads=threads)

@@ -14,7 +14,7 @@ from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_cloth.models.membrane import build_elements
 from nuno_cloth.models.triangles import find_edges
-from nuno_contact.offset.places import CUT, STEPS, TOUCHING
+from nuno_contact.offset.contact_state import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 
 pytestmark = pytest.mark.full

@@ -11,8 +11,8 @@ from nets import make_system
 
 from nuno_integrators.implicit.conjugate import multiply, solve
 from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
 
 
 @pytest.mark.quick(shuffle=[True])

@@ -13,15 +13,14 @@ from explicit_methods import ALL, METHODS, name
 from nets import grid_springs, make_fabric, make_hinges, make_system, random_net, run, start
 from yarn_nets import chains, locking
 
-from nuno_cloth.wind.plugin import WindLists, prepare_wind
+from nuno_cloth.wind import WindLists, prepare_wind
 from nuno_contact.penalty.plugin import Penalty
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
+from nuno_integrators.explicit.fixed_step import RK4, Leapfrog
+from nuno_integrators.packing import pack
 from nuno_kernels.forces.hinges import HingeLists
 from nuno_kernels.forces.springs import SpringLists
 from nuno_kernels.forces.yarns import YarnLists
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -11,10 +11,7 @@ from explicit_methods import ALL, METHODS, name
 from nets import grid_springs, make_fabric, make_system, random_net, reference_forces, run, start
 from scipy.integrate import solve_ivp
 
-from nuno_integrators.explicit.euler import Euler
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4, RK4Printed
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import RK4, Euler, Leapfrog, RK4Printed, SymplecticEuler
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import System
 

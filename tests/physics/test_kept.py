@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import pytest
 
-from nuno_kernels.compile import dependency_hash
+from nuno_kernels.compile import cache
 from nuno_kernels.compile.cache import CHECKSUM, keep
 
 
@@ -158,7 +158,7 @@ class Package:
                 path.write_text(text)
             self.monkeypatch.delitem(sys.modules, name, raising=False)
         self.monkeypatch.setattr(sys, "dont_write_bytecode", True)
-        dependency_hash._sources.cache_clear()
+        cache._sources.cache_clear()
         importlib.invalidate_caches()
         return importlib.import_module("caller").force
 

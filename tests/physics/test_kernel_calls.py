@@ -11,7 +11,7 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
 from nuno_kernels import FLAGS, block_kernel, kernel
-from nuno_kernels.compile.borrowed import Borrowing
+from nuno_kernels.compile.calling_convention import Borrowing
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_cloth.fabrics.energy import elastic_energy, hinge_energy, spring_energy
-from nuno_cloth.fabrics.kes import TURN, bend, measure, relax, stretch
+from nuno_cloth.fabrics.kes import TURN, bend, elastic_energy, hinge_energy, measure, relax, spring_energy, stretch
 from nuno_cloth.fabrics.material import HandSet, Measured
 from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.sheet import Sheet, SheetConfig

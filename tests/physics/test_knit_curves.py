@@ -10,16 +10,15 @@ import pytest
 from knit_bodies import brute_depths, knit, samples, wrapped
 
 from nuno_contact.figures.leg import leg_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.file import read_closed
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.tree import build_tree
 from nuno_knit.paths import find_paths
 from nuno_knit.repair import CHECKED
 from nuno_knit.smooth import PIECES, Smooth, SmoothConfig, sample_curves
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.operation import Surface
+from nuno_schemas.operation import Surface, YarnCurves
 
 DEEPEST = 1e-5
 """The bar [m]."""

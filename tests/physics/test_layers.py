@@ -24,9 +24,9 @@ from nuno_cloth.models.placement import require_bare
 from nuno_cloth.models.shirt import Shirt, ShirtConfig
 from nuno_contact.offset.tree import make_tree
 from nuno_contact.untangle.search import find_crossings
-from nuno_kernels.meshes.check import check_closed
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.check import check_closed
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

@@ -10,12 +10,12 @@ import pytest
 from test_centreline import bent, straight, tube
 
 from nuno_contact.figures.leg import leg_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.file import read_closed
-from nuno_kernels.meshes.harmonic import solve_harmonic
-from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
-from nuno_kernels.meshes.tree import build_tree
-from nuno_knit.over import ROOM, Over, _lift_off
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.harmonic import solve_harmonic
+from nuno_geometry.limb import Rows, find_limb, lay_rows
+from nuno_geometry.tree import build_tree
+from nuno_knit.structure import ROOM, Over, _lift_off
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -36,7 +36,7 @@ def test_a_field_between_two_ends_of_a_tube_is_its_height() -> None:
 def test_a_field_that_is_not_found_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     x, faces = tube(21, 24, straight, lambda s: 0.1)
     given = (x[:, 1] < 0.11) | (x[:, 1] > 0.89)
-    monkeypatch.setattr("nuno_kernels.meshes.harmonic.ROUNDS", 3)
+    monkeypatch.setattr("nuno_geometry.harmonic.ROUNDS", 3)
     with pytest.raises(BadInput, match="no smooth field was found"):
         solve_harmonic(x, faces, given, x[:, 1])
 

@@ -11,16 +11,16 @@ from nets import accelerations, make_fabric, make_system, random_net, start
 from yarn_nets import chains, locking, reference
 
 from nuno_integrators.explicit.adaptive import Dop853
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.system import System

@@ -14,11 +14,10 @@ from nuno.simulation.cloth.join import join_fabrics
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
-from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Fabric, Float, Membrane, State
 
 MODULI = np.array([400.0, 2000.0, 30.0, 50.0])
 MASS = 1e-3

@@ -13,15 +13,15 @@ from nets import make_system
 from test_fabric_meshes import KINDS, square
 
 from nuno.simulation.cloth.join import join_fabrics
-from nuno_cloth.fabrics.energy import bending_energy
+from nuno_cloth.fabrics.kes import bending_energy
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.triangles import face_areas, yarn_axes
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

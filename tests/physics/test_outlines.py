@@ -12,9 +12,9 @@ from sewing_patterns import FEW, REAL, read_pattern
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.delaunay import is_inside
-from nuno_cloth.sewing.assemble import find_crossing
 from nuno_cloth.sewing.curves import Bezier, Curve
 from nuno_cloth.sewing.fill import triangulate_inside
+from nuno_cloth.sewing.pattern_file import find_crossing
 from nuno_cloth.sewing.refine import _locate
 from nuno_dye.supplies.regions import Polygon, cover
 from nuno_schemas.fabric import Float

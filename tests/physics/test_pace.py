@@ -10,8 +10,8 @@ import pytest
 
 from nuno.scene import scene_file, shipped
 from nuno.simulation.cloth import build
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.thread_tuning import BETTER, TRY_AGAIN, ThreadTuning
+from nuno_integrators.compiled import BETTER, TRY_AGAIN, ThreadTuning
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_schemas.system import System, Term
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from nuno_dye.laws.power import SMALLEST, power
 from nuno_kernels import kernel
-from nuno_kernels.lanes.simd import WIDTH, load, store
+from nuno_kernels.lanes import WIDTH, load, store
 from nuno_schemas.fabric import Float
 
 

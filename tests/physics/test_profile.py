@@ -11,11 +11,10 @@ from nets import make_system, start
 from numba.core import event
 
 from nuno_cloth.models.skirt import Skirt
-from nuno_cloth.wind.plugin import Wind, WindConfig
+from nuno_cloth.wind import Wind, WindConfig
 from nuno_contact.penalty.plugin import Penalty
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.explicit.fixed_step import Leapfrog, SymplecticEuler
+from nuno_integrators.xpbd import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State
 from nuno_schemas.system import System, Term

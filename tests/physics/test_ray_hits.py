@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from straight_yarns import everywhere
 
-from nuno_render.rays.hits import make_buffers, meet_capsules, meet_triangle
-from nuno_render.rays.tree import capsule_tree, triangle_tree
-from nuno_render.sampling import permute, place_sample
+from nuno_render.rays.hits import capsule_tree, make_buffers, meet_capsules, meet_triangle, triangle_tree
+from nuno_render.sight import permute, place_sample
 
 RNG = np.random.default_rng(4)
 

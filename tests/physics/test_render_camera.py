@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from nuno_schemas.camera import axes, frame
 from nuno_schemas.colour import colours, parse_hex, to_linear, to_srgb
-from nuno_schemas.drawing import Camera
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import Camera, axes, frame
 
 
 def project(camera, points):

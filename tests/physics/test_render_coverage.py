@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from nuno_render.raster.plugin import rasterise, sample_offsets
+from nuno_render.raster import rasterise, sample_offsets
 
 SIZE = 64
 

@@ -9,10 +9,9 @@ import pytest
 
 from nuno_render.config import Legend, RasterConfig
 from nuno_render.light.lighting import GROUND, KEY, SKY
-from nuno_render.raster.plugin import Raster, radiance
-from nuno_schemas.camera import axes, frame
+from nuno_render.raster import Raster, radiance
 from nuno_schemas.colour import colours, parse_hex, to_srgb
-from nuno_schemas.drawing import Camera, Mesh
+from nuno_schemas.pictures import Camera, Mesh, axes, frame
 
 PLAIN = {"ground": "none", "sheen": 0.0, "samples": 1}
 

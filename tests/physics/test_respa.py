@@ -13,9 +13,8 @@ from pydantic import ValidationError
 
 from nuno.plugin_contract import registry
 from nuno_contact.offset.plugin import Offset, OffsetConfig
-from nuno_integrators.explicit.fixed_step import NoConfig
+from nuno_integrators.explicit.fixed_step import NoConfig, SymplecticEuler
 from nuno_integrators.explicit.respa import SAFE, Respa, RespaConfig, both_rates, divide, steps_a_kick
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_schemas.fabric import Float, Hinges, Springs, State
 from nuno_schemas.system import System, Term
 

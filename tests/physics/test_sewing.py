@@ -15,10 +15,9 @@ from sewn_surface import angles, areas, lengths, loops, require_surface
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.triangles import find_edges
-from nuno_cloth.sewing.joined import find_openings
-from nuno_cloth.sewing.pattern import Pattern
+from nuno_cloth.sewing.pattern import Pattern, find_openings
+from nuno_cloth.sewing.refine import close_short
 from nuno_cloth.sewing.sew import Sewn, sew
-from nuno_cloth.sewing.short import close_short
 
 SPACINGS = [0.007, 0.01, 0.015, 0.03]
 quick = pytest.mark.quick(spacing=[0.03], garment=FEW)

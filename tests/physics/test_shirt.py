@@ -16,9 +16,9 @@ from nuno_cloth.models.shirt_pattern import outline_of
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_cloth.models.wearer import find_wearer
 from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.torso import torso_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_contact.figures.person import torso_mesh
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

@@ -11,18 +11,17 @@ import pytest
 from closed_meshes import box, grid_faces, outward, sphere
 from persons import person, write_mesh
 
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.hula import Hula, HulaConfig
 from nuno_contact.motions.rotations import from_axis_angle, multiply
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import HEAT, find_weights, see_bones
-from nuno_kernels.meshes.check import volume
-from nuno_schemas.bodies import rotation_matrices
+from nuno_geometry.check import volume
+from nuno_schemas.bodies import Skin, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Mover
-from nuno_schemas.skin import Skin
 
 WALK = Path(__file__).resolve().parents[2] / "scenes" / "walk.bvh"
 SPACING = 0.025

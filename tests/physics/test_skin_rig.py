@@ -15,10 +15,10 @@ from persons import person
 from scipy.spatial import cKDTree
 from test_skin import WALK, Folder, bent
 
+from nuno_contact.colliders.body_parts import carrier_of, find_roles
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig, bones_of
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.skin.figure import find_figure
-from nuno_contact.skin.roles import carrier_of, find_roles
 from nuno_contact.skin.weights import find_weights
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from nuno.fit.read import MEASURED
-from nuno_cloth.models.skirt import Skirt
-from nuno_cloth.models.skirt_config import SkirtConfig
-from nuno_cloth.models.skirt_cut import SHARES
-from nuno_contact.figures.torso import torso_mesh
+from nuno_cloth.models.skirt import SHARES, Skirt, SkirtConfig
+from nuno_contact.figures.person import torso_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

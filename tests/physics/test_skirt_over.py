@@ -16,13 +16,12 @@ from nuno.collision.distance import penetration
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno.simulation.cloth import build
-from nuno_cloth.models.skirt import Skirt
-from nuno_cloth.models.skirt_config import SkirtConfig
+from nuno_cloth.models.skirt import Skirt, SkirtConfig
 from nuno_cloth.models.skirt_over import find_height
 from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.torso import HEIGHTS, torso_mesh
-from nuno_kernels.meshes.file import read_closed
-from nuno_kernels.meshes.loops import cut_mesh
+from nuno_contact.figures.person import HEIGHTS, torso_mesh
+from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Files

@@ -11,9 +11,9 @@ import pytest
 
 from nuno.collision.distance import penetration, signed_distance
 from nuno.plugin_contract import registry
-from nuno_contact.sliding.balance import hold_forces
+from nuno_contact.sliding.grip import hold_forces
 from nuno_contact.sliding.plugin import Slid, Sliding, SlidingConfig, make_slides
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State
@@ -256,16 +256,16 @@ def test_each_of_several_bodies_keeps_a_tree_of_its_own() -> None:
     """A search goes up from where a vertex was nearest, and must not come to another body's root."""
     trees = [build_tree(*meshes.torus(9 * k, 7)) for k in (1, 4, 2)]
     slides = make_slides([Slid(tree, 0, 0.0, GAP) for tree in trees], 1, np.ones(3))
-    ends = [*slides.root[1:], len(slides.child)]
+    ends = [*slides.root[1:], len(slides.tree.child)]
     leaf = 0
     for tree, root, end in zip(trees, slides.root, ends, strict=True):
-        for node in slides.leaf_parent[leaf : leaf + len(tree.leaf_parent)]:
-            while slides.parent[node] >= 0:
+        for node in slides.tree.leaf_parent[leaf : leaf + len(tree.leaf_parent)]:
+            while slides.tree.parent[node] >= 0:
                 assert root <= node < end
-                node = slides.parent[node]
+                node = slides.tree.parent[node]
             assert node == root
         leaf += len(tree.leaf_parent)
-    assert leaf == len(slides.leaf_parent)
+    assert leaf == len(slides.tree.leaf_parent)
 
 
 def test_a_distance_field_is_slid_on_by_its_triangles() -> None:

@@ -18,11 +18,11 @@ from nets import (
 )
 
 from nuno.simulation.cloth.start_checks import start_warnings
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.springs import SpringRuns
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 
 

@@ -16,10 +16,7 @@ from nets import (
     triangulate,
 )
 
-from nuno_integrators.explicit.euler import Euler
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import RK4, Euler, Leapfrog, SymplecticEuler
 from nuno_integrators.stability import critical_step, measure_rates, spectral_radius
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import System, Term

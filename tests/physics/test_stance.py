@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sewing_patterns import Body, column, moved, together
 
-from nuno_cloth.models.stance import check_openings, check_place, check_stance
 from nuno_cloth.models.triangles import find_edges
-from nuno_kernels.meshes.tree import build_tree
+from nuno_cloth.models.wearer import check_openings, check_place, check_stance
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

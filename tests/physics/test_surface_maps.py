@@ -8,12 +8,22 @@ import numpy as np
 import pytest
 from straight_yarns import above, parallel, plane, worn
 
-from nuno_render.rays.maps import BACKGROUND, COUNTS, MEANS, Density, Map, map_values, most_of, reach_of
-from nuno_render.rays.near import sort_points, sum_near
-from nuno_render.rays.yarn_config import MapConfig
+from nuno_render.config import MapConfig
+from nuno_render.rays.maps import (
+    BACKGROUND,
+    COUNTS,
+    MEANS,
+    Density,
+    Map,
+    map_values,
+    most_of,
+    reach_of,
+    sort_points,
+    sum_near,
+)
 from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.errors import BadInput
-from nuno_schemas.yarn_picture import SurfaceValues
+from nuno_schemas.pictures import SurfaceValues
 
 
 @pytest.mark.parametrize("reach", [0.15, 0.4, 5.0])

@@ -11,10 +11,10 @@ from pydantic import ValidationError
 
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.swatch import Swatch, SwatchConfig, lay
-from nuno_contact.figures.torso import torso_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.loops import section_about
-from nuno_kernels.meshes.tree import build_tree
+from nuno_contact.figures.person import torso_mesh
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.sections import section_about
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

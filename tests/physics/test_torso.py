@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_contact.colliders.mesh import MeshConfig
-from nuno_contact.colliders.surface import make_mannequin
+from nuno_contact.colliders.mesh import MeshConfig, make_mannequin
 from nuno_contact.figures.leg import LANDMARKS, leg_mesh
-from nuno_contact.figures.person import person_mesh
-from nuno_contact.figures.torso import ALONG, GIRTHS, HEIGHTS, JOINT
-from nuno_kernels.meshes.check import check_closed, check_crossings, volume
-from nuno_kernels.meshes.isosurface import find_isosurface, net_of
-from nuno_kernels.meshes.loops import cut_mesh, section_about
+from nuno_contact.figures.person import ALONG, GIRTHS, HEIGHTS, JOINT, person_mesh
+from nuno_geometry.check import check_closed, check_crossings, volume
+from nuno_geometry.isosurface import find_isosurface, net_of
+from nuno_geometry.sections import cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -10,7 +10,7 @@ from nets import wind_force
 
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
-from nuno_cloth.wind.plugin import (
+from nuno_cloth.wind import (
     ParticleWindConfig,
     ParticleWindForce,
     Wind,

@@ -10,7 +10,7 @@ import pytest
 from persons import bar, skinned
 
 from nuno.simulation.cloth import build
-from nuno_kernels.bodies.bindings import make_bindings, place_bound, set_binding_poses
+from nuno_integrators.bindings import make_bindings, place_bound, set_binding_poses
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Binding, Float
 from nuno_schemas.system import Carried

@@ -16,8 +16,8 @@ from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.sewing.sew import sew
 from nuno_cloth.sewing.wrap import tubes, wrap
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.vectors import dot
 

@@ -15,7 +15,7 @@ from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, State
 from nuno_schemas.operation import Changed, Outcome
-from nuno_wrinkle.split import smooth, split_faces
+from nuno_wrinkle.raised import smooth, split_faces
 from nuno_wrinkle.surface import link_faces
 
 STEEP = {"passes": 0}

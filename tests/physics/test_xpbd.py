@@ -12,7 +12,7 @@ from xpbd_nets import DOWN, advance, chain, sheet
 
 from nuno_integrators.explicit.adaptive import Dop853
 from nuno_integrators.implicit.plugin import ImplicitEuler
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_schemas.system import Term
 
 

@@ -11,7 +11,7 @@ from sheets import Pile, sheet
 from test_cloth_contact import heap, pace, sliding
 
 from nuno_bench.problem import piles
-from nuno_contact.offset.places import CUT, STEPS, TOUCHING
+from nuno_contact.offset.contact_state import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 
 USUAL = 1.0 / 960.0

@@ -8,11 +8,11 @@ from contact_world import contact_for, geometry, plane
 from nets import make_fabric, make_system, random_net, start
 from xpbd_nets import DOWN, POSES, advance, sheet
 
-import nuno_kernels.step.packing
+import nuno_integrators.packing
 from nuno_integrators.implicit.plugin import ImplicitEuler
-from nuno_integrators.xpbd.plugin import XPBD
-from nuno_kernels.forces.constraint_packing import find_batches, pack_constraints
-from nuno_kernels.step.packing import pack
+from nuno_integrators.packing import pack
+from nuno_integrators.xpbd import XPBD
+from nuno_kernels.forces.constraints import find_batches, pack_constraints
 from nuno_schemas.fabric import Springs
 from nuno_schemas.system import Term
 
@@ -20,7 +20,7 @@ from nuno_schemas.system import Term
 @pytest.mark.full
 def test_any_number_of_threads_gives_equal_bytes(monkeypatch):
     """Of springs that lie in runs and of others."""
-    monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(nuno_integrators.packing, "PARALLEL_FROM", 0)
     fabric = sheet(66, shuffle=0.5)
     runs, lists, _ = pack_constraints(pack(make_system(fabric)), False).kinds
     assert len(runs.task) > 50 and lists.ends.shape[1] > 1000
@@ -73,7 +73,7 @@ def test_a_sheet_has_three_colours_and_chaos_two(monkeypatch):
     (batch,), colour = find_batches([rows])
     assert colour.tolist() == [0, 4, 6, 7]
     assert batch.tolist() == [0, 4, 1, 6, 5, 2, 3]
-    monkeypatch.setattr("nuno_kernels.forces.constraint_packing.MOST_BATCHES", 5)
+    monkeypatch.setattr("nuno_kernels.forces.constraints.MOST_BATCHES", 5)
     (batch,), colour = find_batches([rows])
     assert colour.tolist() == [0, 4, 5]
     assert batch.tolist() == [0, 4, 1, 4, 4, 2, 3]

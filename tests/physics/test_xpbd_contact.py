@@ -11,7 +11,7 @@ from nets import make_fabric, make_system, start
 from xpbd_nets import DOWN, POSES, STILL, advance, chain, sheet
 
 from nuno_integrators.implicit.plugin import ImplicitEuler
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.system import Carried, Term
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from straight_yarns import BARE, above, curves, everywhere, joined, parallel, plane, shares, worn
 
-from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.config import YarnsConfig
 from nuno_render.rays.yarns import Lines, Yarns, radiance
 from nuno_schemas.colour import to_linear
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import Camera, Mesh
 
 WIDE = 1.0 / 8.0
 """A pixel of `above` [m]."""
@@ -108,7 +108,7 @@ def tangle():
 
 
 def test_picture_is_the_same_by_any_number_of_threads_and_by_trying_everything(monkeypatch):
-    from nuno_render.rays import tree as ray_tree
+    from nuno_render.rays import hits as ray_tree
     from nuno_render.rays import worn as gathered
 
     scene, camera = tangle()

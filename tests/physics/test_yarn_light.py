@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from straight_yarns import BARE, above, curves, parallel, plane, worn
 
+from nuno_render.config import YarnsConfig
 from nuno_render.light.lighting import GROUND, KEY, SKY
-from nuno_render.rays.fibre import fibre_highlight
-from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.rays.surfaces import fibre_highlight
 from nuno_render.rays.yarns import radiance
-from nuno_schemas.camera import axes
-from nuno_schemas.drawing import Camera
+from nuno_schemas.pictures import Camera, axes
 
 
 def unit(*v):

@@ -12,20 +12,17 @@ from nets import accelerations, make_fabric, make_system, random_net, run, start
 from yarn_nets import balance, chains, line, reference
 
 from nuno_integrators.explicit.adaptive import Dop853, Dopri5
-from nuno_integrators.explicit.leapfrog import Leapfrog
-from nuno_integrators.explicit.rk4 import RK4
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import RK4, Leapfrog, SymplecticEuler
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_integrators.stability import measure_rates
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.yarns import YarnLists, pack_yarns
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Springs
+from nuno_schemas.fabric import Float, Springs, Yarns
 from nuno_schemas.system import System
-from nuno_schemas.yarns import Yarns
 
 
 @pytest.mark.parametrize("c", [0.0, 0.4])

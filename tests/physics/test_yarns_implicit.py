@@ -16,9 +16,9 @@ from nuno_integrators.implicit.factor import factorise, make_factor, solve_facto
 from nuno_integrators.implicit.matrix import Linear, fill, make_linear
 from nuno_integrators.implicit.plan import make_plan
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float
 
 

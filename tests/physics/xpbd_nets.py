@@ -9,7 +9,7 @@ from contact_world import G
 from nets import find_hinges as hinge_corners
 from nets import grid_springs, make_fabric, make_hinges, start, triangulate
 
-from nuno_integrators.xpbd.plugin import XPBD
+from nuno_integrators.xpbd import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Springs
 

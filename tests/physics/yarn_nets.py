@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 from nets import make_fabric, make_system
 
-from nuno_schemas.fabric import Fabric, Float, Springs
+from nuno_schemas.fabric import Fabric, Float, Springs, Yarns
 from nuno_schemas.system import System
-from nuno_schemas.yarns import Yarns
 
 
 def chains(points: int, yarns: int, seed: int, length: int = 12, c: float = 0.0, uniform: bool = False) -> Fabric:

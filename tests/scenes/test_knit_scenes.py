@@ -11,8 +11,8 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.system import System
 

@@ -16,8 +16,8 @@ from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
-from nuno_integrators.profile import profile_steps
-from nuno_kernels.step.packing import to_rows
+from nuno_integrators.diagnostics import profile_steps
+from nuno_integrators.packing import to_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 

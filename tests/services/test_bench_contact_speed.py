@@ -12,8 +12,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
 from nuno_bench.speed.contact import Parts
-from nuno_contact.offset.contact_state import ContactState
-from nuno_contact.offset.places import LISTED
+from nuno_contact.offset.contact_state import LISTED, ContactState
 from nuno_schemas.errors import RunFailed
 
 pytestmark = pytest.mark.full

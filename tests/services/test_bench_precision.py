@@ -20,7 +20,7 @@ from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import MORE, Runner
 from nuno_bench.problem.observe import POSITIONS, Problem, simulate
 from nuno_bench.problem.reference import Reference
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_kernels import kernel
 from nuno_schemas.plugin import GROUPS, Config
 from nuno_schemas.system import StepReport

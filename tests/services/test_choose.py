@@ -26,7 +26,7 @@ from nuno_bench.problem.random_scenes import random_scene
 from nuno_bench.problem.reference import find_horizon, make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.solver import Accuracy
+from nuno_schemas.parts import Accuracy
 
 SHEET = {
     "nuno": 1,

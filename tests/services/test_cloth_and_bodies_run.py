@@ -20,8 +20,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.contact.run import Oracle
 from nuno_bench.problem import piles
 from nuno_bench.problem.piles import write_obj
-from nuno_contact.offset.plugin import Offset
-from nuno_contact.offset.start import check_thickness
+from nuno_contact.offset.plugin import Offset, check_thickness
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import PENETRATION

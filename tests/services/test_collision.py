@@ -17,9 +17,8 @@ from nuno.collision import distance as mesh_module
 from nuno.collision.distance import distances, make_columns, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.plugin_contract.results import check_body
-from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, Skin, rotation_matrices
 from nuno_schemas.plugin import BodyShape, Mover
-from nuno_schemas.skin import Skin
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)

@@ -19,11 +19,11 @@ from nuno.cli import main
 from nuno.exports.dyed_pictures import _bar, _time, caption, choose_amounts, dyed_pictures, find_amounts
 from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
-from nuno_dye.pictures.picture import YarnsPicture
-from nuno_schemas.dye_picture import Layers, Window
+from nuno_dye.picture import YarnsPicture
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import DyeColour
 from nuno_schemas.messages import CONCENTRATION
+from nuno_schemas.pictures import Layers, Window
 from nuno_schemas.plugin import Config
 
 NY, NX = 9, 11

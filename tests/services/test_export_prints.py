@@ -25,7 +25,7 @@ from nuno.simulation.cloth.build import build_fabric
 from nuno.simulation.cloth.join import join_fabrics
 from nuno.simulation.cloth.numbering import renumber
 from nuno_cloth.sewing.sew import sew
-from nuno_kernels.meshes.file import load_mesh
+from nuno_geometry.files.mesh import load_mesh
 from nuno_schemas.fabric import Fabric, Float
 
 PATTERN = Path(__file__).parents[2] / "scenes" / "sewn" / "patterns" / "top.yaml"

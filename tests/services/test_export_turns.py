@@ -18,8 +18,8 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import ROOM, Painter, draw_turn
 from nuno.recording.reader import open_recording
-from nuno_schemas.camera import axes
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import axes
 
 SIZE = (96, 64)
 

@@ -19,8 +19,8 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.curves import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording
 from nuno_contact.figures.leg import leg_mesh
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.fabric import Float
 
 MOVED = 0.02

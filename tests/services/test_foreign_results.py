@@ -29,7 +29,7 @@ from nuno_schemas.dye import *
 from nuno_schemas.fabric import *
 from nuno_schemas.operation import *
 from nuno_schemas.plugin import *
-from nuno_schemas.yarns import Yarns
+from nuno_schemas.fabric import Yarns
 class Typed(NamedTuple):
     at: Annotated[Float, "m", 3]
     k: float = 1.0

@@ -21,7 +21,7 @@ from nuno.scene import scene_file
 from nuno.simulation.cloth import numbering
 from nuno.simulation.cloth.numbering import invert
 from nuno.simulation.run import Simulation
-from nuno_cloth.wind.plugin import Wind
+from nuno_cloth.wind import Wind
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import Term

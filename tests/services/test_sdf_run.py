@@ -13,8 +13,8 @@ from scenes import write_scene
 import nuno
 from nuno.bus.encodings import decode_points
 from nuno.recording.reader import open_recording
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
 from nuno_schemas.messages import PENETRATION, STATE
 
 TOLERANCE = 2e-3

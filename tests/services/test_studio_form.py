@@ -13,7 +13,7 @@ from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 from nuno.plugin_contract import registry
 from nuno.studio.desk import Desk, swatches
 from nuno.studio.pages.server import Server
-from nuno_schemas.dye_presets import PRESETS
+from nuno_schemas.dyeing import PRESETS
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 BALL = """\

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import nuno
-from nuno_kernels.step.packing import PARALLEL_FROM
+from nuno_integrators.packing import PARALLEL_FROM
 
 SIDES = [129, 130]
 """Enough vertices to run on several threads, in numbers that no block divides."""

@@ -18,7 +18,7 @@ from nuno.report.show import lines
 from nuno.scene import scene_file, shipped
 from nuno.simulation.cloth import build
 from nuno.simulation.run import Simulation
-from nuno_kernels.meshes.normals import edge_numbers
+from nuno_geometry.normals import edge_numbers
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

@@ -19,7 +19,7 @@ from nuno_bench.validation import command as validation_page
 from nuno_bench.validation import suite as validate
 from nuno_bench.validation.laws import oscillator, statics
 from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
-from nuno_integrators.explicit.rk4 import RK4
+from nuno_integrators.explicit.fixed_step import RK4
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -26,7 +26,7 @@ from nuno.viewer.require import require
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 CLOTH = "/world/cloth/sheet"
 

@@ -25,7 +25,7 @@ from nuno.runtime.service import Options, ack_topic, run_service
 from nuno.scene import scene_file
 from nuno.viewer.live import LiveView, Ring, keep_page
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 FRAMES = 40
 SOON = 60.0

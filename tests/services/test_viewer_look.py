@@ -16,7 +16,7 @@ from viewer_run import messages
 from nuno.bus.sessions import free_port
 from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]
 pytestmark = [

@@ -17,7 +17,7 @@ from nuno.simulation.cloth.yarns import structural_edges
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.messages import FABRIC, STATE
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 YARNS = [
     {"name": "soft", "k": 1.0, "lock": 0.2, "k_lock": 8.0, "mu": 0.1},

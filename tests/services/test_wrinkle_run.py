@@ -20,7 +20,7 @@ from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_contact.offset.places import CUT
+from nuno_contact.offset.contact_state import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 
 INTEGRATORS = ("dopri5", "implicit_euler", "leapfrog", "xpbd")

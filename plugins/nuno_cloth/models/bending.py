@@ -42,8 +42,7 @@ import numpy as np
 from nuno_cloth.fabrics.material import Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.patches import find_patches, find_sides
-from nuno_schemas.fabric import Bool, Float, Int
-from nuno_schemas.triangles import Bending
+from nuno_schemas.fabric import Bending, Bool, Float, Int
 
 NEAR, STEEP = 1.0, 3
 FIT = 130.0

@@ -25,8 +25,18 @@ from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.triangles import Edges, face_areas, hinge_stiffness, spring_stiffness, yarn_axes
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import BENDING, STRUCTURAL, Bool, Float, Hinges, Int, Springs
-from nuno_schemas.triangles import Bending, BendingFriction, Membrane
+from nuno_schemas.fabric import (
+    BENDING,
+    STRUCTURAL,
+    Bending,
+    BendingFriction,
+    Bool,
+    Float,
+    Hinges,
+    Int,
+    Membrane,
+    Springs,
+)
 
 # Elements of cloth of triangles: a measured fabric's membrane and bending, or springs with hinges.
 

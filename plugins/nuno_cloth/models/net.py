@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from nuno_kernels.npz_file import NpzFile, Spec, open_npz, require_values
+from nuno_geometry.files.npz import NpzFile, Spec, open_npz, require_values
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int, Springs
+from nuno_schemas.fabric import Fabric, Float, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.yarns import Yarns
 
 # A net's yarns are runs of springs, each sharing a vertex with the next, none used twice.
 
 
 def check_yarns(path: Path, springs: Int, links: Int, ptr: Int, mu: Float) -> None:
     """Raise BadInput, with key and index, for links (l,), ptr (y + 1,), mu (y,) that are not yarns of springs (s, 2) as
-    nuno_schemas.yarns.Yarns defines them.
+    nuno_schemas.fabric.Yarns defines them.
     """
     _check_bounds(path, links, ptr, mu)
     require_values(

@@ -15,24 +15,21 @@ from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX, build_triangles
 from nuno_cloth.models.placement import Wearable, find_texture
-from nuno_cloth.models.stance import check_openings, check_place, check_stance
 from nuno_cloth.models.triangles import Edges, find_edges
+from nuno_cloth.models.wearer import check_openings, check_place, check_stance
 from nuno_cloth.quantities import EdgeLength, Length
-from nuno_cloth.sewing.assemble import as_written, require_sound
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.elastic import Band, bands_along, springs_of
-from nuno_cloth.sewing.fields import PatternFile
-from nuno_cloth.sewing.flare import LESS, WIDE, flare
 from nuno_cloth.sewing.pattern import Pattern as Drawn
-from nuno_cloth.sewing.refine import refine
+from nuno_cloth.sewing.pattern_file import PatternFile, as_written, require_sound
+from nuno_cloth.sewing.refine import close_short, refine
 from nuno_cloth.sewing.sew import Sewn, sew
-from nuno_cloth.sewing.short import close_short
-from nuno_cloth.sewing.wrap import wrap
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.isosurface import net_of
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_cloth.sewing.wrap import LESS, WIDE, flare, wrap
+from nuno_geometry.check import place_of
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.isosurface import net_of
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Corners, Fabric, Float, Int, Panels
 from nuno_schemas.pattern import Checked

@@ -133,7 +133,7 @@ class Sheet:
 
     def presets(self) -> tuple[Preset, ...]:
         """Return the presets, which all models here know by name. Their virtual tests take about a second."""
-        from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE, list_presets
+        from nuno_cloth.fabrics.kes import RESOLUTION, SIZE, list_presets
 
         def cut(name: str) -> Fabric:
             config = SheetConfig(size=SIZE, resolution=RESOLUTION, fabric=name)
@@ -143,8 +143,7 @@ class Sheet:
 
     def import_fabric(self, given: Mapping[str, Any], like: str | None, folder: Path = Path()) -> Imported:
         """Import a fabric from a laboratory's sheet in this folder, with results of virtual tests. Raises BadInput."""
-        from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE
-        from nuno_cloth.fabrics.kes import measure
+        from nuno_cloth.fabrics.kes import RESOLUTION, SIZE, measure
         from nuno_cloth.fabrics.laboratory import read_sheet
 
         imported = read_sheet(given, like, folder)

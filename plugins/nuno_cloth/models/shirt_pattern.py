@@ -25,8 +25,8 @@ from functools import lru_cache
 import numpy as np
 
 from nuno_cloth.models.delaunay import fill_outline
-from nuno_kernels.meshes.centreline import lengths
-from nuno_kernels.meshes.harmonic import solve_harmonic
+from nuno_geometry.centreline import lengths
+from nuno_geometry.harmonic import solve_harmonic
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import norm

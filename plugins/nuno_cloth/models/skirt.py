@@ -5,7 +5,7 @@ hem_radius fullness at the hem, linear between. It starts on a cone from waist_r
 longer than the cone's circle (fullness > 1) goes into `pleats` folds, whose depth follows row by row from the length.
 So the folds are real cloth, not a texture, and they stay when the skirt swings.
 
-A circle skirt is cut from a flat ring (nuno_cloth.models.skirt_cut) and starts as an equally flat cone, where it has
+A circle skirt is cut from a flat ring (see `lay_ring`) and starts as an equally flat cone, where it has
 room. On a body (nuno_cloth.models.skirt_over) waist and hips are the body's.
 """
 
@@ -13,31 +13,229 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from nuno_cloth.fabrics.constants import Lattice
-from nuno_cloth.fabrics.material import HandSet, resolve
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX, Elements, build_triangles
-from nuno_cloth.models.outside import require_outside
-from nuno_cloth.models.placement import Attach, Wearable, find_texture, require_bare
-from nuno_cloth.models.sheet import build_grid, bytes_of_grid
-from nuno_cloth.models.skirt_config import ROUNDING, SkirtConfig, require_columns, require_measures, require_width
-from nuno_cloth.models.skirt_cut import SHARES, STANDARD, count_round, lay_ring, place_ring
-from nuno_cloth.models.skirt_over import Wearing, measure, rings
-from nuno_cloth.models.skirt_rows import drape, ellipses
-from nuno_cloth.models.stance import check_stance
+from nuno_cloth.models.placement import (
+    STILL,
+    TEXTURE,
+    VELOCITY,
+    Attach,
+    Point,
+    Rotation,
+    Velocity,
+    Wearable,
+    find_texture,
+    require_bare,
+)
+from nuno_cloth.models.sheet import CELLS, CellKind, build_grid, bytes_of_grid
+from nuno_cloth.models.skirt_over import AtWaist, Wearing, drape, ellipses, measure, rings
 from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.models.wearer import check_stance, require_outside
+from nuno_cloth.quantities import EdgeLength, Flatness, Fullness, Length
 from nuno_cloth.sewing.draw import draw_together
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Bool, Corners, Fabric, Float, Int
-from nuno_schemas.plugin import Files
+from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
+
+# A circle skirt: a ring of flat cloth, or half or a quarter of one, sewn to itself and worn by its inner rim.
+#
+# The cloth lies flat between two circles about one centre. The skirt takes the share f of the inner circle, which is as
+# long as the waist: W = 2 pi f r. Vertices are on circles, evenly round each, with half a step between neighbouring
+# ones; triangles join each circle to the next. So no seam shows: a cone is as flat as a plane, and only the yarns,
+# which run one way in the plane, meet at an angle at the seam, on the left.
+
+Cut = Literal["cone", "circle", "half", "quarter"]
+SHARES = {"circle": 1.0, "half": 0.5, "quarter": 0.25}
+"""Share of a full circle of each cut."""
+STANDARD = 0.7
+"""A skirt that is cut to a body has the triangles that it would have round a waist of this girth [m]."""
+LEAST = 12
+"""The fewest vertices round each circle."""
+FRONT = 0.75
+"""Where the middle of the front is, as a share of the way round from the left side by the back."""
+
+
+class Ring(NamedTuple):
+    """A piece of a flat ring.
+
+    row (n,) circle of each vertex; share (n,) its share of the way round, from the left side by the back; faces (f, 3)
+    counter-clockwise seen from outside; corners (f, 3, 3) of each triangle in the flat ring about the centre [m]; warp
+    (3,) direction of the yarns there: down the middle of the front
+    """
+
+    row: Int
+    share: Float
+    faces: Int
+    corners: Float
+    warp: Float
+
+
+def count_round(length: float, waist: float, part: float, edge: float) -> Int:
+    """Return the numbers (rows,) of vertices round each circle of a ring cut `length` wide round a `waist` [m]."""
+    rows = max(2, round(length / (np.sqrt(0.75) * edge)) + 1)
+    girth = waist + 2.0 * np.pi * part * length * np.linspace(0.0, 1.0, rows)
+    return np.maximum(LEAST, np.round(girth / edge)).astype(np.int32)
+
+
+def lay_ring(around: Int, length: float, waist: float, part: float) -> Ring:
+    """Return a ring `length` wide round a `waist` [m], the share `part` of a circle, of `around` (rows,) vertices."""
+    radius = waist / (2.0 * np.pi * part) + np.linspace(0.0, length, len(around))
+    first = np.concatenate([[0], np.cumsum(around)])
+    row = np.repeat(np.arange(len(around), dtype=np.int32), around)
+    share = (np.arange(first[-1]) - first[row] + 0.5 * (row % 2)) / around[row]
+    joined = [_join(i, *around[i : i + 2].tolist()) for i in range(len(around) - 1)]
+    circle, place = (np.concatenate(each) for each in zip(*joined, strict=True))
+    faces = first[circle] + place % around[circle]
+    angle = 2.0 * np.pi * part * (share[faces] + place // around[circle])
+    corners = radius[circle][..., None] * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=2)
+    front = 2.0 * np.pi * part * FRONT
+    return Ring(row, share, faces.astype(np.int32), corners, np.array([np.cos(front), np.sin(front), 0.0]))
+
+
+def _join(row: int, above: int, below: int) -> tuple[Int, Int]:
+    """Return triangles between a circle of `above` vertices and the next, of `below`: the circle (t, 3) of each corner
+    and its place on it (t, 3), which counts on beyond the last.
+    """
+    up, down = np.arange(above), np.arange(below)
+    upper, lower = (up + 1 + 0.5 * (row % 2)) / above, (down + 1 + 0.5 * ((row + 1) % 2)) / below
+    opposite_upper, opposite_lower = (
+        np.searchsorted(lower, upper, side="left"),
+        np.searchsorted(upper, lower, side="right"),
+    )
+    place = np.concatenate([np.stack([up, opposite_upper, up + 1], 1), np.stack([opposite_lower, down, down + 1], 1)])
+    circle = np.repeat([[row, row + 1, row], [row, row + 1, row + 1]], [above, below], axis=0)
+    return circle, place
+
+
+def place_ring(ring: Ring, position: Float) -> Float:
+    """Return places (n, 3) of a ring's vertices between points of their rows (rows, columns, 3) [m], even on each."""
+    columns = position.shape[1]
+    at = ring.share * columns
+    i = at.astype(np.int64) % columns
+    part = (at - np.floor(at))[:, None]
+    return np.asarray((1.0 - part) * position[ring.row, i] + part * position[ring.row, (i + 1) % columns])
+
+
+# The configuration of a skirt, and checks that it can be made.
+
+ROUNDING = 1e-9
+
+
+class SkirtConfig(Config):
+    """A cone, or a ring that is cut flat, whose top row is pinned. Columns start at +x and run towards -z.
+
+    Texture: u runs from 0 to 1 around the waist, to the right as seen from outside, so that an image goes round once
+    and its sides meet where columns begin, at the left side; v is 1 at the waist and 0 at the hem.
+    """
+
+    over: AtWaist | None = Field(
+        default=None, description="the body that wears it, from which waist, place and width follow; none: as if in air"
+    )
+    cut: Cut = Field(
+        default="cone",
+        description="cone: as wide as hem_radius and fullness say; circle, half, quarter: that part of a flat ring, "
+        "whose inner rim is the waist, in triangles",
+    )
+    waist_radius: Length = Field(default=0.13, description="of the waist, half its width [m]")
+    hem_radius: Length = Field(
+        default=0.28,
+        description="of the circle on which the hem starts [m]; not given, over a body: as wide as hips and legs need; "
+        "of a ring: as wide as it is cut, if there is room",
+    )
+    length: Length = Field(default=0.5, description="along the cloth, from waist to hem [m]")
+    columns: int = Field(default=128, ge=4, le=16384, description="vertices around, an even number")
+    rows: int = Field(default=64, ge=2, le=16384, description="vertices from waist to hem")
+    fullness: Fullness = Field(default=1.0, description="the cloth's length at the hem over the circle it starts on")
+    pleats: int = Field(default=12, ge=2, le=200, description="folds around with which it starts, where it has any")
+    edge: EdgeLength = Field(default=0.015, description="length of a ring's triangles' edges [m]")
+    ratio: Flatness = Field(default=1.0, description="the waist's depth over its width, z over x")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="middle of the waist [m]")
+    rotate: Rotation | None = Field(
+        default=None, description="a turn about the centre; before it the axis points down (-y)"
+    )
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    cells: CellKind = Field(default="quads", description=CELLS)
+    attach: Attach | None = Field(
+        default=None,
+        description="the body and frame that the waist moves with; not given: the body that it is over, else it stands",
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
+
+    @field_validator("columns")
+    @classmethod
+    def _even(cls, columns: int) -> int:
+        if columns % 2:
+            raise ValueError("must be even, so that alternating diagonals close around the tube")
+        return columns
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> SkirtConfig:
+        placed = {"waist_radius", "ratio", "centre", "rotate"} & self.model_fields_set
+        if self.over is not None and placed:
+            raise ValueError(f"a skirt over a body takes its waist from it: leave {', '.join(sorted(placed))} out")
+        if self.cut == "cone" and "edge" in self.model_fields_set:
+            raise ValueError("a cone has columns and rows: leave edge out, or choose cut: circle, half or quarter")
+        rows = {"columns", "rows", "cells", "fullness"} & self.model_fields_set
+        if self.cut != "cone" and rows:
+            raise ValueError(
+                f"a ring has its fullness and triangles by cut and edge: leave {', '.join(sorted(rows))} out"
+            )
+        return self
+
+
+def require_measures(config: SkirtConfig, waist: float, hem: float) -> None:
+    """Raise BadInput if a skirt cannot start with circles of these radii [m], or has too few columns to fold."""
+    ring = config.cut != "cone"
+    widest = waist + config.length * (SHARES[config.cut] if ring else 1.0)
+    if (hem > widest * (1.0 + ROUNDING)) if ring else abs(hem - waist) >= config.length:
+        raise BadInput(
+            "the hem would be wider than it is cut" if ring else "the hem lies further out than the cloth is long",
+            field="hem_radius",
+            value=hem,
+            limit=f"{widest:g} m" if ring else f"less than {config.length:g} m from waist_radius {waist:g} m",
+            remedy="leave it out" if ring else "make the skirt longer; for more cloth at the hem raise fullness",
+        )
+    if config.fullness > 1:
+        require_columns(config)
+
+
+def require_columns(config: SkirtConfig) -> None:
+    """Raise BadInput for a cone with too few columns to fold."""
+    if config.cut == "cone" and config.columns < 8 * config.pleats:
+        raise BadInput(
+            "too few columns to show the pleats",
+            field="columns",
+            value=config.columns,
+            limit=f"at least 8 for each of {config.pleats} pleats",
+            remedy=f"columns: {8 * config.pleats}, or fewer pleats",
+        )
+
+
+def require_width(config: SkirtConfig, circle: Float, wearing: Wearing, ease: float) -> None:
+    """Raise BadInput if rows, cut `circle` (rows,) long [m], are too short to go round the body."""
+    short = wearing.least - circle
+    row = int(np.argmax(short))
+    if short[row] > ROUNDING:
+        most = f"{np.ceil(1e3 * (ease + short[row])) / 10.0:g} cm"
+        down = 100.0 * config.length * row / (len(circle) - 1)
+        raise BadInput(
+            "the skirt is too narrow for the body", field="hem_radius" if config.cut == "cone" else "cut",
+            value=f"{100.0 * circle[row]:.4g} cm round, {down:.3g} cm below the waist",
+            limit=f"at least {100.0 * wearing.least[row]:.4g} cm there",
+            remedy="leave hem_radius out" if config.cut == "cone" else f"ease: {most}, or more of a circle",
+        )  # fmt: skip
+
 
 FLARED = 0.35
 """Over a body a cone widens by this share of its length or more, as an A-line skirt does, if no hem_radius is given."""

@@ -15,13 +15,11 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
-from nuno_cloth.models.outside import require_outside
 from nuno_cloth.models.placement import TEXTURE, Over, Point, Rotation, Wearable, find_texture
-from nuno_cloth.models.stance import check_stance
 from nuno_cloth.models.triangles import find_edges
-from nuno_cloth.models.wearer import find_wearer
+from nuno_cloth.models.wearer import check_stance, find_wearer, require_outside
 from nuno_cloth.quantities import Angle, Length
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files

@@ -6,10 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from nuno_cloth.sewing.assemble import STITCHES, assemble
-from nuno_cloth.sewing.fields import PanelFields, PatternFile
-from nuno_cloth.sewing.joined import find_openings, find_pieces, find_sides
-from nuno_cloth.sewing.pattern import Panel, Pattern, Side, name_of
+from nuno_cloth.sewing.pattern import Panel, Pattern, Side, find_openings, find_pieces, find_sides, name_of
+from nuno_cloth.sewing.pattern_file import STITCHES, PanelFields, PatternFile, assemble
 from nuno_schemas.fabric import Float
 from nuno_schemas.pattern import Checked, Opening, PanelSize, Remark
 from nuno_schemas.plugin import Files

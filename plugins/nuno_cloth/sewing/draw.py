@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_cloth.models.triangles import Edges
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.tree import Tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import Tree
 from nuno_schemas.fabric import Bool, Float, Int
 
 FIRST = 40

@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull
 from nuno_cloth.fabrics.presets import DAMPING_RATIO
 from nuno_cloth.models.triangles import Edges
 from nuno_cloth.sewing.sew import Sewn
-from nuno_kernels.meshes.loops import cut_mesh
+from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import ELASTIC, Float, Int, Springs
 

@@ -1,12 +1,10 @@
-"""Triangles of a panel, evenly spread inside of an outline with fixed points.
-
-Points begin as a triangular grid of the wanted density where the outline's points are no denser; the rest is filled by
-Delaunay refinement (Ruppert 1995, J. Algorithms 18, 548-585): triangles that are too large or too thin get a point in
-the middle of their circumcircle, unless it would be too close to the outline, whose sides must stay whole. Then inner
-points repeatedly move to the mean of the triangles round them, and the Delaunay triangulation is renewed.
-"""
+"""A panel in triangles: the division of its edges into sides, and triangles spread evenly inside of its outline."""
 
 from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,8 +12,90 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from nuno_cloth.models.delaunay import distances, is_inside, lay_grid, triangulate
+from nuno_cloth.sewing.curves import area_under, draw, turning_of
+from nuno_cloth.sewing.pattern import Panel, Pattern, Side, ends_of, join_corners
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import CERTAIN, dot, norm, sides
+
+# Division of a pattern's edges into sides, equally many in both edges of a seam, by the longer of the two.
+
+ACCURATE = 1e-3
+"""Largest error of the total area of a panel's triangles, as a share of the panel's."""
+AIMED = 0.9 * ACCURATE
+TURNS = np.pi / 3.0
+"""Largest turn of a curve along one side [rad]."""
+BENT = 0.15
+"""Edges that turn more than this [rad] have a point between their ends: one side alone would be 0.1 % too short."""
+
+
+@dataclass
+class EdgePolygon:
+    """An edge's polygon (n + 1, 2) [m], and the area between it and the curve [m^2], positive on the right of it."""
+
+    points: Float
+    excess: float
+
+
+def draw_edges(pattern: Pattern, spacing: float) -> dict[Side, EdgePolygon]:
+    """Return each edge as a polygon of about `spacing` [m] a side, as long as the edge, with equally many sides in a
+    seam. Curves of a panel whose polygons enclose another area than its curves are divided more finely.
+    """
+    number, partner = _numbers(pattern, spacing), pattern.partner
+    drawn = {side: _draw(pattern, side, n) for side, n in number.items()}
+    # A finer division of a curve for one panel changes the panel that it is sewn to, which may have been right before.
+    while inaccurate := _find_inaccurate(pattern, drawn):
+        for side in inaccurate:
+            for one in (side, partner[side][0]) if side in partner else (side,):
+                number[one] += 1 + number[one] // 4
+                drawn[one] = _draw(pattern, one, number[one])
+    return drawn
+
+
+def _find_inaccurate(pattern: Pattern, drawn: dict[Side, EdgePolygon]) -> list[Side]:
+    """Return, for each panel whose polygons enclose another area, the edge with the largest error."""
+    inaccurate = []
+    for name, panel in pattern.panels.items():
+        sides = [(name, k) for k in range(len(panel.edges))]
+        excess = sum(drawn[side].excess for side in sides)
+        if abs(excess) > AIMED * abs(panel.area):
+            inaccurate.append(max(sides, key=lambda side: float(np.sign(excess)) * drawn[side].excess))
+    return inaccurate
+
+
+def _draw(pattern: Pattern, side: Side, n: int) -> EdgePolygon:
+    edge = pattern.edge(side)
+    points = draw(edge.curve, n)
+    (x, y), (dx, dy) = points[:-1].T, np.diff(points, axis=0).T
+    return EdgePolygon(points, float(0.5 * (x * dy - y * dx).sum()) - area_under(edge.curve))
+
+
+def _numbers(pattern: Pattern, spacing: float) -> dict[Side, int]:
+    """Return each edge's number of sides, by its length and turn; no two sides may connect the same sewn corners."""
+    number = {}
+    for name, panel in pattern.panels.items():
+        for k, edge in enumerate(panel.edges):
+            turning = turning_of(edge.curve)
+            least = max(1 if turning < BENT else 2, int(np.ceil(turning / TURNS)))
+            number[name, k] = max(least, round(edge.length / spacing))
+    corner = join_corners(pattern)
+    ends = {side: tuple(sorted(corner[end] for end in ends_of(pattern, side))) for side in number}
+    for seam in pattern.seams:
+        number[seam.one] = number[seam.other] = max(number[seam.one], number[seam.other])
+    second = {seam.other for seam in pattern.seams}
+    shared = Counter(ends[side] for side in number if side not in second)
+    for side in number:
+        low, high = ends[side]
+        number[side] = max(number[side], 3 if low == high else 2 if shared[ends[side]] > 1 else 1)
+    return number
+
+
+# Triangles of a panel, evenly spread inside of an outline with fixed points.
+#
+# Points begin as a triangular grid of the wanted density where the outline's points are no denser; the rest is filled
+# by Delaunay refinement (Ruppert 1995, J. Algorithms 18, 548-585): triangles that are too large or too thin get a point
+# in the middle of their circumcircle, unless it would be too close to the outline, whose sides must stay whole. Then
+# inner points repeatedly move to the mean of the triangles round them, and the Delaunay triangulation is renewed.
 
 # Constrained Delaunay triangles of points in an outline: every side of it is a side of a triangle. The Delaunay
 # triangulation of the points has most of the outline's sides. It lacks those close to another part of the outline, as
@@ -222,3 +302,56 @@ def _smooth(points: Float, sizes: SizeField, rounds: int) -> Float:
         moved = [np.bincount(corner, np.repeat(weight * middle[:, d], 3), len(points)) for d in (0, 1)]
         points[fixed:] = (np.stack(moved, axis=1) / total[:, None])[fixed:]
     return points
+
+
+# A panel in triangles.
+
+
+@dataclass
+class Piece:
+    """A panel in triangles, its right side up.
+
+    flat (n, 2) [m], the outline's points first; faces (f, 3) counter-clockwise; edges: the points along each edge, from
+    start to end; mirror: factor of x to the panel as it is drawn
+    """
+
+    panel: Panel
+    flat: Float
+    faces: Int
+    edges: list[Int]
+    mirror: float
+
+    def place(self) -> Float:
+        """Return the starting places (n, 3) of its points [m]."""
+        return self.panel.place(self.flat * [self.mirror, 1.0])
+
+
+def cut_panel(panel: Panel, polygons: list[EdgePolygon], spacing: float) -> Piece:
+    """Return the triangles of a panel with these polygons of its edges. Raises BadInput if they are too coarse."""
+    mirror = 1.0 if panel.area > 0.0 else -1.0
+    outline = np.concatenate([edge.points[:-1] for edge in polygons]) * [mirror, 1.0]
+    try:
+        flat, faces = fill(outline, spacing)
+    except ValueError:
+        raise too_coarse(panel.name, spacing) from None
+    first = np.concatenate([[0], np.cumsum([len(edge.points) - 1 for edge in polygons])])
+    runs = [np.arange(a, b + 1) % first[-1] for a, b in pairwise(first)]
+    return Piece(panel, flat, faces, [run.astype(np.int32) for run in runs], mirror)
+
+
+def too_coarse(where: str, spacing: float) -> BadInput:
+    return BadInput(
+        f"triangles are too large for {where}", field="edge", value=f"{100 * spacing:.4g} cm",
+        remedy="make them smaller: half as large, for a start",
+    )  # fmt: skip
+
+
+def split(piece: Piece, sides: Int) -> None:
+    """Insert a point in the middle of sides (k, 2) that two of the piece's triangles share."""
+    for a, b in sides.tolist():
+        adjacent = np.flatnonzero(((piece.faces == a) | (piece.faces == b)).sum(axis=1) == 2)
+        new = len(piece.flat)
+        piece.flat = np.concatenate([piece.flat, piece.flat[[a, b]].mean(axis=0)[None]])
+        faces = [np.where(piece.faces[adjacent] == end, new, piece.faces[adjacent]) for end in (a, b)]
+        kept = np.delete(piece.faces, adjacent, axis=0)
+        piece.faces = np.ascontiguousarray(np.concatenate([kept, *faces]).astype(np.int32))

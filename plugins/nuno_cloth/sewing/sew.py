@@ -12,10 +12,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from nuno_cloth.sewing.cut import Piece, cut_panel, split, too_coarse
-from nuno_cloth.sewing.joined import find_sides
-from nuno_cloth.sewing.pattern import Pattern, Seam
-from nuno_cloth.sewing.segments import draw_edges
+from nuno_cloth.sewing.fill import Piece, cut_panel, draw_edges, split, too_coarse
+from nuno_cloth.sewing.pattern import Pattern, Seam, find_sides
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 

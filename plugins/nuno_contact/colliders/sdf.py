@@ -20,14 +20,13 @@ from nuno_contact.colliders.mesh import MeshCollider, MeshConfig, find_mesh, mes
 from nuno_contact.fields.build import build_field
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.quantities import Size
+from nuno_geometry.check import check_closed, check_crossings, volume
+from nuno_geometry.files.mesh import read_mesh
+from nuno_geometry.normals import face_normals
 from nuno_kernels import CACHE
-from nuno_kernels.meshes.check import check_closed, check_crossings, volume
-from nuno_kernels.meshes.file import read_mesh
-from nuno_kernels.meshes.normals import face_normals
-from nuno_schemas.bodies import FIELD
+from nuno_schemas.bodies import FIELD, DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 from nuno_schemas.plugin import BodyShape, Files, Mover
 
 # Distance fields on disk, by a hash of their input: a body is sampled once, not at every start.

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.radii import (
+from nuno_contact.colliders.body_parts import (
     PELVIS_HALF_WIDTH,
     PIECES,
     PROFILES,

@@ -11,21 +11,19 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.mesh import MeshCollider, Search
-from nuno_contact.colliders.surface import Surface
+from nuno_contact.colliders.body_parts import find_roles
+from nuno_contact.colliders.mesh import MeshCollider, Search, Surface
 from nuno_contact.quantities import Angle, Span
 from nuno_contact.skin.figure import Figure, find_figure
 from nuno_contact.skin.gait import find_lift, fit_gait
 from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import find_weights
-from nuno_kernels.meshes.check import crossing_notes
-from nuno_kernels.meshes.file import read_closed
-from nuno_schemas.bodies import SKIN
+from nuno_geometry.check import crossing_notes
+from nuno_geometry.files.mesh import read_closed
+from nuno_schemas.bodies import SKIN, Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Files, Mover
-from nuno_schemas.skin import Skin
 
 # Lines in a body that carry its skin.
 

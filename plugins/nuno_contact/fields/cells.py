@@ -14,11 +14,11 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_contact.fields.winding import Dipoles, winding
+from nuno_contact.fields.winding import Dipoles, make_dipoles, winding
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import Vector
+from nuno_geometry.tree import Room, Tree, make_room
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import Room, Tree, make_room
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
@@ -93,3 +93,23 @@ def measure_errors(lattice: Single, size: float, near: float, errors: Float) -> 
                     square += value * value
                 along = min(along, cosine / math.sqrt(square) if square > 0.0 else -1.0)
         errors[cell, 0], errors[cell, 1], errors[cell, 2] = worst, least, along
+
+
+# The exact signed distance of a mesh, closed or not.
+
+
+class Exact:
+    """A mesh's exact signed distance, for the build and to check a field by."""
+
+    def __init__(self, tree: Tree, closed: bool) -> None:
+        """Compute signs of a mesh that is not `closed` by the winding number."""
+        self.tree, self.closed = tree, closed
+        self.dipoles = None if closed else make_dipoles(tree)
+
+    def measure(self, points: Float, near: Long | None = None) -> Float:
+        """Return the distance [m] and gradient (n, 4) at points (n, 3)."""
+        points = np.ascontiguousarray(points, np.float64)
+        out = np.empty((len(points), 4))
+        near = np.zeros(len(points), np.int64) if near is None else near
+        measure_points(points, near, self.tree, self.dipoles, out)
+        return out

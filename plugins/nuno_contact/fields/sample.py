@@ -1,4 +1,4 @@
-"""Distance and gradient of sampled distance fields (nuno_schemas.field) at any point.
+"""Distance and gradient of sampled distance fields (nuno_schemas.bodies) at any point.
 
 A point's whole cell is found by division, its leaf by halving, and the eight corners of a leaf stand in 128
 bytes: a sample reads two lines of the cache beside the few that lead there. Not chosen: bricks of cells with shared
@@ -18,10 +18,10 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Index
 from nuno_kernels import forced_inline, parallel_kernel, threads_available
-from nuno_kernels.bodies.poses import Index
+from nuno_schemas.bodies import DistanceField
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 
 BLOCK = 1024
 """points handled together"""

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Vector
+from nuno_geometry.tree import Room, Tree
 from nuno_kernels import kernel
-from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.tree import Room, Tree
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.fabric import Float
 
 BETA = 2.3

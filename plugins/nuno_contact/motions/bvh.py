@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, NamedTuple, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.radii import choose_height, find_arms, find_part
+from nuno_contact.colliders.body_parts import choose_height, find_arms, find_part
 from nuno_contact.motions.rotations import AXES, from_axis_angle, multiply, pose_skeleton, rest_positions, slerp
 from nuno_contact.quantities import Later, Point, Rate, Size, Span
 from nuno_schemas.bodies import fits_person, rotation_matrices, unit_of

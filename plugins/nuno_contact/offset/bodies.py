@@ -8,7 +8,8 @@ most, and is where its body is again as soon as cloth lets it. To catch up at on
 guarantee for cloth and the vertices in here holds whatever bodies do, and for the bodies themselves wherever none of
 their vertices is behind, which is counted.
 
-A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see size_of.
+A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see
+nuno_contact.offset.contact_state.size_of.
 
 Kernels of cloth contact see cloth of n vertices, or, where there are bodies, arrays of this module that hold n and b.
 """
@@ -16,21 +17,15 @@ Kernels of cloth contact see cloth of n vertices, or, where there are bodies, ar
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from nuno_contact.offset.contact_state import ContactState, Solids
+from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
-from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses
+from nuno_schemas.bodies import NO_SKIN, OF_TRIANGLES, SKIN, Geometry, Poses, Skin, join_skins
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import NO_SKIN, Skin, join_skins
-from nuno_schemas.vectors import norm
-
-if TYPE_CHECKING:
-    from nuno_contact.offset.contact_state import ContactState
 
 CATCH_UP = 1.0
 """largest speed by which a vertex behind its body catches up [m/s]"""
@@ -42,26 +37,6 @@ MOVES, STANDS, PLACED = range(3)
 """motion of bodies in an interval; of those that stand, whether m.goal has them and none of their vertices is behind"""
 OF_SKIN = -1
 """stands for the frame of a vertex that several frames carry"""
-
-
-class Solids(NamedTuple):
-    """Bodies by name: x (b, 3) where their vertices start [m], local (b, 3) in their frames (b,) of f, the number of
-    the body (b,) that each is of, faces (t, 3), law (bodies, 2) friction and damping of each.
-
-    Of skins, whose frame is OF_SKIN and local their vertices as bound: skin, all of them as one, on frames carrier
-    (e,).
-    """
-
-    names: Sequence[str]
-    x: Float
-    local: Float
-    frame: Int
-    body: Int
-    faces: Int
-    law: Float
-    frames: int
-    skin: Skin
-    carrier: Int
 
 
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
@@ -91,40 +66,6 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     each = [at + np.arange(len(one.place), dtype=np.int32) for at, one in zip(first, geometry.skins, strict=True)]
     carrier = np.concatenate([np.zeros(0, np.int32), *each]).astype(np.int32)
     return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames), skin, carrier)
-
-
-def size_of(x: Float, faces: Int) -> Float:
-    """Return the width (n,) [m] of a square of the area of each vertex x (n, 3), a third of its faces (f, 3)."""
-    a, b, c = (x[faces[:, k]] for k in range(3))
-    area = norm(np.cross(b - a, c - a)) / 6.0
-    return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
-
-
-def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
-    """Return ContactState's arrays of bodies, those of all vertices `wide`, which is 0 without bodies."""
-    return {
-        "local": np.array(solids.local, np.float64, order="C"),
-        "frame": np.array(solids.frame, np.int32),
-        "body_law": np.array(solids.law, np.float64, order="C"),
-        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
-        "origin0": np.zeros((solids.frames, 3)),
-        "spin": np.zeros((solids.frames, 3)),
-        "shift": np.zeros((solids.frames, 3)),
-        "frames": np.zeros((solids.frames, 18)),
-        "skin_joint": np.array(solids.skin.joint, np.int32),
-        "skin_weight": np.array(solids.skin.weight, np.float64, order="C"),
-        "skin_place": np.array(solids.skin.place, np.float64, order="C"),
-        "skin_frame": np.array(solids.carrier, np.int32),
-        "skin_begin": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
-        "skin_end": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
-        "skin_pace": np.zeros(1),
-        "whole": np.zeros((3, wide)),
-        "whole_velocity": np.zeros((3, wide)),
-        "goal": np.zeros((3, wide)),
-        "way": np.zeros((3, wide)),
-        "behind": np.zeros(len(solids.x), np.bool_),
-        "still": np.zeros(1, np.int64),
-    }
 
 
 def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:

@@ -2,7 +2,7 @@
 
 A step takes vertices from `last`, where no primitives meet, to x, in straight lines. Each listed pair has a plane that
 keeps its primitives apart at `last`; where the plane does so at x as well, it has done so all the while (see
-nuno_contact.offset.search). Where it does not, the closest points at `last` give another. Where that does not
+nuno_contact.offset.tree). Where it does not, the closest points at `last` give another. Where that does not
 either, the pair may have met: none of its vertices may then go farther than a quarter of the distance short of the
 plane midway between. A vertex' step is shortened as a whole, to the shortest of what its pairs allow, and then
 its other pairs are looked at again, until all are apart. Pairs that are not listed are too far away to meet.
@@ -20,32 +20,34 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
-from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.impulse import IMPULSE_RANGE, SWEEPS, apply_impulses, farthest_way, push_cloth_ahead
-from nuno_contact.offset.places import (
+from nuno_contact.offset.candidate_pairs import CHOSEN, LIST, holds, plan, set_out
+from nuno_contact.offset.contact_state import (
     CHOICES,
     CLOSE,
     CUT,
     HELD_CUT,
+    IN_TURN,
     LACKING,
     LAST_STEP,
     NEAR,
     NEAR_WINDOW,
     NOW,
+    PARTS,
     STEPS,
     STILL,
+    WORTH,
+    ContactState,
+    close_up,
 )
-from nuno_contact.offset.plan import CHOSEN, LIST, holds, plan, set_out
+from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
+from nuno_contact.offset.impulse import IMPULSE_RANGE, SWEEPS, apply_impulses, farthest_way, push_cloth_ahead
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_along
-from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.triples import dot
-from nuno_kernels.step.blocks import Long
-from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows
+from nuno_kernels.lanes import dot
+from nuno_kernels.step.blocks import Long, all_finite, copy_rows, sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 

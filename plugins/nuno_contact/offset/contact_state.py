@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.bodies import Solids, parts_of_bodies, size_of
 from nuno_contact.offset.tree import Tree, adjacent_faces, make_tree, rings
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.step.blocks import Long, block_count
+from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.vectors import norm
+
+# Indices of the arrays of ContactState that hold single numbers.
+
+LISTED, NEAR, LACKING, LISTS_MADE, CHOICES, SHARED, CLOSE, TOUCHING = range(8)
+"""Indices of ContactState.number: listed pairs; near ones; pairs without room in the list; the number of lists made,
+and of choices of near pairs; the choice that is assigned to blocks; close pairs; touching pairs."""
+CUT, HELD_CUT, STEPS, LEFT_OUT, STILL = range(5)
+"""Indices of ContactState.so_far: shortened steps of vertices, and of held ones; steps; pairs that had no room in a
+list; steps in which nothing moved for that reason."""
+NOW, LIST_BEGUN, LIST_WINDOW, NEAR_BEGUN, NEAR_WINDOW, LIST_ROOM, LAST_STEP = range(7)
+"""Indices of ContactState.clock, in fractions of the interval: the end of the last step; the time of the list, and its
+window; the same of near pairs; the share of the list plan's spread that is allowed at most; the duration of the last
+step of an explicit method [s]."""
+
 
 PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
 """most pairs that are listed for each vertex of cloth, of bodies, and in addition"""
@@ -78,7 +94,7 @@ class ContactState(NamedTuple):
     pair_damping: Float
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
     eased: Float
-    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease_part"""
+    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.force.ease_part"""
     pair_friction: Float
     """(P,) Coulomb coefficient of a pair"""
     normal: Float
@@ -149,16 +165,16 @@ class ContactState(NamedTuple):
     share: Float
     """(n,) scratch: the share of a step that each vertex makes"""
     rate: Float
-    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease_part [1/s]"""
+    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
     local: Float
     """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
     frame: Int
     body_law: Float
     """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
     size: Float
-    """(n,) see nuno_contact.offset.bodies.size_of [m]"""
+    """(n,) see size_of [m]"""
     rotation0: Float
-    """and the rest as nuno_kernels.bodies.poses has it"""
+    """and the rest as nuno_geometry.poses has it"""
     origin0: Float
     spin: Float
     shift: Float
@@ -238,6 +254,60 @@ def room_for_pairs(places: int) -> dict[str, Any]:
         "kept_normal": np.zeros((places, 3)),
         "kept": np.zeros(places, np.bool_),
         "pulled": np.zeros((places, 4)),
+    }
+
+
+class Solids(NamedTuple):
+    """Bodies by name: x (b, 3) where their vertices start [m], local (b, 3) in their frames (b,) of f, the number of
+    the body (b,) that each is of, faces (t, 3), law (bodies, 2) friction and damping of each.
+
+    Of skins, whose frame is OF_SKIN and local their vertices as bound: skin, all of them as one, on frames carrier
+    (e,).
+    """
+
+    names: Sequence[str]
+    x: Float
+    local: Float
+    frame: Int
+    body: Int
+    faces: Int
+    law: Float
+    frames: int
+    skin: Skin
+    carrier: Int
+
+
+def size_of(x: Float, faces: Int) -> Float:
+    """Return the width (n,) [m] of a square of the area of each vertex x (n, 3), a third of its faces (f, 3)."""
+    a, b, c = (x[faces[:, k]] for k in range(3))
+    area = norm(np.cross(b - a, c - a)) / 6.0
+    return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
+
+
+def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
+    """Return ContactState's arrays of bodies, those of all vertices `wide`, which is 0 without bodies."""
+    return {
+        "local": np.array(solids.local, np.float64, order="C"),
+        "frame": np.array(solids.frame, np.int32),
+        "body_law": np.array(solids.law, np.float64, order="C"),
+        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
+        "origin0": np.zeros((solids.frames, 3)),
+        "spin": np.zeros((solids.frames, 3)),
+        "shift": np.zeros((solids.frames, 3)),
+        "frames": np.zeros((solids.frames, 18)),
+        "skin_joint": np.array(solids.skin.joint, np.int32),
+        "skin_weight": np.array(solids.skin.weight, np.float64, order="C"),
+        "skin_place": np.array(solids.skin.place, np.float64, order="C"),
+        "skin_frame": np.array(solids.carrier, np.int32),
+        "skin_begin": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
+        "skin_end": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
+        "skin_pace": np.zeros(1),
+        "whole": np.zeros((3, wide)),
+        "whole_velocity": np.zeros((3, wide)),
+        "goal": np.zeros((3, wide)),
+        "way": np.zeros((3, wide)),
+        "behind": np.zeros(len(solids.x), np.bool_),
+        "still": np.zeros(1, np.int64),
     }
 
 

@@ -1,27 +1,5 @@
-"""Normal force and friction of two primitives that are nearer than the thickness h.
-
-Along the line between their closest points, at a distance d,
-
-    N = k (h - d)            for d >= h / 2
-    N = k h^2 / (4 d)        below,
-
-which is smooth to its second derivative (Offset Geometric Contact, Chen et al., SIGGRAPH 2025). From h / 4 on it goes
-on as steeply as it is there: a barrier without bound would be stiffer than any step of an explicit method can follow,
-throw apart what has come that near, and is not needed, since steps are cut short (nuno_contact.offset.ccd). And a
-dashpot that takes hold over the first quarter of h. It never attracts. Vertices of a pair share N by the
-weights of the closest points, so that momentum and its moment are kept.
-
-Contacts that meet in one feature count once: a vertex above the inside of a triangle; above an edge, where it is above
-neither of the edge's triangles, by the lower-numbered one; above a vertex, where it is above none of that one's edges;
-two edges that cross inside of both. With every pair counted a vertex over a vertex would feel six triangles and
-thirty-six pairs of edges. Two parallel layers then still have about two vertices and seven crossing edges for each
-vertex, so that edges have the share EDGES of the stiffness.
-
-Friction is a spring between the points of both primitives that touched first (Cundall & Strack 1979), in the tangent
-plane and no longer than mu N: an anchor is the weights of those points, which go along with the cloth however it moves
-and turns. What slides drags it along, so that the spring stays at mu N; what sticks does not creep. A vertex that
-slides on to the next triangle begins with a slack spring: the way that it takes to load, mu times the depth, is the
-share of a triangle's width by which friction is too small, some thousandths of a hundredth.
+"""Normal force and friction of two primitives that are nearer than the thickness h, the pairs that touch, and their
+anchors.
 """
 
 from __future__ import annotations
@@ -29,9 +7,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import ContactState
-from nuno_contact.offset.places import CHOICES, NEAR, SHARED
+from nuno_contact.offset.contact_state import (
+    CHOICES,
+    CLOSE,
+    IN_TURN,
+    LAST_STEP,
+    NEAR,
+    PARTS,
+    SHARED,
+    TOUCHING,
+    WORTH,
+    ContactState,
+    close_up,
+)
 from nuno_contact.offset.proximity import (
     AT_A,
     INSIDE,
@@ -45,15 +37,94 @@ from nuno_contact.offset.proximity import (
     unit,
     weigh,
 )
-from nuno_contact.offset.sharing import share_out
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.choose import EVERY, lanes_up_to
-from nuno_kernels.lanes.simd import WIDTH, magnitude
-from nuno_kernels.lanes.triples import dot, minus, read_triple
-from nuno_kernels.step.blocks import PADDING
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.lanes import EVERY, WIDTH, dot, lanes_up_to, magnitude, minus, read_triple
+from nuno_kernels.step.blocks import BLOCK, PADDING, Long, copy_rows
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int
+
+# The pairs of each block of cloth's vertices: blocks add forces to their own vertices, on any thread.
+
+
+@forced_inline
+def block_of(pair: Int, p: int, corner: int, cloth: int) -> int:
+    """Return the block of a pair's corner, -1 if an earlier corner has the same, and for bodies, after the cloth."""
+    block = pair[p, corner] // BLOCK if pair[p, corner] < cloth else -1
+    for other in range(corner):
+        if pair[p, other] < cloth and pair[p, other] // BLOCK == block:
+            return -1
+    return int(block)
+
+
+@block_kernel
+def count_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64]) -> None:
+    """Count how many of a part of the chosen pairs each block has, at[part]."""
+    for q in range(part * number // PARTS, (part + 1) * number // PARTS):
+        for corner in range(4):
+            block = block_of(pair, chosen[q], corner, cloth)
+            if block >= 0:
+                at[part, block] += 1
+
+
+@block_kernel
+def fill_part(part: int, pair: Int, chosen: Int, number: int, cloth: int, at: NDArray[np.int64], shared: Int) -> None:
+    """Write a part of the chosen pairs to the places from at[part] on, for each block."""
+    for q in range(part * number // PARTS, (part + 1) * number // PARTS):
+        for corner in range(4):
+            block = block_of(pair, chosen[q], corner, cloth)
+            if block >= 0:
+                shared[at[part, block]] = chosen[q]
+                at[part, block] += 1
+
+
+count_parts = over_blocks(count_part, "pair, chosen, number, cloth, at", WORTH, IN_TURN)
+fill_parts = over_blocks(fill_part, "pair, chosen, number, cloth, at, shared", WORTH, IN_TURN)
+
+
+@block_kernel
+def share_out(m: ContactState, chosen: Int, number: int, start: Int, shared: Int, threads: int | None) -> None:
+    """Assign `number` chosen pairs to the blocks of cloth of their vertices, in order: bounds of each block's, and the
+    pairs.
+    """
+    pair, cloth, blocks = m.pair, m.mass.shape[0] - m.local.shape[0], start.shape[0] - 1
+    at = np.zeros((PARTS, blocks), np.int64)
+    count_parts(pair, chosen, number, cloth, at, PARTS, number, threads)
+    total = 0
+    for block in range(blocks):
+        start[block] = total
+        for part in range(PARTS):
+            count = at[part, block]
+            at[part, block] = total
+            total += count
+    start[blocks] = total
+    fill_parts(pair, chosen, number, cloth, at, shared, PARTS, number, threads)
+
+
+# Normal force and friction of two primitives that are nearer than the thickness h.
+#
+# Along the line between their closest points, at a distance d,
+#
+#     N = k (h - d)            for d >= h / 2
+#     N = k h^2 / (4 d)        below,
+#
+# which is smooth to its second derivative (Offset Geometric Contact, Chen et al., SIGGRAPH 2025). From h / 4 on it goes
+# on as steeply as it is there: a barrier without bound would be stiffer than any step of an explicit method can follow,
+# throw apart what has come that near, and is not needed, since steps are cut short (nuno_contact.offset.ccd). And a
+# dashpot that takes hold over the first quarter of h. It never attracts. Vertices of a pair share N by the
+# weights of the closest points, so that momentum and its moment are kept.
+#
+# Contacts that meet in one feature count once: a vertex above the inside of a triangle; above an edge, where it is
+# above neither of the edge's triangles, by the lower-numbered one; above a vertex, where it is above none of that one's
+# edges; two edges that cross inside of both. With every pair counted a vertex over a vertex would feel six triangles
+# and thirty-six pairs of edges. Two parallel layers then still have about two vertices and seven crossing edges for
+# each vertex, so that edges have the share EDGES of the stiffness.
+#
+# Friction is a spring between the points of both primitives that touched first (Cundall & Strack 1979), in the tangent
+# plane and no longer than mu N: an anchor is the weights of those points, which go along with the cloth however it
+# moves and turns. What slides drags it along, so that the spring stays at mu N; what sticks does not creep. A vertex
+# that slides on to the next triangle begins with a slack spring: the way that it takes to load, mu times the depth, is
+# the share of a triangle's width by which friction is too small, some thousandths of a hundredth.
 
 STEEPEST = 0.25
 """share of the thickness below which N grows no more steeply: four times as stiff as at the surface"""
@@ -133,7 +204,7 @@ def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> 
 
 @forced_inline
 def frozen_touch(m: ContactState, p: int, corners: Corners) -> Touch:
-    """Return the contact of a pair whose features are frozen; see nuno_contact.offset.iterate.freeze."""
+    """Return the contact of a pair whose features are frozen; see nuno_contact.offset.separating_plane.freeze."""
     w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
     n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
     return Touch(w, n, dot(n, weigh(w, corners)) if m.kept[p] else math.inf)
@@ -224,8 +295,8 @@ def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, forc
             if not at.distance < h:
                 continue
         c = damping[p] * (eased[p] if step == 0.0 and (fresh or anchored[p]) else 1.0)
-        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu[p], anchored[p],
-                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
+        law, held = Law(stiffness[p], c, mu[p]), (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, law, anchored[p], held, step)
         for corner in range(4):
             local = pair[p, corner] - origin
             if 0 <= local < width:
@@ -235,15 +306,23 @@ def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, forc
                 force[2, local] += w * fz
 
 
+class Law(NamedTuple):
+    """Stiffness [N/m], damping [N s/m] and Coulomb coefficient of a pair."""
+
+    stiffness: float
+    damping: float
+    friction: float
+
+
 @forced_inline
 def rub(
-    x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four,
-    step: float,
+    x: Corners, v: Corners, at: Touch, h: float, law: Law, anchored: bool, anchor: Four, step: float
 ) -> Vector:  # fmt: skip
     """Return the force [N] of friction on the first of two primitives that touch.
 
     A contact that is new at the end of an implicit step has friction for its way in that step.
     """
+    k, c, mu = law.stiffness, law.damping, law.friction
     u = weigh(at.weights, v)
     n = press(k, c, h, at, u)
     t = across(u, at.normal)
@@ -256,3 +335,119 @@ def rub(
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
     share = mu * n / size if size > mu * n else 1.0
     return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
+
+
+# Touching pairs after a step, the damping that a step can follow, and the anchors of friction.
+
+MOST = 1.5
+"""greatest rate of damping by contact times the step"""
+
+
+@block_kernel
+def touch_part(part: int, m: ContactState, number: Long) -> None:
+    """Find which of a part of the close pairs touch at `last`: into m.touching from the part's first place on."""
+    pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
+    close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
+    first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
+    at_end = first
+    for q in range(first, end):
+        p = close[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        corners, h = corners_of(x, i, j, k, l), reach[p]
+        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
+        if low - high > h:
+            anchored[p] = False
+            continue
+        at = touch(x, i, of[p], corners, reach[p], mesh)
+        normal[p, 0], normal[p, 1], normal[p, 2] = at.normal
+        if at.distance < h:
+            touching[at_end], gap[p] = p, at.distance
+            at_end += 1
+            for corner in range(4):
+                weights[p, corner] = at.weights[corner]
+        else:
+            anchored[p] = False
+    number[part] = at_end - first
+
+
+@block_kernel
+def rate_block(block: int, m: ContactState) -> None:
+    """Find the greatest rate at which dashpots slow the block's vertices down, m.rate [1/s]; see ease_part."""
+    rate, mass, first, end = m.rate, m.mass, block * BLOCK, min((block + 1) * BLOCK, m.rate.shape[0])
+    for i in range(first, end):
+        rate[i] = 0.0
+    for q in range(m.touch_start[block], m.touch_start[block + 1]):
+        p = m.touch_pair[q]
+        for corner in range(4):
+            i = m.pair[p, corner]
+            if first <= i < end and mass[i] > 0.0:
+                rate[i] += 2.0 * m.pair_damping[p] * abs(m.weights[p, corner]) / mass[i]
+
+
+@block_kernel
+def ease_part(part: int, m: ContactState, dt: float) -> None:
+    """Limit the damping of each touching pair in a step of dt [s] to what the step can follow.
+
+    A vertex amid twenty contacts would be thrown to and fro by all their dashpots, each of which alone is slow enough.
+    The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
+    over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
+    """
+    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
+        p, fastest = m.touching[q], 0.0
+        for corner in range(4):
+            fastest = max(fastest, m.rate[m.pair[p, corner]])
+        m.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
+
+
+touch_parts = over_blocks(touch_part, "m, number", WORTH, IN_TURN)
+rate_blocks = over_blocks(rate_block, "m", WORTH)
+ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
+
+
+@block_kernel
+def find_touching(m: ContactState, threads: int | None) -> None:
+    """Find which close pairs touch at `last`, where, and the planes across them; others lose their anchors."""
+    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
+    touch_parts(m, number, PARTS, m.number[CLOSE], threads)
+    m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
+    share_out(m, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair, threads)
+    if dt > 0.0:
+        rate_blocks(m, m.touch_start.shape[0] - 1, m.number[TOUCHING], threads)
+    ease_parts(m, dt, PARTS, m.number[TOUCHING], threads)
+
+
+@block_kernel
+def drag_part(part: int, m: ContactState, v: Float) -> None:
+    """Set the anchors of a part of the pairs that touch at `last` and move at v (3, n), or drag them along."""
+    pair, reach, normal, anchor, anchored, weights, eased = (
+        m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights, m.eased
+    )  # fmt: skip
+    stiffness, damping, mu, x, touching, gap = (
+        m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
+    )  # fmt: skip
+    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
+        p = touching[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])
+        share = 0.0
+        if anchored[p]:
+            a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
+            if m.swept[0] > 0 and m.kept[p]:
+                share = m.pulled[p, 3]
+            else:
+                _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
+                u = weigh(w, corners_of(v, i, j, k, l))
+                limit = mu[p] * press(stiffness[p], eased[p] * damping[p], reach[p], Touch(w, n, gap[p]), u)
+                share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
+        anchored[p] = True
+        for corner in range(4):
+            anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
+
+
+drag_parts = over_blocks(drag_part, "m, v", WORTH, IN_TURN)
+
+
+@block_kernel
+def drag_anchors(m: ContactState, v: Float, threads: int | None) -> None:
+    """Do so for all touching pairs."""
+    drag_parts(m, v, PARTS, m.number[TOUCHING], threads)

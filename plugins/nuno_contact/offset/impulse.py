@@ -13,16 +13,12 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.contact_state import IN_TURN, PARTS, WORTH, ContactState, close_up
+from nuno_contact.offset.contact_state import CLOSE, IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.places import CLOSE
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.choose import higher, lane
-from nuno_kernels.lanes.simd import WIDTH, splat
-from nuno_kernels.lanes.triples import dot, read_triple
-from nuno_kernels.step.blocks import Long
-from nuno_kernels.step.rows import sum_rows
+from nuno_kernels.lanes import WIDTH, dot, higher, lane, read_triple, splat
+from nuno_kernels.step.blocks import Long, sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int
 

@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import copy_part
-from nuno_contact.offset.contact_state import ContactState
+from nuno_contact.offset.contact_state import NEAR, ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, frozen_touch, press, touch
-from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
+from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.compile.reference import by_reference
-from nuno_kernels.lanes.triples import dot
+from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
 

@@ -35,16 +35,14 @@ import math
 import numpy as np
 
 from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
-from nuno_contact.offset.contact_state import ContactState
+from nuno_contact.offset.contact_state import CLOSE, NEAR, ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
 from nuno_contact.offset.impulse import IMPULSE_RANGE, LEVER
-from nuno_contact.offset.iterate import cover
-from nuno_contact.offset.places import CLOSE, NEAR
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
-from nuno_contact.offset.separating_plane import on_the_way
+from nuno_contact.offset.separating_plane import cover, on_the_way
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.triples import dot, minus
-from nuno_kernels.step.rows import all_finite, copy_rows
+from nuno_kernels.lanes import dot, minus
+from nuno_kernels.step.blocks import all_finite, copy_rows
 from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from nuno_geometry.poses import Index, Vector
 from nuno_kernels import forced_inline
-from nuno_kernels.bodies.poses import Index, Vector
-from nuno_kernels.lanes.triples import dot, minus
+from nuno_kernels.lanes import dot, minus
 from nuno_schemas.fabric import Float
 
 INSIDE, ON_AB, ON_BC, ON_CA, AT_A, AT_B, AT_C = 0, 1, 2, 3, 4, 5, 6

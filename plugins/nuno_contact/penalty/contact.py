@@ -35,22 +35,271 @@ for any number of threads. All scratch is in `Contact`; nothing is allocated in 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.fields.sample import join_fields
-from nuno_contact.penalty.distance import FIELD, find_bounds
-from nuno_contact.penalty.poses import pose_bodies, set_poses
-from nuno_contact.penalty.response import add_body, bodies_of, commit_body, fields_of, find_deepest, touch_of
-from nuno_kernels import block_kernel, kernel
+from nuno_contact.fields.sample import Fields, join_fields
+from nuno_contact.penalty.distance import (  # fmt: skip
+    BOX,
+    CAPSULE,
+    FIELD,
+    Bodies,
+    Deepest,
+    are_apart,
+    find_bounds,
+    lower_box,
+    lower_capsule,
+    lower_field,
+    lower_plane,
+    primitive_distance,
+)
+from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.terms import over_blocks, register
-from nuno_schemas.bodies import Geometry
+from nuno_schemas.bodies import DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
+
+# Primitives of bodies posed at a moment of a frame, by the frames that carry them.
+
+SHORTEST = 1e-300
+"""A capsule with at most this squared length [m^2] is a sphere: the reciprocal would overflow."""
+
+
+def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
+    """Write the interval into `contact`, in place; see `write_interval`."""
+    write_interval(contact, poses0, poses1)
+    contact.posed_at[0] = np.nan
+
+
+@kernel
+def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float, frames: Float, posed: Float) -> None:
+    """Fill row p of `posed` (see nuno_contact.penalty.distance) from the primitive in its frame."""
+    square = 0.0
+    for c in range(3):
+        m0, m1, m2 = frames[f, 3 * c], frames[f, 3 * c + 1], frames[f, 3 * c + 2]
+        start = frames[f, 9 + c] + m0 * a[p, 0] + m1 * a[p, 1] + m2 * a[p, 2]
+        if kind == CAPSULE:
+            along = m0 * (b[p, 0] - a[p, 0]) + m1 * (b[p, 1] - a[p, 1]) + m2 * (b[p, 2] - a[p, 2])
+            square += along * along
+            low, high = min(start, start + along) - radius[p], max(start, start + along) + radius[p]
+        elif kind in (BOX, FIELD):
+            along = b[p, c]
+            size = abs(m0) * b[p, 0] + abs(m1) * b[p, 1] + abs(m2) * b[p, 2]
+            low, high = start - size, start + size
+        else:
+            along = m0 * b[p, 0] + m1 * b[p, 1] + m2 * b[p, 2]
+            low, high = -math.inf, math.inf
+        posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
+    posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
+    posed[p, 7] = radius[p]
+
+
+@block_kernel
+def pose_bodies(s: float, contact: Contact) -> None:
+    """Pose all frames and primitives at fraction s in [0, 1] of the interval.
+
+    A step's end is the next one's start: where s is what it was, they stand there already.
+    """
+    if contact.posed_at[0] == s:
+        return
+    contact.posed_at[0] = s
+    for f in range(contact.frames.shape[0]):
+        pose_frame(s, f, contact.rotation0, contact.origin0, contact.spin, contact.shift, contact.frames)
+    for p in range(contact.posed.shape[0]):
+        f = contact.frame[p]
+        pose_primitive(p, contact.kind[p], f, contact.a, contact.b, contact.radius, contact.frames, contact.posed)
+
+
+# Contact of a vertex with a body: the deepest primitive, forces, anchors.
+#
+# Indices that address arrays per vertex are unsigned, as in nuno_contact.penalty.distance: numba then leaves the
+# test for negative indices out. Loops over vertices read the arrays of tuples before they begin: reading a field of a
+# tuple counts a reference, atomically, each time round, wherever the compiler cannot tell that it need not.
+
+
+class Touch(NamedTuple):
+    """Contact data of n vertices and one body: the rows of Contact's arrays of these names for it."""
+
+    stiffness: Float
+    damping: Float
+    friction: float
+    rate: float
+    deepest: NDArray[np.int64]
+    anchor: Float
+    """(3, n)"""
+    anchor_frame: Int
+
+
+class Response(NamedTuple):
+    """Response of a primitive to a vertex."""
+
+    distance: float
+    """signed distance from the primitive [m]"""
+    push: float
+    """N, the force along the normal [N]"""
+    stretch: Vector
+    """elongation of the friction spring in the tangent plane [m]"""
+    normal: Vector
+    slip: Vector
+    """tangential velocity relative to the body [m/s]"""
+    mark: int
+    """1 if the point has no normal of its own, else 0"""
+
+
+@forced_inline
+def touch_of(contact: Contact, body: int, rate: float) -> Touch:
+    """Return the contact data of one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
+    return Touch(
+        contact.stiffness[body], contact.damping[body], contact.friction[body], rate, contact.deepest[body],
+        contact.anchor[body], contact.anchor_frame[body],
+    )  # fmt: skip
+
+
+@forced_inline
+def bodies_of(contact: Contact) -> Bodies:
+    """Return the posed bodies."""
+    return Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
+
+
+@kernel
+def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: Contact, fields: Fields | None) -> bool:
+    """Find the body's deepest primitive for vertices [low, high), contact.deepest[body] (-1 for a vertex outside), and
+    whether any can be inside, contact.near[body, block], which is returned.
+
+    A block that stays out of reach is not written again.
+    """
+    kind, posed, frames, bounds, near = contact.kind, contact.posed, contact.frames, contact.bounds, contact.near
+    deepest = Deepest(contact.distance, contact.deepest[body])
+    was_near = near[body, block]
+    near[body, block] = False
+    for p in range(contact.first[body], contact.first[body + 1]):
+        if are_apart(kind[p], posed, p, bounds, block):
+            continue
+        if not near[body, block]:
+            near[body, block] = True
+            for i in range(np.uint64(low), np.uint64(high)):
+                deepest.distance[i], deepest.primitive[i] = 0.0, -1
+        if kind[p] == CAPSULE:
+            lower_capsule(x, low, high, posed, p, deepest)
+        elif kind[p] == BOX:
+            lower_box(x, low, high, posed, p, frames, contact.frame[p], deepest)
+        elif kind[p] != FIELD:
+            lower_plane(x, low, high, posed, p, deepest)
+        elif fields is not None:
+            lower_field(x, low, high, posed, p, frames, contact.frame[p], fields, deepest)
+    if was_near and not near[body, block]:
+        for i in range(np.uint64(low), np.uint64(high)):
+            deepest.primitive[i] = -1
+    return bool(near[body, block])
+
+
+@forced_inline
+def respond(x: Float, v: Float, i: Index, touch: Touch, bodies: Bodies, fields: Fields | None) -> Response:
+    """Return the contact of vertex i, of positions and velocities x, v (3, n), with its deepest primitive.
+
+    The dashpot sees an approach of depth times `rate` [1/s] at most: see Contact.rate.
+    """
+    p = np.uint64(touch.deepest[i])
+    f, frames = np.uint64(bodies.frame[p]), bodies.frames
+    px, py, pz = x[0, i], x[1, i], x[2, i]
+    distance, nx, ny, nz, mark = primitive_distance((px, py, pz), p, f, bodies, fields)
+    rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
+    ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
+    uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
+    uz = v[2, i] - frames[f, 14] - (frames[f, 15] * ry - frames[f, 16] * rx)
+    un = ux * nx + uy * ny + uz * nz
+    push = max(0.0, -touch.stiffness[i] * distance - touch.damping[i] * max(un, touch.rate * distance))
+    ex, ey, ez = 0.0, 0.0, 0.0
+    if touch.anchor_frame[i] >= 0:
+        g = np.uint64(touch.anchor_frame[i])
+        ax, ay, az = touch.anchor[0, i], touch.anchor[1, i], touch.anchor[2, i]
+        ex = px - (frames[g, 9] + frames[g, 0] * ax + frames[g, 1] * ay + frames[g, 2] * az)
+        ey = py - (frames[g, 10] + frames[g, 3] * ax + frames[g, 4] * ay + frames[g, 5] * az)
+        ez = pz - (frames[g, 11] + frames[g, 6] * ax + frames[g, 7] * ay + frames[g, 8] * az)
+        en = ex * nx + ey * ny + ez * nz
+        ex, ey, ez = ex - en * nx, ey - en * ny, ez - en * nz
+    slip = (ux - un * nx, uy - un * ny, uz - un * nz)
+    return Response(distance, push, (ex, ey, ez), (nx, ny, nz), slip, mark)
+
+
+@forced_inline
+def rub(k: float, c: float, response: Response) -> Vector:
+    """Return the force [N] of the friction spring k [N/m] and its dashpot c [N s/m], before Coulomb's limit."""
+    e, t = response.stretch, response.slip
+    return -k * e[0] - c * t[0], -k * e[1] - c * t[1], -k * e[2] - c * t[2]
+
+
+@forced_inline
+def limit_friction(response: Response, friction: Vector, push: float, limit: float) -> Vector:
+    """Return the force [N] of `push` along the normal and of friction, no longer than `limit`."""
+    n = response.normal
+    size = math.sqrt(friction[0] * friction[0] + friction[1] * friction[1] + friction[2] * friction[2])
+    share = limit / size if size > limit else 1.0
+    return push * n[0] + share * friction[0], push * n[1] + share * friction[1], push * n[2] + share * friction[2]
+
+
+@forced_inline
+def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: Touch, bodies: Bodies) -> None:
+    """Place the anchor of a touching vertex after a step: unchanged while it sticks, else dragged along until the
+    spring's force is `limit` [N].
+    """
+    anchor, anchor_frame, frames = touch.anchor, touch.anchor_frame, bodies.frames
+    f = np.uint64(bodies.frame[np.uint64(touch.deepest[i])])
+    ex, ey, ez = response.stretch
+    stretch = touch.stiffness[i] * math.sqrt(ex * ex + ey * ey + ez * ez)
+    if anchor_frame[i] == f and stretch <= limit:
+        return
+    share = limit / stretch if stretch > limit else 1.0
+    ax = x[0, i] - share * ex - frames[f, 9]
+    ay = x[1, i] - share * ey - frames[f, 10]
+    az = x[2, i] - share * ez - frames[f, 11]
+    for c in range(3):
+        anchor[c, i] = frames[f, c] * ax + frames[f, 3 + c] * ay + frames[f, 6 + c] * az
+    anchor_frame[i] = f
+
+
+@kernel
+def add_body(
+    x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None, force: Float
+) -> int:
+    """Add one body's force [N] on vertices [low, high); return how many lay on a capsule's axis."""
+    on_axis, deepest, stiffness, damping = 0, touch.deepest, touch.stiffness, touch.damping
+    for i in range(np.uint64(low), np.uint64(high)):
+        if deepest[i] < 0:
+            continue
+        response = respond(x, v, i, touch, bodies, fields)
+        friction = rub(stiffness[i], damping[i], response)
+        fx, fy, fz = limit_friction(response, friction, response.push, touch.friction * response.push)
+        force[0, i] += fx
+        force[1, i] += fy
+        force[2, i] += fz
+        on_axis += response.mark
+    return on_axis
+
+
+@kernel
+def commit_body(x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None) -> int:
+    """Set, drag along or drop the anchors of vertices [low, high); return how many touch."""
+    touching, deepest, anchor_frame = 0, touch.deepest, touch.anchor_frame
+    for i in range(np.uint64(low), np.uint64(high)):
+        anchored_to = anchor_frame[i]
+        anchor_frame[i] = anchored_to if deepest[i] >= 0 else np.int32(-1)
+    for i in range(np.uint64(low), np.uint64(high)):
+        if deepest[i] < 0:
+            continue
+        response = respond(x, v, i, touch, bodies, fields)
+        if response.distance >= 0.0:
+            anchor_frame[i] = -1
+            continue
+        touching += 1
+        place_anchor(x, i, response, touch.friction * response.push, touch, bodies)
+    return touching
+
 
 __all__ = ["Contact", "add_contact", "commit_contact", "count_contacts", "make_contact", "set_poses"]
 
@@ -117,10 +366,8 @@ class Contact(NamedTuple):
     """(B, 6) scratch: bounds of a block's vertices"""
     tally: NDArray[np.int64]
     """(B, 2) vertices touching after the last step; evaluations without a normal so far"""
-    field_head: Float | None = None
-    """Distance fields as nuno_contact.fields.sample.Fields has them, read only; None where no body is one"""
-    field_child: Int | None = None
-    field_corners: NDArray[np.float32] | None = None
+    fields: Fields | None = None
+    """distance fields, read only; None where no body is one: the code that reads them is then not compiled"""
 
 
 def count_contacts(contact: Contact) -> dict[str, int]:
@@ -134,7 +381,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     find_bounds(x, low, high, contact.bounds, block)
-    bodies, fields = bodies_of(contact), fields_of(contact)
+    bodies, fields = bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if find_deepest(x, low, high, block, body, contact, fields):
             on_axis = add_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields, force)
@@ -145,7 +392,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
 def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), fields_of(contact)
+    touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if contact.near[body, block]:
             touching += commit_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields)
@@ -254,13 +501,13 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         near=np.zeros((bodies, blocks), np.bool_),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),
-        **(pack_fields(fields) if of_field.any() else {}),
+        fields=pack_fields(fields) if of_field.any() else None,
     )
 
 
-def pack_fields(fields: Sequence[DistanceField]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of distance fields, read-only: solvers share them."""
+def pack_fields(fields: Sequence[DistanceField]) -> Fields:
+    """Return distance fields whose arrays are read-only: solvers share them."""
     joined = join_fields(fields)
     for array in joined:
         array.setflags(write=False)
-    return {f"field_{name}": array for name, array in joined._asdict().items()}
+    return joined

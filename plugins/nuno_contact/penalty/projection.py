@@ -22,20 +22,19 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.fields.sample import Fields
-from nuno_contact.penalty.contact import BLOCK, Contact
-from nuno_contact.penalty.distance import find_bounds
-from nuno_contact.penalty.field_distance import Bodies
-from nuno_contact.penalty.poses import pose_bodies
-from nuno_contact.penalty.response import (
+from nuno_contact.penalty.contact import (
+    BLOCK,
+    Contact,
     Touch,
     bodies_of,
-    fields_of,
     find_deepest,
     limit_friction,
+    pose_bodies,
     respond,
     rub,
     touch_of,
 )  # fmt: skip
+from nuno_contact.penalty.distance import Bodies, find_bounds
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import Displaced, over_blocks
 from nuno_schemas.fabric import Float
@@ -88,7 +87,7 @@ def push_body(
 @block_kernel
 def push_block(block: int, contact: Contact, moved: Displaced, held: Float | None) -> None:
     """Solve the contact of one block's vertices; bodies are posed already."""
-    y, bodies, fields = moved.y, bodies_of(contact), fields_of(contact)
+    y, bodies, fields = moved.y, bodies_of(contact), contact.fields
     low, high = block * BLOCK, min((block + 1) * BLOCK, y.shape[1])
     place_block(low, high, moved, held)
     find_bounds(y, low, high, contact.bounds, block)

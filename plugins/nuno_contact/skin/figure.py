@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_kernels.meshes.centreline import way_from
-from nuno_kernels.meshes.loops import Loop, cut_mesh
+from nuno_geometry.centreline import way_from
+from nuno_geometry.sections import Loop, cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nuno_contact.colliders.body_parts import carrier_of
 from nuno_contact.motions.rotations import (
     AXES,
     ease,
@@ -26,7 +27,6 @@ from nuno_contact.motions.rotations import (
     slerp,
 )
 from nuno_contact.skin.figure import Figure
-from nuno_contact.skin.roles import carrier_of
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.skin.figure import Figure
 from nuno_contact.skin.gait import ALONG
-from nuno_contact.skin.roles import find_roles
 from nuno_contact.skin.weights import keep_largest
-from nuno_kernels.meshes.check import place_of
-from nuno_kernels.meshes.file import LARGEST_FILE, find_vertices
-from nuno_kernels.meshes.glb import find_places, join_parts, open_glb, read_parts, way_up
+from nuno_geometry.check import place_of
+from nuno_geometry.files.glb import find_places, join_parts, open_glb, read_parts, way_up
+from nuno_geometry.files.mesh import LARGEST_FILE, find_vertices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Mover
@@ -42,7 +42,7 @@ class Rig:
     weight: Float
 
     def surface(self, path: Path) -> tuple[Float, Int]:
-        """Return its mesh, as nuno_kernels.meshes.file.load_surface does for a file."""
+        """Return its mesh, as nuno_geometry.files.mesh.load_surface does for a file."""
         return self.points, self.faces
 
 

@@ -4,7 +4,7 @@ Of each bone the weights w are what
 
     (L + H) w = H p
 
-says, with L the cotangent Laplacian (nuno_kernels.meshes.harmonic), H HEAT times the vertex' area over the square of
+says, with L the cotangent Laplacian (nuno_geometry.harmonic), H HEAT times the vertex' area over the square of
 its distance to the nearest bone, and p 1 where that bone is the nearest and 0 elsewhere (I. Baran and J. Popovic,
 Automatic rigging and animation of 3D characters, SIGGRAPH 2007, 4). The matrix is an M-matrix and the p add up to one,
 so that weights lie in [0, 1] and add up to one, and they pass from one bone to the next over about the limb's
@@ -17,9 +17,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from nuno_kernels.meshes.closest_point import closest_points
-from nuno_kernels.meshes.harmonic import edge_weights, solve_gradients
-from nuno_kernels.meshes.tree import build_tree
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.harmonic import edge_weights, solve_gradients
+from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import dot, norm

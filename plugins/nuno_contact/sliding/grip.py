@@ -1,37 +1,102 @@
-"""Vertices that an implicit step holds on bodies while it is solved, so that it ends at rest there.
-
-Contact that acts after a step, of which the solver knows nothing, would put the solution back each time. Here a vertex
-that touches has its movement along the surface's normal n prescribed, and all of its movement where it sticks: Newton's
-steps and residuals are projected by I - n n^T, or to nothing (Baraff & Witkin 1998, SIGGRAPH, "Large steps in cloth
-simulation"). The force that is missing in the equation of motion there is the contact's, N along n and t along the
-surface:
-
-    N < 0                    the vertex is released, and held again if it then enters
-    it sticks, |t| > mu N    it slides, against friction mu N along t
-    it slides along t        friction has stopped it: it sticks
-    a free one comes nearer than the gap: it is held there, and sticks
-
-The sets change between solutions only, each way once a step, so that Newton's method meets a smooth equation. Friction
-on a sliding vertex follows N and the movement of the step before.
-
-Not chosen: a penalty or an augmented Lagrangian within Newton's method. Its active set and the direction of friction
-alternate between iterations, and a sheet on a ball does not converge.
-"""
+"""Sliding contact for implicit steps: the vertices that they hold on bodies, and the force that is left on them."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numba import prange
 
-from nuno_contact.sliding.slides import Slides, pose_slides, tree_of
-from nuno_contact.sliding.vertex import outward
-from nuno_kernels import block_kernel
-from nuno_kernels.bodies.poses import to_frame
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import make_room
+from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides
+from nuno_contact.sliding.vertex import PARALLEL, outward, slide
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import Vector, to_frame, turn_in, turn_out
+from nuno_geometry.tree import make_room
+from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
+
+# The force that is left on a vertex after the reaction of surfaces and friction: how far cloth is from rest.
+#
+# On a vertex that touches a body the surface takes the part of the force that points into it, and friction up to mu
+# times that of the rest: nuno_contact.sliding.slides does this to a movement, and here to a short one along the force.
+# So the force that is left is the share of it by which a vertex at rest would begin to move, whatever grooves and edges
+# of the mesh it lies at.
+
+TRIAL = 1e-3
+"""length of the trial movement, as a share of the gap: it turns by no more than that round an edge"""
+NEAR = 1.02
+"""A vertex within so many gaps touches. A step that ends at an edge ends a little beyond the gap, by half the square of
+the angle that the surface's normal turned by on the way."""
+
+
+@kernel
+def along_planes(m: Vector, n1: Vector, n2: Vector, planes: int) -> Vector:
+    """Return the part of a movement along one plane, or along the line where two meet."""
+    if planes == 2:
+        x, y, z = n1[1] * n2[2] - n1[2] * n2[1], n1[2] * n2[0] - n1[0] * n2[2], n1[0] * n2[1] - n1[1] * n2[0]
+        square = x * x + y * y + z * z
+        if square > PARALLEL:
+            share = (m[0] * x + m[1] * y + m[2] * z) / square
+            return share * x, share * y, share * z
+    share = m[0] * n1[0] + m[1] * n1[1] + m[2] * n1[2]
+    return m[0] - share * n1[0], m[1] - share * n1[1], m[2] - share * n1[2]
+
+
+@block_kernel
+def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
+    """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
+    room, tree = make_room(), s.tree
+    for body in range(s.root.shape[0]):
+        f, gap = s.frame[body], s.gap[body]
+        length = TRIAL * gap
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            g = (force[0, i], force[1, i], force[2, i])
+            size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+            if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * gap or not 0.0 < size < math.inf:
+                continue
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
+            g = turn_in(g, s.frames, f)
+            m = (length / size * g[0], length / size * g[1], length / size * g[2])
+            distance = closest((px, py, pz), s.nearest[body, i], s.root[body], tree, room).distance
+            if distance > NEAR * gap:
+                continue
+            # From where it is: moving it back to the gap takes no force, and makes no friction.
+            clear, near, root, mu = s.clear[body, i], s.nearest[body, i], s.root[body], s.friction[body]
+            end = slide((px, py, pz), m, clear, near, root, distance, mu, tree, room)
+            if end.planes == 0:
+                continue
+            g = turn_out(along_planes(end.made, end.n1, end.n2, end.planes), s.frames, f)
+            for c in range(3):
+                force[c, i] = size / length * g[c]
+
+
+@parallel_kernel
+def hold_forces(s: Slides, x: Float, force: Float) -> None:
+    """Hold the forces (3, n) on vertices x (3, n) off the bodies as they are at the end of the interval, in place."""
+    pose_slides(1.0, s)
+    for block in prange(s.tally.shape[0]):
+        hold_block(block, x, force, s)
+
+
+# Vertices that an implicit step holds on bodies while it is solved, so that it ends at rest there.
+#
+# Contact that acts after a step, of which the solver knows nothing, would put the solution back each time. Here a
+# vertex that touches has its movement along the surface's normal n prescribed, and all of its movement where it sticks:
+# Newton's steps and residuals are projected by I - n n^T, or to nothing (Baraff & Witkin 1998, SIGGRAPH, "Large steps
+# in cloth simulation"). The force that is missing in the equation of motion there is the contact's, N along n and t
+# along the surface:
+#
+#     N < 0                    the vertex is released, and held again if it then enters
+#     it sticks, |t| > mu N    it slides, against friction mu N along t
+#     it slides along t        friction has stopped it: it sticks
+#     a free one comes nearer than the gap: it is held there, and sticks
+#
+# The sets change between solutions only, each way once a step, so that Newton's method meets a smooth equation.
+# Friction on a sliding vertex follows N and the movement of the step before.
+#
+# Not chosen: a penalty or an augmented Lagrangian within Newton's method. Its active set and the direction of friction
+# alternate between iterations, and a sheet on a ball does not converge.
 
 RIGID = 1e6
 """Stiffness of a held vertex, as a multiple of its inertia and of the cloth's largest stiffness."""
@@ -42,7 +107,7 @@ def find_touching(x: Float, body: Long, s: Slides, found: Float) -> None:
     """Write, for vertices x (3, n) that body (n,) holds, into found (7, n): position in the body's frame, normal, and
     distance beyond the gap [m].
     """
-    room, tree = make_room(), tree_of(s)
+    room, tree = make_room(), s.tree
     for i in range(x.shape[1]):
         b = body[i]
         if b >= 0:
@@ -59,7 +124,7 @@ def find_entering(x: Float, body: Long, s: Slides, found: Float) -> None:
     """Add the free vertices that a step to x (3, n) brings nearer than the gap to body (n,), and write into found
     (7, n) their position before the step, the normal, and how far they are to go against it [m].
     """
-    room, tree = make_room(), tree_of(s)
+    room, tree = make_room(), s.tree
     for b in range(s.root.shape[0]):
         for i in range(x.shape[1]):
             if body[i] >= 0 or s.mass[i] == 0.0:

@@ -11,9 +11,9 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Size
 from nuno_contact.sliding.slides import BLOCK, Slides
-from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.check import check_closed, check_crossings
-from nuno_kernels.meshes.tree import Tree, build_tree
+from nuno_geometry.check import check_closed, check_crossings
+from nuno_geometry.tree import Tree, build_tree
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -51,17 +51,19 @@ def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
         spin=np.zeros((frames, 3)),
         shift=np.zeros((frames, 3)),
         frames=np.zeros((frames, 18)),
-        boxes=np.concatenate([tree.boxes for tree in trees]),
-        child=np.concatenate([moved_children(tree.child, nodes[k], leaves[k]) for k, tree in enumerate(trees)]),
-        parent=np.concatenate([np.where(t.parent < 0, -1, t.parent + nodes[k]) for k, t in enumerate(trees)]),
-        leaf_parent=np.concatenate([tree.leaf_parent + nodes[k] for k, tree in enumerate(trees)]),
-        corners=np.concatenate([tree.corners for tree in trees]),
-        face=np.concatenate([t.face + np.int32(triangles[k]) for k, t in enumerate(trees)]),
-        place=np.concatenate([t.place + np.int32(WIDTH * leaves[k]) for k, t in enumerate(trees)]),
-        faces=np.concatenate([t.faces + np.int32(corners[k]) for k, t in enumerate(trees)]),
-        edges=np.concatenate([t.edges + np.int32(sides[k]) for k, t in enumerate(trees)]),
-        vertex_normals=np.concatenate([tree.vertex_normals for tree in trees]),
-        edge_normals=np.concatenate([tree.edge_normals for tree in trees]),
+        tree=Tree(
+            boxes=np.concatenate([tree.boxes for tree in trees]),
+            child=np.concatenate([moved_children(tree.child, nodes[k], leaves[k]) for k, tree in enumerate(trees)]),
+            parent=np.concatenate([np.where(t.parent < 0, -1, t.parent + nodes[k]) for k, t in enumerate(trees)]),
+            leaf_parent=np.concatenate([tree.leaf_parent + nodes[k] for k, tree in enumerate(trees)]),
+            corners=np.concatenate([tree.corners for tree in trees]),
+            face=np.concatenate([t.face + np.int32(triangles[k]) for k, t in enumerate(trees)]),
+            place=np.concatenate([t.place + np.int32(WIDTH * leaves[k]) for k, t in enumerate(trees)]),
+            faces=np.concatenate([t.faces + np.int32(corners[k]) for k, t in enumerate(trees)]),
+            edges=np.concatenate([t.edges + np.int32(sides[k]) for k, t in enumerate(trees)]),
+            vertex_normals=np.concatenate([tree.vertex_normals for tree in trees]),
+            edge_normals=np.concatenate([tree.edge_normals for tree in trees]),
+        ),
         before=np.full((b, 3, n), np.nan),
         clear=np.full((b, n), -np.inf),
         nearest=np.repeat((WIDTH * leaves[:-1]).astype(np.int64)[:, None], n, axis=1),

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.vertex import slide, slow_down
-from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
-from nuno_kernels.meshes.closest_point import closest
-from nuno_kernels.meshes.tree import Tree, make_room
+from nuno_geometry.closest_point import closest
+from nuno_geometry.poses import pose_frame, to_frame, turn_out, write_interval
+from nuno_geometry.tree import Tree, make_room
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -37,10 +37,7 @@ BLOCK = 64
 
 
 class Slides(NamedTuple):
-    """b bodies, their motion over one frame of animation, and n vertices in B blocks.
-
-    The trees of all bodies are one after the other in boxes ... edge_normals (nuno_kernels.meshes.tree).
-    """
+    """b bodies, their motion over one frame of animation, and n vertices in B blocks."""
 
     root: NDArray[np.int64]
     """(b,) root of each body's tree"""
@@ -58,17 +55,8 @@ class Slides(NamedTuple):
     shift: Float
     frames: Float
     """(f, 18) and the rest as in nuno_contact.penalty.contact"""
-    boxes: Float
-    child: NDArray[np.int64]
-    parent: NDArray[np.int64]
-    leaf_parent: NDArray[np.int64]
-    corners: Float
-    face: Int
-    place: Int
-    faces: Int
-    edges: Int
-    vertex_normals: Float
-    edge_normals: Float
+    tree: Tree
+    """the trees of all bodies one after the other, as one"""
     before: Float
     """(b, 3, n) vertices after the last step, in the body's frame [m]; NaN at first"""
     clear: Float
@@ -83,19 +71,10 @@ class Slides(NamedTuple):
     """(B, 2) vertices touching after the last step; vertices that were put back so far"""
 
 
-@forced_inline
-def tree_of(s: Slides) -> Tree:
-    """Return the trees of all bodies as one."""
-    return Tree(
-        s.boxes, s.child, s.parent, s.leaf_parent, s.corners, s.face, s.place, s.faces, s.edges, s.vertex_normals,
-        s.edge_normals,
-    )  # fmt: skip
-
-
 @block_kernel
 def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
     """Hold the vertices of one block off one body, in place in x and v (3, n)."""
-    room, tree, f, mu, gap, root = make_room(), tree_of(s), s.frame[body], s.friction[body], s.gap[body], s.root[body]
+    room, tree, f, mu, gap, root = make_room(), s.tree, s.frame[body], s.friction[body], s.gap[body], s.root[body]
     mass, frames, before, clear, nearest = s.mass, s.frames, s.before[body], s.clear[body], s.nearest[body]
     held, impulse, tally = s.planes[body], s.impulse[block, body], s.tally
     for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
@@ -185,7 +164,7 @@ def slow_slides(s: Slides, x: Float, v: Float, threads: int | None) -> None:
 @block_kernel
 def find_block_room(block: int, x: Float, s: Slides) -> None:
     """Call `find_room` for the vertices of one block."""
-    room, tree, frames = make_room(), tree_of(s), s.frames
+    room, tree, frames = make_room(), s.tree, s.frames
     for body in range(s.root.shape[0]):
         before, clear, nearest = s.before[body], s.clear[body], s.nearest[body]
         f, root, gap = s.frame[body], s.root[body], s.gap[body]
@@ -238,7 +217,7 @@ register(
     grip="nuno_contact.sliding.grip:Grip",
     begin=find_room,
     alone=act_alone,
-    unbalance="nuno_contact.sliding.balance:hold_forces",
+    unbalance="nuno_contact.sliding.grip:hold_forces",
     interval=set_slide_poses,
     counts=count_slides,
 )

@@ -9,12 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.search import HITS, find_near, meet_eights, near_leaves, node_box
-from nuno_contact.offset.tree import Tree, less
-from nuno_contact.untangle.cloth import Cloth, Long, fit
+from nuno_contact.offset.tree import HITS, Tree, find_near, less, meet_eights, near_leaves, node_box
+from nuno_contact.untangle.contours import Cloth, Long, fit
+from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.choose import first_lane
-from nuno_kernels.meshes.check import orient
+from nuno_kernels.lanes import first_lane
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05
@@ -136,15 +135,39 @@ def neighbours(ring_start: Long, ring: Long, pair: Long, of_edges: bool) -> bool
     return False
 
 
+class Gaps(NamedTuple):
+    """What decides the distance that a pair of n vertices requires: begun (n, 3) where they were at the start [m], the
+    vertices that each shares an edge with, ring[ring_start[i]:ring_start[i + 1]], the piece (n,) of each, which pieces
+    meet (o, o), which of them is of bodies, which vertices are tangled (n,), and the gap [m].
+    """
+
+    begun: Float
+    ring_start: Long
+    ring: Long
+    piece: Int
+    meets: Bool
+    bodies: int
+    tangled: Bool
+    gap: float
+
+
+class Room(NamedTuple):
+    """Room for c near pairs: pair, weights (c, 4), normal (c, 3), and size (c, 2), distance and required one [m]."""
+
+    pair: Long
+    weights: Float
+    normal: Float
+    size: Float
+
+
 @block_kernel
-def measure_near(
-    x: Float, begun: Float, tree: Tree, ring_start: Long, ring: Long, piece: Int, meets: Bool, bodies: int,
-    tangled: Bool, gap: float, found: Long, number: int, pair: Long, weights: Float, normal: Float, size: Float,
-) -> int:  # fmt: skip
-    """Write pairs among `number` found that are too near into pair (c, 4), weights, normal, size (c, 2); count them.
+def measure_near(x: Float, tree: Tree, gaps: Gaps, found: Long, number: int, room: Room) -> int:
+    """Write pairs among `number` found that are too near into `room`; count them.
 
     Tangled pairs and those of two objects need the gap; others have been near from the start.
     """
+    begun, ring_start, ring, piece, meets, bodies, tangled, gap = gaps
+    pair, weights, normal, size = room
     count, four = 0, np.empty(4, np.int64)
     for r in range(number):
         e, f = found[r, 0], found[r, 1]
@@ -186,10 +209,8 @@ def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
     leaves = near_leaves(tree.boxes, radius, cloth.bodies >= 0)
     found, number = with_room(lambda rows: find_near(tree, radius, leaves, rows), 8 * len(tree.faces))
-    pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
-    weights, normal = np.empty((number, 4)), np.empty((number, 3))
-    kept = measure_near(
-        rows, np.ascontiguousarray(cloth.begun.T), tree, cloth.ring_start, cloth.ring, cloth.piece, cloth.meets,
-        cloth.bodies, tangled, gap, found, number, pair, weights, normal, sizes,
-    )  # fmt: skip
-    return Near(pair[:kept], weights[:kept], normal[:kept], sizes[:kept, 0], sizes[:kept, 1])
+    begun = np.ascontiguousarray(cloth.begun.T)
+    gaps = Gaps(begun, cloth.ring_start, cloth.ring, cloth.piece, cloth.meets, cloth.bodies, tangled, gap)
+    room = Room(np.empty((number, 4), np.int64), np.empty((number, 4)), np.empty((number, 3)), np.empty((number, 2)))
+    kept = measure_near(rows, tree, gaps, found, number, room)
+    return Near(room.pair[:kept], room.weights[:kept], room.normal[:kept], room.size[:kept, 0], room.size[:kept, 1])

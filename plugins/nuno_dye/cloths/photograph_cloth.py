@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from nuno_dye.cloths.cloth import Cloth, ClothConfig, FibreConfig, Tau
-from nuno_dye.pictures.picture import Drawing, begin_drawing, draw
+from nuno_dye.picture import Drawing, begin_drawing, draw
 from nuno_dye.quantities import Share
 from nuno_dye.supplies.resist import read_image
 from nuno_schemas.colour import as_rgb, parse_hex, to_linear
 from nuno_schemas.dye import Cells, DyeState, Tortuosity
-from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window
+from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
-from nuno_schemas.look import DyeColour
 from nuno_schemas.parts import Colour
+from nuno_schemas.pictures import Layers, Photograph, Picture, Window
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_dye.drafts.text import listed
-from nuno_dye.drafts.wif import Draft
-from nuno_dye.drafts.yarns import Yarns
+from nuno_dye.drafts.wif import Draft, Yarns, listed
 from nuno_schemas.colour import to_linear, to_srgb
-from nuno_schemas.draft import DrawnDraft
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.pictures import DrawnDraft, Picture
 
 SIDE, LEAST_SIDE, MARGIN = 900, 480, 16
 """Approximate longer side of a picture, its least width, and its margin [pixels]."""

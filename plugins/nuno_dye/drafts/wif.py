@@ -1,23 +1,299 @@
-"""Drafts from Weaving Information Files (WIF 1.1, Nielsen et al. 1997), as weaving programs write them.
-
-A threading gives the shafts of each warp end. The shafts that move at a pick follow from a treadling and a tie-up, or
-from a lift plan; if a file has all three the first two count. Sections may be sparse: an end or a pick that is not
-listed has its section's default, no shaft or no treadle.
-"""
+"""Drafts from Weaving Information Files (WIF 1.1, Nielsen et al. 1997): their text, yarns, and drawdown."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.drafts.text import Section, Sections, listed
 from nuno_dye.drafts.weaves import MOST_CROSSINGS, MOST_YARNS, check_interlacing
-from nuno_dye.drafts.yarns import Yarns, read_yarns
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool
+from nuno_schemas.fabric import Bool, Float
+
+# The text of a Weaving Information File: sections of key=value lines, and their values.
+#
+# Names are case-insensitive, `;` starts a comment, except in text. The last of duplicate keys counts.
+
+LARGEST_FILE = 16 * 2**20
+
+_HEADER = re.compile(r"\s*\[([^\]]*)\]")
+_WHOLE = re.compile(r"[0-9]{1,9}")
+_REAL = re.compile(r"[0-9]{0,12}[.,]?[0-9]{0,20}(?:[eE][+-]?[0-9]{1,3})?")
+_TRUE, _FALSE = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line key=value, and its place."""
+
+    file: str
+    line: int
+    section: str
+    key: str
+    text: str
+
+    def refuse(self, problem: str, limit: str, remedy: str | None = None) -> NoReturn:
+        """Raise BadInput with file, line, section, key and value."""
+        raise BadInput(
+            problem, file=self.file, line=self.line, field=f"[{self.section}] {self.key}", value=self.text,
+            limit=limit, remedy=remedy,
+        )  # fmt: skip
+
+    @property
+    def bare(self) -> str:
+        """The value without a comment."""
+        return self.text.split(";", 1)[0].strip()
+
+    def whole(self, low: int, high: int, what: str) -> int:
+        """Return a whole number. Raises BadInput for anything else and beyond the limits."""
+        return self._whole(self.bare, low, high, what)
+
+    def wholes(self, low: int, high: int, what: str) -> list[int]:
+        """Return whole numbers between commas, [] for an empty value. Raises BadInput likewise."""
+        return [self._whole(part.strip(), low, high, what) for part in self.bare.split(",") if part.strip()]
+
+    def _whole(self, text: str, low: int, high: int, what: str) -> int:
+        if not _WHOLE.fullmatch(text) or not low <= int(text) <= high:
+            self.refuse(f"not {what}", f"whole number from {low} to {high}")
+        return int(text)
+
+    def real(self, what: str) -> float:
+        """Return a number not below 0; some programs write a decimal comma. Raises BadInput for anything else."""
+        text = self.bare
+        if not _REAL.fullmatch(text) or not any(map(str.isdigit, text)) or text[0] in "eE":
+            self.refuse(f"not {what}", "a number not below 0")
+        value = float(text.replace(",", "."))
+        if not math.isfinite(value):
+            self.refuse(f"not {what}", "a finite number")
+        return value
+
+    def truth(self) -> bool:
+        """Return true or false. Raises BadInput for any other value."""
+        text = self.bare.lower()
+        if text not in _TRUE | _FALSE:
+            self.refuse("neither true nor false", "true, on, yes, 1, false, off, no or 0")
+        return text in _TRUE
+
+
+@dataclass
+class Section:
+    """A section's entries by key, in upper case."""
+
+    file: str
+    name: str
+    line: int | None = None
+    entries: dict[str, Entry] = field(default_factory=dict)
+
+    def get(self, key: str) -> Entry | None:
+        """Return the entry of a key, None if it is missing or empty."""
+        entry = self.entries.get(key)
+        return entry if entry is not None and entry.bare else None
+
+    def need(self, key: str) -> Entry:
+        """Return the entry of a key. Raises BadInput if it is missing or empty."""
+        entry = self.get(key)
+        if entry is None:
+            raise BadInput(
+                "missing", file=self.file, line=self.line, field=f"[{self.name}] {key.title()}",
+                remedy=f"a line {key.title()}=... in [{self.name}]",
+            )  # fmt: skip
+        return entry
+
+    def beyond(self, most: int) -> list[int]:
+        """Return keys that are numbers above `most`."""
+        return sorted(int(key) for key in self.entries if _WHOLE.fullmatch(key) and int(key) > most)
+
+    def numbered(self, most: int, what: str, beyond: bool = False) -> Iterator[tuple[int, Entry]]:
+        """Yield entries with keys from 1 to `most`. Raises BadInput for any other key, unless numbers `beyond` may be
+        skipped.
+        """
+        for entry in self.entries.values():
+            if beyond and _WHOLE.fullmatch(entry.key) and int(entry.key) > most:
+                continue
+            if not _WHOLE.fullmatch(entry.key) or not 1 <= int(entry.key) <= most:
+                entry.refuse(f"no such {what}", f"keys from 1 to {most}, the number of {what}s that the file states")
+            yield int(entry.key), entry
+
+
+class Sections:
+    """All sections of a file."""
+
+    def __init__(self, path: Path) -> None:
+        """Read a file. Raises BadInput if it is empty, too large, or has no section [WIF]."""
+        self.file = str(path)
+        size = path.stat().st_size
+        if not 0 < size <= LARGEST_FILE:
+            raise BadInput(
+                "empty or too large for a WIF", file=self.file, value=size, limit=f"1 to {LARGEST_FILE} bytes"
+            )
+        self.sections: dict[str, Section] = {}
+        self._parse(decode(path.read_bytes()))
+        if "WIF" not in self.sections:
+            raise BadInput("no section [WIF]: not a Weaving Information File", file=self.file)
+
+    def _parse(self, text: str) -> None:
+        section: Section | None = None
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+            header = _HEADER.match(line)
+            if header:
+                name = _normalise(header[1])
+                section = self.sections.setdefault(name, Section(self.file, name, number))
+            elif section is not None and "=" in line and not line.lstrip().startswith(";"):
+                key, value = line.split("=", 1)
+                key = _normalise(key)
+                section.entries[key] = Entry(self.file, number, section.name, key, value.strip())
+
+    def get(self, name: str) -> Section:
+        """Return a section, without entries if the file has no section of that name."""
+        return self.sections.get(name) or Section(self.file, name)
+
+    def need(self, name: str, why: str) -> Section:
+        """Return a section. Raises BadInput if it is missing or empty."""
+        section = self.get(name)
+        if not section.entries:
+            raise BadInput(
+                f"the section is {'missing' if section.line is None else 'empty'}", file=self.file, line=section.line,
+                field=f"[{name}]", limit=why,
+            )  # fmt: skip
+        return section
+
+
+def listed(numbers: Sequence[int]) -> str:
+    """Return the first few numbers as text."""
+    return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
+
+
+def _normalise(name: str) -> str:
+    return " ".join(name.upper().split())
+
+
+def decode(data: bytes) -> str:
+    """Decode UTF-8, UTF-16 with its mark, or else Latin-1, which accepts any byte."""
+    for mark in (b"\xff\xfe", b"\xfe\xff"):
+        if data.startswith(mark):
+            return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+# Yarns of a Weaving Information File: their colours, spacing and thickness, sparse or not.
+
+UNITS = {
+    "centimeters": 0.01, "centimeter": 0.01, "centimetres": 0.01, "cm": 0.01,
+    "inches": 0.0254, "inch": 0.0254, "in": 0.0254,
+    "decipoints": 0.0254 / 720, "decipoint": 0.0254 / 720,
+}  # fmt: skip
+"""Lengths [m]; a decipoint is a tenth of a point."""
+UNDYED = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Yarns:
+    """The yarns of one direction; arrays are None if the file lacks them.
+
+    colour     (n, 3)  sRGB in [0, 1]
+    spacing    (n,)    from the middle of a yarn's gap to the next one [m]
+    thickness  (n,)    [m]
+    colourless         whether it refers to colours that it does not define
+    """
+
+    colour: Float | None
+    spacing: Float | None
+    thickness: Float | None
+    colourless: bool = False
+
+
+def read_yarns(sections: Sections, name: str, number: int) -> Yarns:
+    """Read colours, spacing and thickness of WARP or WEFT."""
+    section = sections.get(name)
+    units = section.get("UNITS")
+    unit = UNITS.get(units.bare.lower()) if units else None
+    if units and unit is None:
+        units.refuse("an unknown unit", "centimeters, inches or decipoints")
+    spacing, thickness = (
+        None if unit is None else _read_lengths(section, sections.get(f"{name} {what}"), what, unit, number)
+        for what in ("SPACING", "THICKNESS")
+    )
+    colour = _read_colours(sections, section, number)
+    listed = [line for _, line in sections.get(f"{section.name} COLORS").numbered(number, "yarn", beyond=True)]
+    coloured = [line for line in (section.get("COLOR"), *listed) if line and any(line.wholes(0, 10**9, "a colour"))]
+    return Yarns(colour, spacing, thickness, bool(coloured) and colour is None)
+
+
+def _read_lengths(section: Section, listed: Section, what: str, unit: float, number: int) -> Float | None:
+    """Return lengths (number,) [m], where 0 is unknown, or None if a yarn has none."""
+    default = section.get(what)
+    values = np.full(number, default.real(f"a {what.lower()}") if default else 0.0)
+    for key, line in listed.numbered(number, "yarn", beyond=True):
+        values[key - 1] = (line.real(f"a {what.lower()}") if line.bare else 0.0) or values[key - 1]
+    return values * unit if values.all() else None
+
+
+def _read_colours(sections: Sections, section: Section, number: int) -> Float | None:
+    """Return sRGB (number, 3) in [0, 1], or None without a colour table and written-out colours."""
+    palette = Palette(sections)
+    default = section.get("COLOR")
+    listed = sections.get(f"{section.name} COLORS")
+    default_colour = palette.find(default) if default else None
+    colours = np.tile(np.array(default_colour or UNDYED), (number, 1))
+    any_known = default_colour is not None
+    for key, line in listed.numbered(number, "yarn", beyond=True):
+        colour = palette.find(line)
+        if colour is not None:
+            colours[key - 1], any_known = colour, True
+    return colours if any_known or palette.table else None
+
+
+Colour = tuple[float, ...]
+
+
+class Palette:
+    """A file's colours by number, scaled from its range (0 to 255 by default) to [0, 1]."""
+
+    def __init__(self, sections: Sections) -> None:
+        """Read the table. Raises BadInput for an empty range and colours outside of it."""
+        stated = sections.get("COLOR PALETTE").get("RANGE")
+        limits = stated.wholes(0, 10**9, "a range of colours") if stated else [0, 255]
+        bounds = [0, *limits] if len(limits) == 1 else limits
+        if stated and not (len(bounds) == 2 and bounds[0] < bounds[1]):
+            stated.refuse("not a range of colours", "two numbers, the smaller first, such as 0,255")
+        self.low, self.high = bounds
+        table = sections.get("COLOR TABLE")
+        self.table = {key: self._scale(line, 0) for key, line in table.numbered(10**9, "colour") if line.bare}
+
+    def find(self, line: Entry) -> Colour | None:
+        """Return the colour that a line refers to by number, or writes out after it; None for 0. Raises BadInput."""
+        numbers = line.wholes(0, 10**9, "a colour")
+        if not numbers or (numbers[0] == 0 and len(numbers) == 1):
+            return None
+        if numbers[0] in self.table:
+            return self.table[numbers[0]]
+        if len(numbers) == 4:
+            return self._scale(line, 1)
+        if self.table:
+            line.refuse("a colour that is not in [COLOR TABLE]", f"one of its {len(self.table)} colours")
+        return None
+
+    def _scale(self, line: Entry, start: int) -> Colour:
+        values = line.wholes(0, 10**9, "a colour")[start:]
+        if len(values) != 3 or not all(self.low <= value <= self.high for value in values):
+            line.refuse("not a colour", f"three numbers from {self.low} to {self.high}, the palette's range")
+        return tuple((value - self.low) / (self.high - self.low) for value in values)
+
+
+# Drafts from Weaving Information Files (WIF 1.1, Nielsen et al. 1997), as weaving programs write them.
+#
+# A threading gives the shafts of each warp end. The shafts that move at a pick follow from a treadling and a tie-up, or
+# from a lift plan; if a file has all three the first two count. Sections may be sparse: an end or a pick that is not
+# listed has its section's default, no shaft or no treadle.
 
 MOST_LIFTS = 2**28
 """The most lifts of single ends or shafts, over all picks: several shafts per end multiply the work."""

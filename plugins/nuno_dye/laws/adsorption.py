@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from nuno_dye.laws.power import power
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.lanes.choose import any_below, higher, lower, where_greater
-from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_kernels.lanes import WIDTH, any_below, higher, load, lower, splat, store, where_greater
 from nuno_schemas.fabric import Float
 
 NOTHING, PARTITION, FREUNDLICH, LANGMUIR = 0, 1, 2, 3

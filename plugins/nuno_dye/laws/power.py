@@ -18,8 +18,7 @@ from typing import Any
 from llvmlite import ir
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import where_greater
-from nuno_kernels.lanes.simd import LANES, WIDTH, fused, instruction, splat, spread, vector
+from nuno_kernels.lanes import LANES, WIDTH, fused, instruction, splat, spread, vector, where_greater
 
 SMALLEST = 2.0**-1022
 """The least normal number; powers of smaller ones are 0."""

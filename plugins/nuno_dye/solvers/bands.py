@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
-from nuno_dye.laws.faces import Faces, largest_sum
+from nuno_dye.laws.diffusivity import Faces, largest_sum
 from nuno_dye.solvers.diffusion import GHOST, LEFT, Bands, Rows
 from nuno_dye.solvers.dyeing import EMPTYING, LEVELS, SCRATCH_ROWS, DyeBands
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes import WIDTH
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 

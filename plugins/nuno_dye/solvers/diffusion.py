@@ -22,9 +22,9 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_dye.laws.adsorption import Uptake, adsorb_both
-from nuno_dye.solvers.upkeep import Upkeep, keep_both
+from nuno_dye.solvers.solving import Upkeep, keep_both
 from nuno_kernels import block_kernel, kernel, parallel_kernel
-from nuno_kernels.lanes.simd import WIDTH, instruction, load, splat, store, vector
+from nuno_kernels.lanes import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
 
 Rows = NDArray[np.int64]

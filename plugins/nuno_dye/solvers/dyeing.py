@@ -18,12 +18,11 @@ from typing import Any, NamedTuple
 from numba import prange
 
 from nuno_dye.laws.adsorption import NOTHING, Law, Uptake, adsorb, adsorb_both
-from nuno_dye.laws.potential import Curve, potentials
+from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
-from nuno_dye.solvers.upkeep import Upkeep, keep_both
+from nuno_dye.solvers.solving import Upkeep, keep_both
 from nuno_kernels import block_kernel, kernel, parallel_kernel
-from nuno_kernels.lanes.choose import higher, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_kernels.lanes import WIDTH, higher, load, lower, splat, store, where_not_negative
 from nuno_schemas.fabric import Float
 
 LEVELS = 4
@@ -100,14 +99,28 @@ def start_row(phi: Float, down: Float, across: Float, curve: Curve | None, scrat
             store(scratch, base + DOWN + layer, c, flow)
 
 
+class Level(NamedTuple):
+    """A level of a pass at a row: the law of adsorption, the potential if D is not constant, the first row of its
+    scratch, the row's number, whether any cell may be emptied, and whether the row above steps.
+    """
+
+    law: Law
+    curve: Curve | None
+    base: int
+    row: int
+    empties: bool
+    moves: bool
+
+
 @kernel
 def step_row(
-    phi: Float, fixed: Float, fibre: Float, law: Law, along: Float, down: Float, across: Float, mobile: Float,
-    curve: Curve | None, scratch: Float, base: int, row: int, empties: bool, moves: bool,
+    phi: Float, fixed: Float, fibre: Float, along: Float, down: Float, across: Float, mobile: Float, scratch: Float,
+    level: Level,
 ) -> None:  # fmt: skip
-    """Compute fluxes and factors of a row's cells, with which the row above steps if `moves`. `scratch` holds fluxes
+    """Compute fluxes and factors of a row's cells, with which the row above steps if it moves. `scratch` holds fluxes
     and factors of the row above, and gets, vector by vector, those of this one.
     """
+    law, curve, base, row, empties, moves = level
     other, one, nothing = row + across.shape[0], splat(1.0), splat(0.0)
     left_0, left_1, moved_0, moved_1 = nothing, nothing, nothing, nothing
     went_0, went_1, above_went_0, above_went_1, next_went_0, next_went_1 = one, one, one, one, one, one
@@ -184,10 +197,8 @@ def pass_over_dye(
                         adsorb_both(phi, uptake, n, LEFT, row + 2, r)
                     start_row(phi, down, across, curve, rolling, base, row + 1)
                 elif row + 1 > start - 2:
-                    step_row(
-                        phi, fixed, fibre, law, along, down, across, mobile, curve, rolling, base, row + 1, empties,
-                        row >= start,
-                    )  # fmt: skip
+                    here = Level(law, curve, base, row + 1, empties, row >= start)
+                    step_row(phi, fixed, fibre, along, down, across, mobile, rolling, here)
                 if row >= start and upkeep is not None:
                     keep_both(phi, upkeep, n, LEFT, row, r)
 

@@ -18,14 +18,14 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_dye.laws.adsorption import NOTHING, Uptake
-from nuno_dye.laws.faces import face_values, largest_sum
-from nuno_dye.laws.potential import curve_of
+from nuno_dye.laws.diffusivity import curve_of, face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
 from nuno_dye.solvers.dyeing import LEVELS, DyeBands, dye
 from nuno_dye.solvers.solving import (
     Banded,
     Derived,
+    Upkeep,
     adsorbs,
     count_bands,
     derive,
@@ -34,9 +34,9 @@ from nuno_dye.solvers.solving import (
     make_report,
     renew_work,
     require_laws,
+    sum_compensated,
     use_threads,
 )
-from nuno_dye.solvers.upkeep import Upkeep, sum_compensated
 from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config

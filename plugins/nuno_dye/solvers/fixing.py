@@ -16,8 +16,7 @@ from numba import prange
 from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, limit_of, may_bind
 from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.lanes.choose import higher, lower
-from nuno_kernels.lanes.simd import splat
+from nuno_kernels.lanes import higher, lower, splat
 from nuno_schemas.fabric import Float
 
 ROUNDS = 60

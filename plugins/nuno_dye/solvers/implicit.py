@@ -1,5 +1,4 @@
-"""Implicit steps of any length: diffusion, limits, supplies and adsorption solved together
-(nuno_dye.solvers.implicit).
+"""Implicit steps of any length: diffusion, limits, supplies and adsorption solved together, by sweeps over cells.
 
 `sdirk2` (Alexander 1977) takes two backward Euler stages of gamma = 1 - 1/sqrt(2) of the step, the second from the
 extrapolated result of the first. It is of second order and has the amplification of TR-BDF2, but needs no rate at the
@@ -9,9 +8,10 @@ Next to a jump the first step would overshoot, and fibre would keep the dye that
 one after cloth or supplies have changed, is taken in parts that double from an explicit step.
 
 Every stage ends with the fluxes of the sweeps' solution, so that dye is conserved to rounding whatever the residual.
-Amounts below 0 or above capacity after the second stage go to the neighbours (nuno_dye.solvers.repair). If these cannot
-take them, as when many cells fill up in one step, backward Euler takes the step, and `damped` counts it. If its sweeps
-do not converge either, the step is taken again as two halves, up to eight times over; then the run ends as unconverged.
+Amounts below 0 or above capacity after the second stage go to the neighbours (see nuno_dye.solvers.long_steps). If
+these cannot take them, as when many cells fill up in one step, backward Euler takes the step, and `damped` counts it.
+If its sweeps do not converge either, the step is taken again as two halves, up to eight times over; then the run ends
+as unconverged.
 """
 
 from __future__ import annotations
@@ -23,21 +23,133 @@ import numpy as np
 from numba import prange
 from pydantic import BaseModel, Field
 
-from nuno_dye.laws.adsorption import Uptake
-from nuno_dye.laws.potential import Curve, amount, raise_levels
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law, Uptake
+from nuno_dye.laws.diffusivity import Curve, amount, potential, raise_levels
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows
-from nuno_dye.solvers.implicit_cell import held_at, remove_excess, solve_level
+from nuno_dye.solvers.fixing import limit_beside
 from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
+from nuno_dye.solvers.solving import sum_compensated
 from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config
 
+# A cell's equation in an implicit stage, with fixed neighbours, and with its fibre and its limits.
+#
+#     phi + (A - A_b) = b + sum over faces f w (phi_j - phi)
+#
+# with weights w, f the factor of the face's receiver, and A the fixed dye at phi:
+#
+#     A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
+#
+# A_0 is fixed dye at the step's start (`least`), A_b at the stage's start (`fixed` of its Uptake), rho = D_ab dt / d^2:
+# within its limit fibre takes rho (phi - A)^+, and it releases none. A grows with phi, so that there is one root, and
+# trying the pieces of A finds it.
+
+ROUNDS = 40
+"""The most Newton steps for Freundlich's limit; four or five suffice."""
+BENDS = 60
+"""The most Newton steps if D falls with dye; one to eight suffice."""
+
+
+@kernel
+def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
+    """Return A at mobile dye x."""
+    initial, capacity, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
+    free = max(initial, (initial + rate * x) / (1.0 + rate))
+    law = Law(uptake.kind, uptake.first, uptake.second, rate)
+    limit = min(limit_beside(law, max(x, 0.0), capacity), capacity)
+    held: float = max(least, min(limit, free))
+    return held
+
+
+@kernel
+def solve_limit(law: Law, total: float, ways: float, room: float) -> float:
+    """Return the x >= 0 with ways x + A_d(x) = total, total > 0."""
+    first, second = law.first, law.second
+    if law.kind == PARTITION:
+        return total / (ways + first)
+    if law.kind == FREUNDLICH:
+        # Concave in x: from below its root Newton's steps stay below it.
+        x = min(0.5 * total / ways, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total / ways
+        for _ in range(ROUNDS):
+            bound = first * x**second
+            step = (total - ways * x - bound) / (ways + second * bound / x) if x > 0.0 else 0.0
+            x += step
+            if step <= 1e-15 * x:
+                break
+        return x
+    # ways K x^2 + (ways + K (V_d - S)) x - S = 0, the greater root, without cancellation.
+    p, q = ways + first * (room - total), 4.0 * ways * first * total
+    root = math.sqrt(p * p + q)
+    return 2.0 * total / (p + root) if p > 0.0 else (root - p) / (2.0 * ways * first)
+
+
+@kernel
+def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, at: int, c: int) -> float:
+    """Return the x with ways x + A(x) - A_b = total."""
+    if uptake is None or uptake.fibre[at, c] <= least:
+        return total / ways
+    initial, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
+    law = Law(uptake.kind, uptake.first, uptake.second, rate)
+    x: float = total / ways
+    if x > initial:
+        x = (total + initial * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
+    elif x <= 0.0:
+        return x
+    free = max(initial, (initial + rate * x) / (1.0 + rate))
+    if min(limit_beside(law, x, room), room) >= free:
+        return x
+    total += initial
+    x = (total - least) / ways
+    if limit_beside(law, max(x, 0.0), room) <= least:
+        return x
+    x = (total - room) / ways
+    if x > 0.0 and limit_beside(law, x, room) >= room:
+        return x
+    return solve_limit(law, total, ways, room)
+
+
+@kernel
+def solve_level(
+    total: float, ways: float, near: float, curve: Curve | None, least: float, uptake: Uptake | None, at: int, c: int
+) -> float:
+    """Return the level G(x) with x + (ways - 1) G(x) + A(x) - A_b = total, `near` being a level close to it. G is
+    concave and below its tangent at any x, for which `solve_cell` gives the root: that root is no greater than the one
+    sought, and from below it each Newton step comes nearer.
+    """
+    if curve is None:
+        return solve_cell(total, ways, least, uptake, at, c)
+    x, level, through = amount(near, curve), near, ways - 1.0
+    for _ in range(BENDS):
+        slope = curve.cap if not x > curve.knee else curve.phi0 / x
+        remainder = total - through * (level - slope * x)
+        previous, x = x, solve_cell(remainder, 1.0 + through * slope, least, uptake, at, c)
+        level = potential(x, curve)
+        # The remaining error is of the order of the step's square.
+        if not abs(x - previous) > 1e-8 * abs(x) or max(previous, x) <= curve.knee:
+            break
+    return level
+
+
+def remove_excess(law: Law, floor: Float, least: Float, fixed: Float, room: Float) -> float:
+    """Remove from the fibre of maintained cells the dye that extrapolation put beyond its limit at the floor, in place.
+    Return its amount, which the supply saves. Otherwise it would return from the fibre into a cell that is already at
+    its floor, and raise it and its limit.
+    """
+    limit = law.first * (floor**law.second if law.kind == FREUNDLICH else floor)
+    if law.kind == LANGMUIR:
+        limit = room * limit / (1.0 + limit)
+    excess = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)
+    fixed -= excess
+    return sum_compensated(excess.reshape(-1))
+
+
 # An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
 #
 # A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
-# depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved
-# (nuno_dye.solvers.implicit_cell); the cell is then
+# depends on the other colour alone: the bits do not depend on threads. Each cell's equation is solved;
+# the cell is then
 #
 #     at its floor   where a supply keeps it up
 #     full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,
@@ -49,7 +161,7 @@ from nuno_schemas.plugin import Config
 # best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
 # weights of a cell. A multigrid method would need a coarse form of all three conditions.
 #
-# If D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only a cell's own
+# If D falls with dye, everything is in G (nuno_dye.laws.diffusivity): fluxes are linear in it, and only a cell's own
 # amounts are not. W is then that of the largest D.
 
 CROSSINGS = 8
@@ -59,7 +171,7 @@ CROSSINGS = 8
 class Stage(NamedTuple):
     """One dye in a stage, (2 r, w) each, weft rows before warp rows.
 
-    level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
+    level    G of mobile dye (nuno_dye.laws.diffusivity), from a first guess to the solution
     passed   f, 1 if nothing can be limited
     begun    b
     least    fixed dye at the step's start
@@ -235,25 +347,31 @@ def relax_edges(
         worst[b, 1] = largest
 
 
+class Sweeps(NamedTuple):
+    """Limits of relaxation: the most sweeps, the residual that ends them [amounts], and the radius of convergence."""
+
+    most: int
+    bound: float
+    radius: float
+
+
 @kernel
 def relax(
-    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
-    most: Float | None, nx: int, leave: Rows,
+    sweeps: Sweeps, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
+    leave: Rows,
 ) -> tuple[int, float]:  # fmt: skip
-    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times, or until `leave` (1,) is not 0.
-    Return the number of sweeps and the last residual.
-    """
+    """Sweep within the limits, or until `leave` (1,) is not 0. Return the number of sweeps and the last residual."""
     worst = np.zeros((cuts.shape[0] - 1, 2))
-    square, omega, residual = radius * radius, 1.0, np.inf
-    for n in range(sweeps):
+    square, omega, residual = sweeps.radius * sweeps.radius, 1.0, np.inf
+    for n in range(sweeps.most):
         second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
         relax_bands(omega, second, cuts, stage, curve, uptake, most, nx, worst)
         relax_edges(second, cuts, stage, curve, uptake, most, nx, worst)
         omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
-        if residual <= bound or not np.isfinite(residual) or leave[0] != 0:
+        if residual <= sweeps.bound or not np.isfinite(residual) or leave[0] != 0:
             return n + 1, residual
-    return sweeps, residual
+    return sweeps.most, residual
 
 
 @kernel
@@ -377,9 +495,8 @@ class Implicit(LongSteps):
             weight_sum * _steepest(guess, layout, curve),
         )
         nx, radius = layout.cut.nx, steepest / (1.0 + steepest)
-        count, residual = relax(
-            sweeps, radius, bound, layout.cuts, stage, curve, uptake, limits, nx, layout.derived.system.leave
-        )
+        limit = Sweeps(sweeps, bound, radius)
+        count, residual = relax(limit, layout.cuts, stage, curve, uptake, limits, nx, layout.derived.system.leave)
         dyed.totals["sweeps"] += count
         out, fixed = np.zeros_like(guess), np.zeros_like(guess) if dyed.fixes else begun[1]
         settle(out, fixed, layout.cuts, stage, curve, uptake, nx)

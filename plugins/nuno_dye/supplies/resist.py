@@ -15,9 +15,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_dye.quantities import Length, Share
-from nuno_dye.supplies.folding import Clamps, Folds, Stitches, draw_packet
 from nuno_dye.supplies.regions import Polyline, Region, Stroke, cover, find_distance, find_middles
-from nuno_dye.supplies.shibori import Panels, Pattern, draw_pattern
+from nuno_dye.supplies.shibori import Clamps, Folds, Panels, Pattern, Stitches, draw_packet, draw_pattern
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -10,36 +10,260 @@ peers` measures them on the stiff sheet.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.integrate import DOP853 as EIGHTH
+from scipy.integrate import RK45
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, source_of
-from nuno_integrators.explicit.combine import Buffers, Stage, combine
-from nuno_integrators.explicit.stepsize import (
-    ACCEPTED,
-    AT,
-    PENDING,
-    REJECTED,
-    SMALLEST,
-    Interval,
-    Pair,
-    advance_adaptive,
-    attempt,
-    attempt_interpreted,
-)  # fmt: skip
-from nuno_integrators.explicit.tableaux import DOP853, DOPRI5, Tableau
+from nuno_integrators.explicit.updates import Buffers, Stage, combine, square
 from nuno_integrators.stability import measure_rates, stable_step
-from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.step.acceleration import Extra, Packed
-from nuno_kernels.step.blocks import block_count
+from nuno_kernels import block_kernel, kernel, shared_source
+from nuno_kernels.lanes import WIDTH
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
+from nuno_kernels.step.blocks import Long, block_count, copy_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
+
+# The compiled loop of an adaptive method: stages, error estimate, PI control of the step.
+
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
+"""Hairer's factors: the safety factor on the estimated step, and the bounds on its change from one step to the next"""
+SMALLEST = 1e-10
+"""share of the interval below which a step is given up"""
+LANDED = 1e-9
+"""share of a step by which it may miss the end of an interval and still count as ending there"""
+
+
+class Pair(NamedTuple):
+    """A tableau in the layout of compiled code; see Tableau."""
+
+    stages: int
+    estimate: int
+    a: Float
+    aa: Float
+    c: Float
+    errors: Float
+    position_errors: Float
+
+
+class Interval(NamedTuple):
+    """Limits of an interval's steps: its length [s], the longest step [s], whether one must land on the interval's end,
+    and the error allowed for a step [m], times the root of the number of vertices.
+    """
+
+    span: float
+    longest: float
+    landing: bool
+    allowed: float
+
+
+AT, PENDING, NEXT, BEFORE = 0, 1, 2, 3
+"""Places in `control` (4,): where the pending step starts, seconds after the start of the interval; its
+length, 0 for none; the step to try next; the error of the last accepted step, as a share of the allowed."""
+
+ACCEPTED, REJECTED = 0, 1
+"""Places in `counts` (2,)."""
+
+
+@block_kernel
+def attempt(
+    b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Extra
+) -> None:
+    """Compute stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
+    for i in range(first, stages):
+        s = (start + pair.c[i] * h) / span
+        if i == 0:
+            evaluate(b.x, b.v, s, b.k[0], p, extra)
+        else:
+            combine(b, Stage(pair.c[i] * h, h, pair.aa[i], pair.a[i], i), b.y, b.u, p.threads)
+            evaluate(b.y, b.u, s, b.k[i], p, extra)
+
+
+attempt_interpreted = source_of(attempt, True)
+
+
+@shared_source
+def estimated(b: Buffers, pair: Pair, which: int, h: float, threads: int | None) -> float:
+    """Return one of the pair's estimates [m], root of the sum over vertices: h times velocities, and positions."""
+    velocity = np.sqrt(square(b.flat, pair.errors[which], b.sums, b.wait, threads))
+    return float(h * h * (velocity + np.sqrt(square(b.flat, pair.position_errors[which], b.sums, b.wait, threads))))
+
+
+@shared_source
+def estimate_error(b: Buffers, pair: Pair, h: float, allowed: float, p: Packed) -> float:
+    """Return the estimated error over the allowed: root mean square of positions and of h times velocities.
+
+    `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
+    error is e5^2 / sqrt(e5^2 + e3^2 / 100) (Hairer, Norsett & Wanner 1993, section II.10).
+    """
+    total = estimated(b, pair, 0, h, p.threads)
+    if pair.errors.shape[0] == 2 and total > 0.0:
+        other = estimated(b, pair, 1, h, p.threads)
+        total = total * total / np.sqrt(total * total + 0.01 * other * other)
+    return float(total / allowed)
+
+
+@kernel
+def choose_length(wish: float, left: float, longest: float, landing: bool) -> float:
+    """Return the next step's length; one that must land on the end takes half the way if two are left."""
+    h = min(wish, longest)
+    if landing and h > left * (1.0 - LANDED):
+        return left
+    if landing and h > 0.5 * left:
+        return 0.5 * left
+    return h
+
+
+@kernel
+def take(control: Float, h: float, error: float, alpha: float, again: bool) -> None:
+    """Leave an accepted step of h pending, and choose the next; `again` after a rejected one."""
+    error = max(error, 1e-4)
+    wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
+    factor = min(1.0 if again else GROW, max(SHRINK, wish))
+    # A step cut short by the interval's end does not hold back the next.
+    control[NEXT] = max(h * factor, control[NEXT]) if h < control[NEXT] and factor > 1.0 else h * factor
+    control[BEFORE] = error
+    control[PENDING] = h
+
+
+@kernel
+def advance_adaptive(
+    b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Extra
+) -> bool:
+    """Step to the end of an interval, until the pending step ends at or beyond it.
+
+    A step that is accepted stays pending until the next is tried, so that the state at the end of the interval can be
+    read inside of it. False where the step has become too small.
+    """
+    span, stages = interval.span, pair.stages
+    alpha = 1.0 / (pair.estimate + 1) - 0.75 * 0.04
+    first, again = 0, False
+    while True:
+        h = control[PENDING]
+        if h > 0.0:
+            over = control[AT] + h - span
+            if over > LANDED * h:
+                return True
+            control[AT] += h
+            control[PENDING] = 0.0
+            copy_rows(b.y, b.x)
+            copy_rows(b.u, b.v)
+            commit(b.x, b.v, control[AT] / span, p.bodies, p.bodies_on, p.threads)
+            # The last slope is the next step's first, unless bodies have moved vertices or anchors.
+            first = 0
+            if not p.moved:
+                copy_rows(b.k[stages - 1], b.k[0])
+                first = 1
+            if over > -LANDED * h:
+                control[AT] = 0.0
+                return True
+        h = choose_length(control[NEXT], span - control[AT], interval.longest, interval.landing)
+        if p.leave[0] != 0 or not h > SMALLEST * span:
+            return False
+        if extra is None:
+            attempt(b, pair, first, stages, h, control[AT], span, p, None)
+        else:
+            attempt_interpreted(b, pair, first, stages, h, control[AT], span, p, extra)
+        error = estimate_error(b, pair, h, interval.allowed, p)
+        if error <= 1.0:
+            counts[ACCEPTED] += 1
+            take(control, h, error, alpha, again)
+            again = False
+        else:
+            counts[REJECTED] += 1
+            # NaN compares false with everything: such a step is shortened as far as allowed.
+            control[NEXT] = h * (max(SHRINK, SAFETY / error**alpha) if error < 1e30 else SHRINK)
+            first, again = 1, True
+
+
+# Embedded Runge-Kutta pairs: Dormand & Prince 5(4) and 8(5,3), with output between steps.
+#
+# Coefficients are SciPy's: those of Hairer, Norsett & Wanner 1993, "Solving Ordinary Differential Equations I", section
+# II.5 and the programs DOPRI5 and DOP853; the fourth-order output of DOPRI5 is Shampine's (1986,
+# Math. Comp. 46, 135-150).
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """One pair, whose last stage is at the end of the step and is the first of the next.
+
+    order   of the result; `estimate` is that of the error estimate, which sets the step
+    a       (s, s) weights; rows from `stages` on serve the output between steps alone
+    c       (s,) fractions of the step
+    errors  (1, stages) or (2, stages) weights of the estimate; of two, the first is the leading one
+    output  theta -> (s,) weights of the state at fraction theta of the step
+    """
+
+    order: int
+    estimate: int
+    stages: int
+    a: Float
+    c: Float
+    errors: Float
+    output: Callable[[float], Float]
+
+    @cached_property
+    def aa(self) -> Float:
+        """Return the weights (s, s) of the positions, A A: see nuno_integrators.explicit.updates."""
+        return self.a @ self.a
+
+    @cached_property
+    def position_errors(self) -> Float:
+        """Return the weights (1 or 2, stages) of the position error's estimate."""
+        used: Float = self.errors @ self.a[: self.stages, : self.stages]
+        return used
+
+    @cached_property
+    def polynomial(self) -> tuple[float, ...]:
+        """Coefficients of 1, z, z^2, ... of the stability polynomial: a step on y' = z y multiplies y with it.
+
+        The stages are the sum of z^k A^k 1, and the last one is the step's end.
+        """
+        power, found = np.ones(self.stages), []
+        for _ in range(self.stages):
+            found.append(float(power[-1]))
+            power = self.a[: self.stages, : self.stages] @ power
+        return tuple(found)
+
+
+def _dopri5_output(theta: float) -> Float:
+    powers = theta ** np.arange(1, 5)
+    weights: Float = powers @ np.ascontiguousarray(RK45.P.T)
+    return weights
+
+
+def _dop853_output(theta: float) -> Float:
+    """Evaluate Hairer's nested form, outermost last: factors theta and 1 - theta in turn."""
+    end = _A8[12]
+    first, last = np.eye(16)[0], np.eye(16)[12]
+    parts = [end, first - end, 2.0 * end - (first + last), *EIGHTH.D]
+    weights = np.zeros(16)
+    for i, part in enumerate(reversed(parts)):
+        weights = (weights + part) * (theta if i % 2 == 0 else 1.0 - theta)
+    return weights
+
+
+def _square(*parts: Float) -> Float:
+    """Return (s, s) weights of s rows in all, each padded with zeros."""
+    rows = [row for part in parts for row in np.atleast_2d(part)]
+    return np.array([np.pad(row, (0, len(rows) - len(row))) for row in rows])
+
+
+_A5, _A8 = _square(RK45.A, RK45.B), _square(EIGHTH.A, EIGHTH.B, EIGHTH.A_EXTRA)
+"""The row after the stages ends the step; those of DOP853 behind it serve the output between steps alone."""
+_C8 = np.concatenate([EIGHTH.C, [1.0], EIGHTH.C_EXTRA])
+DOPRI5 = Tableau(5, 4, 7, _A5, _A5.sum(axis=1), 0.0 - RK45.E[None], _dopri5_output)
+DOP853 = Tableau(8, 7, 13, _A8, _C8, np.stack([EIGHTH.E5, EIGHTH.E3]), _dop853_output)
+
 
 OF_LIMIT = 0.95
 """Largest step as a share of the stable one, which is measured at the start. The estimate alone lets steps

@@ -41,19 +41,19 @@ import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
-from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
+from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, place
-from nuno_kernels.step.packing import parts, silence
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
-# How many steps of tension one kick of all other forces may stand for: see nuno_integrators.explicit.respa.
+# How many steps of tension one kick of all other forces may stand for.
 
 SAFE, SMOOTH = 0.7, 0.75
 """shares of the stable step, and of a radian"""

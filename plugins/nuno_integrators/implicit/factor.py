@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_integrators.implicit.fronts import TILE, Fronts
 from nuno_integrators.implicit.matrix import Linear
-from nuno_integrators.implicit.plan import Elements, Plan
+from nuno_integrators.implicit.plan import TILE, Elements, Fronts, Plan
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
-from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.lanes import WIDTH, fused, load, splat, store
+from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 

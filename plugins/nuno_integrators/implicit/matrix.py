@@ -3,7 +3,7 @@
     A u = D u + sum over springs (alpha I + w w^T) (u_i - u_j) + sum over hinges g (g.u) + sum over pairs of a yarn,
 
 D (6, n) holding each vertex's own symmetric 3 x 3 block: mass over the squared step, damping, contact. What links
-of a yarn add that follow each other is in nuno_kernels.forces.linear_yarns.
+of a yarn add that follow each other is in nuno_kernels.forces.yarns.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Linear(NamedTuple):
 
     own, inverse  (6, n) xx, yy, zz, xy, xz, yz: D, and the inverse of A's diagonal blocks, 0 where pinned
     forces, forces_on   as in Packed
-    rows          rows of each force's matrix (nuno_kernels.forces.linear_layout), None for one without
+    rows          rows of each force's matrix (nuno_kernels.forces.linear), None for one without
     sums          (blocks,) scratch
     x, r, z, p, q (3, n) solution, residual, preconditioned residual, direction, A times direction
     """

@@ -12,21 +12,171 @@ bring into touch, with which it is solved again (role `foresee`): the active set
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from nuno_integrators.implicit.conjugate import along
 from nuno_integrators.implicit.linear_solve import (
+    Counts,
+    Solver,
     compile_solver,
     is_touched,
+    make_solver,
     solve_again,
     solve_linear,
 )
-from nuno_integrators.implicit.lumped import add_stiffness
-from nuno_integrators.implicit.stage import Limits, Stage, hold, let_go
-from nuno_kernels import block_kernel
-from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each
-from nuno_schemas.fabric import Float
+from nuno_integrators.packing import parts, silence
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
+from nuno_kernels.terms import kernels_of
+from nuno_schemas.fabric import Bool, Float
+
+# The stiffness of forces that act on each vertex alone: measured by differences, made symmetric and positive.
+
+MOST_SWEEPS = 12
+"""sweeps at most: Jacobi's method converges quadratically, and 3 x 3 matrices take four or five"""
+EPSILON = float(np.finfo(float).eps)
+
+
+@kernel
+def rotate(a: Float, vectors: Float, p: int, q: int) -> None:
+    """Apply one rotation of Jacobi's method, which makes a[p, q] zero (Golub & Van Loan, Matrix Computations, 8.5)."""
+    if a[p, q] == 0.0:
+        return
+    tau = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+    t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
+    c = 1.0 / np.sqrt(1.0 + t * t)
+    s = t * c
+    for k in range(3):
+        a[k, p], a[k, q] = c * a[k, p] - s * a[k, q], s * a[k, p] + c * a[k, q]
+    for k in range(3):
+        a[p, k], a[q, k] = c * a[p, k] - s * a[q, k], s * a[p, k] + c * a[q, k]
+    for k in range(3):
+        vectors[k, p], vectors[k, q] = c * vectors[k, p] - s * vectors[k, q], s * vectors[k, p] + c * vectors[k, q]
+
+
+@kernel
+def keep_positive(a: Float, vectors: Float, values: Float) -> None:
+    """Replace the symmetric a (3, 3) by its part with positive eigenvalues; the others are scratch."""
+    minor = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    rest = a[0, 1] * a[1, 2] - a[1, 1] * a[0, 2]
+    determinant = a[2, 2] * minor + a[0, 2] * rest - a[1, 2] * (a[0, 0] * a[1, 2] - a[0, 1] * a[0, 2])
+    if a[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0:
+        return
+    # Entry by entry: array expressions take seconds more to compile, above all for the errors of shapes that differ.
+    size = 0.0
+    for i in range(3):
+        for j in range(3):
+            vectors[i, j] = 1.0 if i == j else 0.0
+            if abs(a[i, j]) > size or np.isnan(a[i, j]):
+                size = abs(a[i, j])
+    for _ in range(MOST_SWEEPS):
+        if max(abs(a[0, 1]), abs(a[0, 2]), abs(a[1, 2])) <= EPSILON * size:
+            break
+        rotate(a, vectors, 0, 1)
+        rotate(a, vectors, 0, 2)
+        rotate(a, vectors, 1, 2)
+    for k in range(3):
+        values[k] = max(a[k, k], 0.0)
+    for i in range(3):
+        for j in range(3):
+            a[i, j] = 0.0
+            for k in range(3):
+                a[i, j] += vectors[i, k] * values[k] * vectors[j, k]
+
+
+@block_kernel
+def add_stiffness(base: Float, moved: Float, scale: Any, diagonal: Float) -> None:
+    """Subtract from own (6, n) the change of the accelerations base (3, n) as all vertices move along each axis, (3, 3,
+    n): scale (n,) times the differences, mass over the way.
+    """
+    a, vectors, values = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for p in range(base.shape[1]):
+        for i in range(3):
+            for j in range(3):
+                a[i, j] = 0.5 * scale[p] * ((base[i, p] - moved[j, i, p]) + (base[j, p] - moved[i, j, p]))
+        if not np.any(a):
+            continue
+        keep_positive(a, vectors, values)
+        for i in range(3):
+            diagonal[i, p] += a[i, i]
+        diagonal[3, p] += a[0, 1]
+        diagonal[4, p] += a[0, 2]
+        diagonal[5, p] += a[1, 2]
+
+
+# The unknowns of an implicit stage, how far it is solved, and vertices that it leaves where they are.
+
+
+class Limits(NamedTuple):
+    """The accuracy to which a stage is solved.
+
+    residual  force that may be missing at a vertex, as a share of the largest single force
+    most      Newton steps
+    cut       whether vertices that contact holds back in a stalled stage are left in place, and counted
+    """
+
+    residual: float
+    most: int
+    cut: bool = False
+
+
+@dataclass
+class Stage:
+    """Memory of the solver for one packed system.
+
+    x, v (3, n) are the stage's unknowns; mass (n,) is 0 where a vertex is pinned, or held for the rest of the stage.
+    grips hold vertices on bodies (nuno_contact.sliding.grip), and missing (3, n) is the residual without them [N].
+    """
+
+    packed: Packed
+    mass: Float
+    size: float
+    scale: float
+    solver: Solver
+    x: Float
+    v: Float
+    a: Float
+    residual: Float
+    missing: Float
+    others: Packed | None
+    grips: tuple[Any, ...] = ()
+
+    @property
+    def counts(self) -> Counts:
+        return self.solver.counts
+
+
+def make_stage(packed: Packed, position: Float, size: float, python: bool) -> Stage:
+    """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
+    w = packed.inverse_mass
+    mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
+    matrices = {kernels_of(term).name for term in packed.forces if kernels_of(term).rows is not None}
+    lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
+    others = silence(packed, *matrices) if lumped else None
+    stiffest = max(call_each(packed, "stiffest"), default=0.0)
+    x, v, a, residual, missing = np.zeros((5, 3, w.shape[0]))
+    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, missing, others)
+
+
+def hold(st: Stage, held: Bool) -> None:
+    """Hold vertices (n,) in place."""
+    st.mass[held] = 0.0
+    st.solver.linear.inverse_mass[held] = 0.0
+    st.solver.linear.inverse[:, held] = 0.0
+
+
+def let_go(st: Stage, packed: Packed, count: bool) -> None:
+    """Release all held vertices, and count them if `count`."""
+    held = (st.mass == 0.0) & (packed.inverse_mass > 0.0)
+    if held.any():
+        if count:
+            call_each(packed, "cut", held)
+        st.solver.linear.inverse_mass[:] = packed.inverse_mass
+        st.mass[held] = 1.0 / packed.inverse_mass[held]
+
 
 SLOW = 0.3
 """A Newton step that leaves more than this share of the residual is followed by one with the exact matrix. Buckling
@@ -49,7 +199,6 @@ FORESEEN = 4
 """number of times that a Newton step is solved again with the contacts it was found to make"""
 REACH = 1e-7
 """share of the cloth's size by which vertices are moved to differentiate forces that act on each alone"""
-EPSILON = float(np.finfo(float).eps)
 
 
 @block_kernel

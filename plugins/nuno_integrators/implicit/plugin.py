@@ -23,10 +23,8 @@ from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, lacking
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
-from nuno_integrators.implicit.newton import compile_stage, limit_approach, solve_stage
-from nuno_integrators.implicit.stage import Limits, Stage, make_stage
-from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
-from nuno_kernels.step.packing import call_each
+from nuno_integrators.implicit.newton import Limits, Stage, compile_stage, limit_approach, make_stage, solve_stage
+from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config

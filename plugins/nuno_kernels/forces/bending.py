@@ -17,13 +17,24 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import edge
-from nuno_kernels.forces.linear_layout import LinearLists
-from nuno_kernels.lanes.simd import WIDTH, Triple, load, read, splat, write
-from nuno_kernels.lanes.triples import dot, gather_triple, minus, plus, read_triple, times
+from nuno_kernels.forces.linear import LinearLists
+from nuno_kernels.lanes import (
+    WIDTH,
+    Triple,
+    dot,
+    gather_triple,
+    load,
+    minus,
+    plus,
+    read,
+    read_triple,
+    splat,
+    times,
+    write,
+)
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import Bending
+from nuno_schemas.fabric import Bending, Float, Int
 
 
 class BendingRows(NamedTuple):
@@ -108,7 +119,7 @@ def sum_bending(rows: BendingRows, linear: LinearLists, block: int, origin: int,
 
 @kernel
 def assemble_bending(linear: LinearLists, places: Any, diagonal: Float, values: Float) -> None:
-    """Add the pairs to a matrix that is to be factorised: see nuno_kernels.forces.assembly."""
+    """Add the pairs to a matrix that is to be factorised: see nuno_kernels.forces.linear."""
     for p in range(places.column.shape[0]):
         w, at, width = linear.rows[0, places.column[p]], places.at[0, p], abs(places.width[0, p])
         for row in range(3):

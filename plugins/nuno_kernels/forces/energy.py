@@ -8,7 +8,7 @@ from typing import NamedTuple
 from nuno_kernels import inlined, kernel
 from nuno_kernels.forces.hinges import FLAT, HingeLists, HingeRuns
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
-from nuno_kernels.lanes.triples import cross, dot
+from nuno_kernels.lanes import cross, dot
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Measured, kernels_of, role_of

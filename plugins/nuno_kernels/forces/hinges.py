@@ -27,9 +27,26 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import where_greater
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
-from nuno_kernels.lanes.triples import cross, dot, gather_triple, minus, plus, read_triple, times
+from nuno_kernels.lanes import (
+    WIDTH,
+    Lanes,
+    Triple,
+    add_at,
+    cross,
+    dot,
+    gather_triple,
+    load,
+    minus,
+    plus,
+    read,
+    read_triple,
+    root,
+    splat,
+    store,
+    times,
+    where_greater,
+    write,
+)
 from nuno_kernels.step.blocks import Long, assign_runs, block_count, choose_runs, cut_runs, is_small, list_copies
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
@@ -167,11 +184,11 @@ for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, a
         energy=f"nuno_kernels.forces.energy:measure_hinge_{_layout}",
         rows=f"nuno_kernels.forces.linear:rows_of_hinge_{_layout}",
         elements=f"nuno_kernels.forces.linear:elements_of_hinge_{_layout}",
-        constraints=f"nuno_kernels.forces.constraint_packing:constraints_of_hinge_{_layout}",
+        constraints=f"nuno_kernels.forces.constraints:constraints_of_hinge_{_layout}",
         fill=f"nuno_kernels.forces.linear:fill_hinge_{_layout}",
-        diagonal=f"nuno_kernels.forces.diagonal:sum_hinge_{_layout}",
+        diagonal=f"nuno_kernels.forces.linear:sum_hinge_{_layout}",
         multiply=f"nuno_kernels.forces.linear:multiply_hinge_{_layout}",
-        assemble="nuno_kernels.forces.assembly:assemble_hinges",
+        assemble="nuno_kernels.forces.linear:assemble_hinges",
     )
 
 

@@ -1,33 +1,17 @@
-"""Springs and hinges linearised at a state: the symmetric positive matrix that implicit methods solve with.
-
-A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|). For one that has locked alpha
-is max(0, T / |d|), and dT / d|d| stands in the place of k. Without the maximum a compressed spring is indefinite across
-its direction (Choi & Ko 2002, ACM Trans. Graph. 21, 604-611); that is the `floor` 0, and a lower one leaves the
-spring's exact derivative. Its damping adds c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w,
-K = alpha I + w w^T. A hinge is kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its angle:
-Gauss and Newton's matrix, which leaves out the moment times the angle's second derivative, and nothing beyond a right
-angle.
-
-Every block keeps copies of its own for the elements that cross its border, as the forces do.
+"""Springs and hinges linearised at a state: the rows, products, diagonal blocks and assembly of an implicit step's
+matrix.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 
 from nuno_kernels import kernel
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.forces.hinges import LONGEST, HingeLists, HingeRuns, add_waiting, hinge_shape
-from nuno_kernels.forces.linear_layout import (
-    HINGE_ROWS,
-    SPRING_ROWS,
-    LinearLists,
-    LinearRuns,
-    Rows,
-    linear_lists,
-    linear_runs,
-    listed_elements,
-    run_elements,
-)
 from nuno_kernels.forces.springs import (
     FAR,
     Lock,
@@ -41,10 +25,247 @@ from nuno_kernels.forces.springs import (
     tensions,
 )
 from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
-from nuno_kernels.lanes.choose import higher, where_greater, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
-from nuno_kernels.lanes.triples import dot, gather_triple, load_triple, minus, plus, read_triple, times
-from nuno_schemas.fabric import Float
+from nuno_kernels.lanes import (
+    WIDTH,
+    Lanes,
+    Triple,
+    add_at,
+    dot,
+    gather_triple,
+    higher,
+    load,
+    load_triple,
+    minus,
+    plus,
+    read,
+    read_triple,
+    root,
+    splat,
+    store,
+    times,
+    where_greater,
+    where_not_zero,
+    write,
+)
+from nuno_kernels.step.blocks import BLOCK, Long
+from nuno_schemas.fabric import Float, Int
+
+if TYPE_CHECKING:
+    from nuno_kernels.forces.hinges import HingeRuns
+    from nuno_kernels.forces.springs import SpringRuns
+
+
+# The layout of the rows of linear springs and hinges.
+
+SPRING_ROWS, HINGE_ROWS = 4, 9
+Rows = tuple[Lanes, ...]
+"""rows of eight springs or hinges"""
+
+
+@by_reference
+class LinearRuns(NamedTuple):
+    """Runs of springs or hinges: their tasks, each with the column of its first element, and (4 or 9, c) rows."""
+
+    start: Long
+    task: Long
+    column: Long
+    rows: Float
+
+
+@by_reference
+class LinearLists(NamedTuple):
+    """Listed springs or hinges: their indices and (4 or 9, p) rows."""
+
+    start: Long
+    indices: Int
+    rows: Float
+
+
+Linear = LinearRuns | LinearLists
+
+
+def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], LinearRuns]:
+    """Return a function that allocates the rows of runs, whose tasks hold their length in column `counts`."""
+
+    def make(runs: SpringRuns | HingeRuns) -> LinearRuns:
+        ends = np.cumsum(runs.task[:, counts])
+        return LinearRuns(runs.start, runs.task, ends - runs.task[:, counts], np.zeros((rows, int(ends[-1]) + WIDTH)))
+
+    return make
+
+
+def linear_lists(rows: int, name: str) -> Callable[[Any], LinearLists]:
+    """Return a function that allocates the rows of lists, whose indices are in the field `name`."""
+
+    def make(lists: Any) -> LinearLists:
+        indices = getattr(lists, name)
+        return LinearLists(lists.start, indices, np.zeros((rows, indices.shape[1])))
+
+    return make
+
+
+def run_elements(corners: int) -> Callable[[LinearRuns], tuple[Long, Long]]:
+    """Return a function that finds columns (p,) and vertices (corners, p) of elements in runs, each once."""
+
+    def find(runs: LinearRuns) -> tuple[Long, Long]:
+        block = np.repeat(np.arange(runs.start.shape[0] - 1), np.diff(runs.start))
+        once = runs.task[:, 0] // BLOCK == block
+        task, column = runs.task[once], runs.column[once]
+        count = task[:, corners]
+        step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        return np.repeat(column, count) + step, np.repeat(task[:, :corners], count, axis=0).T + step
+
+    return find
+
+
+def listed_elements(corners: int) -> Callable[[LinearLists], tuple[Long, Long]]:
+    """Return the same for lists, whose padding is at one vertex only."""
+
+    def find(lists: LinearLists) -> tuple[Long, Long]:
+        block = np.repeat(np.arange(lists.start.shape[0] - 1), np.diff(lists.start))
+        vertices = lists.indices[:corners]
+        once = (vertices[0] // BLOCK == block) & (vertices != vertices[0]).any(axis=0)
+        return np.flatnonzero(once), vertices[:, once].astype(np.int64)
+
+    return find
+
+
+# The 3 x 3 blocks of springs and hinges on the diagonal of an implicit step's matrix.
+
+
+@kernel
+def add_outer(out: Float, at: int, across: float, x: float, y: float, z: float) -> None:
+    """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w), with negative `across` cut off."""
+    across = max(across, 0.0)
+    out[0, at] += across + x * x
+    out[1, at] += across + y * y
+    out[2, at] += across + z * z
+    out[3, at] += x * y
+    out[4, at] += x * z
+    out[5, at] += y * z
+
+
+@kernel
+def sum_spring_runs(runs: SpringRuns, linear: LinearRuns, block: int, origin: int, out: Float) -> None:
+    """Add the diagonal blocks of a block's runs to (6, w)."""
+    task, rows = linear.task, linear.rows
+    for t in range(linear.start[block], linear.start[block + 1]):
+        for q in range(task[t, 2]):
+            c = linear.column[t] + q
+            if task[t, 4] & 1:
+                add_outer(out, task[t, 0] + q - origin, rows[0, c], rows[1, c], rows[2, c], rows[3, c])
+            if task[t, 4] & 2:
+                add_outer(out, task[t, 1] + q - origin, rows[0, c], rows[1, c], rows[2, c], rows[3, c])
+
+
+@kernel
+def add_hinge(out: Float, corner: int, at: int, g: Float, c: int) -> None:
+    """Add one corner's block of the hinge in column `c` of g (9, .) to column `at` of (6, w)."""
+    if corner == 0:
+        add_outer(out, at, 0.0, g[3, c] + g[6, c] - g[0, c], g[4, c] + g[7, c] - g[1, c], g[5, c] + g[8, c] - g[2, c])
+    else:
+        row = 3 * (corner - 1)
+        add_outer(out, at, 0.0, g[row, c], g[row + 1, c], g[row + 2, c])
+
+
+@kernel
+def sum_hinge_runs(runs: HingeRuns, linear: LinearRuns, block: int, origin: int, out: Float) -> None:
+    """Add the diagonal blocks of a block's hinge runs to (6, w)."""
+    task = linear.task
+    for t in range(linear.start[block], linear.start[block + 1]):
+        for corner in range(4):
+            if (task[t, 6] >> corner) & 1:
+                for q in range(task[t, 4]):
+                    add_hinge(out, corner, task[t, corner] + q - origin, linear.rows, linear.column[t] + q)
+
+
+@kernel
+def sum_spring_lists(lists: SpringLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
+    """Add the diagonal blocks of a block's listed springs to (6, w)."""
+    rows = linear.rows
+    for c in range(linear.start[block], linear.start[block + 1]):
+        for end in range(2):
+            add_outer(out, linear.indices[2 + end, c], rows[0, c], rows[1, c], rows[2, c], rows[3, c])
+
+
+@kernel
+def sum_hinge_lists(lists: HingeLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
+    """Add the diagonal blocks of a block's listed hinges to (6, w)."""
+    for c in range(linear.start[block], linear.start[block + 1]):
+        for corner in range(4):
+            add_hinge(out, corner, linear.indices[4 + corner, c], linear.rows, c)
+
+
+# Linearised springs and hinges, added to the entries of a factorisation: a term's role `assemble`.
+
+
+@kernel
+def assemble_springs(linear: Linear, places: Any, diagonal: Float, values: Float) -> None:
+    """Add springs, alpha I + w w^T each."""
+    rows, vertices = linear.rows, places.vertices
+    block = np.empty(6)
+    for p in range(places.column.shape[0]):
+        c = places.column[p]
+        alpha, x, y, z = rows[0, c], rows[1, c], rows[2, c], rows[3, c]
+        block[0], block[1], block[2] = alpha + x * x, alpha + y * y, alpha + z * z
+        block[3], block[4], block[5] = x * y, x * z, y * z
+        for end in range(2):
+            for row in range(6):
+                diagonal[row, vertices[end, p]] += block[row]
+        at, width = places.at[0, p], abs(places.width[0, p])
+        if at >= 0:
+            values[0, at] -= block[0]
+            values[0, at + 1] -= block[3]
+            values[0, at + 2] -= block[4]
+            values[0, at + width] -= block[3]
+            values[0, at + width + 1] -= block[1]
+            values[0, at + width + 2] -= block[5]
+            values[0, at + 2 * width] -= block[4]
+            values[0, at + 2 * width + 1] -= block[5]
+            values[0, at + 2 * width + 2] -= block[2]
+
+
+@kernel
+def assemble_hinges(linear: Linear, places: Any, diagonal: Float, values: Float) -> None:
+    """Add hinges, g g^T each; the rows hold g at corner 1, -g at 2 and at 3, and corner 0 balances them."""
+    rows, vertices = linear.rows, places.vertices
+    g = np.empty((4, 3))
+    for p in range(places.column.shape[0]):
+        c = places.column[p]
+        for axis in range(3):
+            g[1, axis], g[2, axis], g[3, axis] = rows[axis, c], -rows[3 + axis, c], -rows[6 + axis, c]
+            g[0, axis] = -(g[1, axis] + g[2, axis] + g[3, axis])
+        for corner in range(4):
+            x, y, z, v = g[corner, 0], g[corner, 1], g[corner, 2], vertices[corner, p]
+            diagonal[0, v] += x * x
+            diagonal[1, v] += y * y
+            diagonal[2, v] += z * z
+            diagonal[3, v] += x * y
+            diagonal[4, v] += x * z
+            diagonal[5, v] += y * z
+        pair = 0
+        for i in range(4):
+            for j in range(i + 1, 4):
+                at, width = places.at[pair, p], places.width[pair, p]
+                first, second = (i, j) if width > 0 else (j, i)
+                if at >= 0:
+                    for row in range(3):
+                        for column in range(3):
+                            values[0, at + row * abs(width) + column] += g[first, row] * g[second, column]
+                pair += 1
+
+
+# Springs and hinges linearised at a state: the symmetric positive matrix that implicit methods solve with.
+#
+# A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|). For one that has locked alpha
+# is max(0, T / |d|), and dT / d|d| stands in the place of k. Without the maximum a compressed spring is indefinite
+# across its direction (Choi & Ko 2002, ACM Trans. Graph. 21, 604-611); that is the `floor` 0, and a lower one leaves
+# the spring's exact derivative. Its damping adds c d^ d^T times the rate dv/dx of the method. Both are kept as alpha
+# and w, K = alpha I + w w^T. A hinge is kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its
+# angle: Gauss and Newton's matrix, which leaves out the moment times the angle's second derivative, and nothing beyond
+# a right angle.
+#
+# Every block keeps copies of its own for the elements that cross its border, as the forces do.
 
 
 @kernel

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.forces.constraint_packing import ListElements
-from nuno_kernels.forces.constraints import zero_forces
+from nuno_kernels.forces.constraints import ListElements, zero_forces
 from nuno_kernels.forces.membrane import (
     MembraneLists,
     Stresses,
@@ -29,9 +28,22 @@ from nuno_kernels.forces.membrane import (
     stresses,
     stretched,
 )
-from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, splat, store
-from nuno_kernels.lanes.triples import dot, load_triple, minus, plus, times
+from nuno_kernels.lanes import (
+    WIDTH,
+    Triple,
+    add_at,
+    dot,
+    gather,
+    higher,
+    load,
+    load_triple,
+    minus,
+    plus,
+    splat,
+    store,
+    times,
+    where_not_zero,
+)
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.fabric import Float, Int

@@ -1,10 +1,4 @@
-"""Damped springs: f_i += (k (|d| - L) + c (v_j - v_i).d^) d^ and the reverse on j, d = x_j - x_i.
-
-A spring that locks at the strain e has k' from there on: (k' - k) (|d| - (1 + e) L) is added where it is positive.
-A spring of zero length has no direction and exerts no force. Runs of springs whose vertices
-follow each other are read straight from the arrays, the rest through lists of indices; either
-way eight springs are computed at a time, each once per block that owns one of its ends.
-"""
+"""Damped springs: their force, their layout in runs and lists, and their tension for Newton's method."""
 
 from __future__ import annotations
 
@@ -13,12 +7,45 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
-from nuno_kernels.lanes.triples import dot, gather_triple, minus, read_triple, times
-from nuno_kernels.step.blocks import Long
+from nuno_kernels.lanes import (
+    WIDTH,
+    Lanes,
+    Triple,
+    add_at,
+    dot,
+    gather_triple,
+    higher,
+    load,
+    minus,
+    read,
+    read_triple,
+    root,
+    splat,
+    store,
+    times,
+    where_not_zero,
+    write,
+)
+from nuno_kernels.step.blocks import (
+    BLOCK,
+    SHORTEST,
+    Long,
+    assign_runs,
+    block_count,
+    choose_runs,
+    cut_runs,
+    is_small,
+    list_copies,
+)
 from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int, Springs
+
+# Damped springs: f_i += (k (|d| - L) + c (v_j - v_i).d^) d^ and the reverse on j, d = x_j - x_i.
+#
+# A spring that locks at the strain e has k' from there on: (k' - k) (|d| - (1 + e) L) is added where it is positive.
+# A spring of zero length has no direction and exerts no force. Runs of springs whose vertices
+# follow each other are read straight from the arrays, the rest through lists of indices; either
+# way eight springs are computed at a time, each once per block that owns one of its ends.
 
 LONGEST = 256
 """springs of a piece of a run: its forces wait in a buffer of 6 kB"""
@@ -218,14 +245,205 @@ for _kind, _add, _layout in ((SpringRuns, add_runs, "runs"), (SpringLists, add_l
         block=_add,
         reads_velocity=damps,
         energy=f"nuno_kernels.forces.energy:measure_spring_{_layout}",
-        tension=f"nuno_kernels.forces.tension:tension_of_{_layout}",
-        turning=f"nuno_kernels.forces.tension:turning_of_{_layout}",
-        stiffest="nuno_kernels.forces.tension:stiffest",
+        tension=f"nuno_kernels.forces.springs:tension_of_{_layout}",
+        turning=f"nuno_kernels.forces.springs:turning_of_{_layout}",
+        stiffest="nuno_kernels.forces.springs:stiffest",
         rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
         elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
-        constraints=f"nuno_kernels.forces.constraint_packing:constraints_of_spring_{_layout}",
+        constraints=f"nuno_kernels.forces.constraints:constraints_of_spring_{_layout}",
         fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
-        diagonal=f"nuno_kernels.forces.diagonal:sum_spring_{_layout}",
+        diagonal=f"nuno_kernels.forces.linear:sum_spring_{_layout}",
         multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",
-        assemble="nuno_kernels.forces.assembly:assemble_springs",
+        assemble="nuno_kernels.forces.linear:assemble_springs",
     )
+
+
+# Springs in the layout of their kernels: runs of consecutive vertices, and lists of the rest.
+
+
+def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | SpringLists, ...]:
+    """Return the kernel layout of a fabric's springs, runs before lists, without empty ones.
+
+    Long runs with constants per run are taken as they are. All other springs are written out and sorted by the distance
+    of their ends, then by vertex, which finds the runs of any net.
+    """
+    if springs is None or springs.number == 0:
+        return ()
+    blocks = block_count(vertices)
+    per_run = springs.per_run
+    direct = per_run & choose_runs(springs.count, springs.stride)
+    first = np.sort(springs.first[direct], axis=1).astype(np.int64)
+    runs = np.column_stack([first, springs.count[direct], np.arange(first.shape[0])])
+    named = spring_constants(springs)
+    constants = np.stack([values[direct] for values in named]) if per_run else np.empty((len(named), 0))
+    if direct.all():
+        return (_pack_runs(runs, constants, False, blocks),)
+    # Constants per spring are most of a net's memory: from here on they are copied once.
+    pairs, order = _sort_pairs(springs, direct)
+    each = np.empty((len(named), order.shape[0]))
+    for row, values in zip(each, named, strict=True):
+        np.take(springs.per_spring(values), order, out=row)
+    del order
+    if is_small(springs.number):
+        return (_pack_lists(pairs.astype(np.int64), each, vertices, general=True),)
+    return _pack_pairs(pairs, each, runs, constants, vertices)
+
+
+def spring_constants(springs: Springs) -> tuple[Float, ...]:
+    """Return the rows of SpringRuns.constants, per run if all are so."""
+    if springs.lock is None or springs.k_lock is None:
+        return springs.k, springs.rest, springs.c
+    constants = (springs.k, springs.rest, springs.c, springs.lock, springs.k_lock)
+    k, rest, c, lock, k_lock = constants if springs.per_run else (springs.per_spring(values) for values in constants)
+    return k, rest, c, k_lock - k, rest * (1.0 + lock)
+
+
+def _sort_pairs(springs: Springs, direct: Bool) -> tuple[Int, Long]:
+    """Return springs outside of the runs marked (m,), by distance of their ends, then by vertex: (s, 2) and their
+    numbers among all springs.
+    """
+    pairs = springs.pairs()
+    pairs.sort(axis=1)
+    key = (pairs[:, 1] - pairs[:, 0]).astype(np.int64)
+    key <<= 32
+    key |= pairs[:, 0]
+    key[np.repeat(direct, springs.count)] = np.iinfo(np.int64).max
+    order = np.argsort(key, kind="stable")[: key.shape[0] - int(springs.count[direct].sum())]
+    return pairs[order], order
+
+
+def _pack_pairs(
+    pairs: Int, each: Float, runs: Long, constants: Float, vertices: int
+) -> tuple[SpringRuns | SpringLists, ...]:
+    """Find the runs in sorted pairs (s, 2) with constants (3 or 5, s); join them to the `runs` there are.
+
+    Constants per spring are kept only where runs of equal constants would cover much less.
+    """
+    follows = (np.diff(pairs, axis=0) == 1).all(axis=1)
+    alike = follows.copy()
+    for row in each:
+        alike &= row[1:] == row[:-1]
+    varied = runs.shape[0] == 0 and _long_share(alike) < 0.9 * _long_share(follows)
+    first = np.flatnonzero(np.concatenate([[True], ~(follows if varied else alike)]))
+    count = np.diff(np.concatenate([first, [pairs.shape[0]]]))
+    long = count >= SHORTEST
+    found = np.column_stack([pairs[first], count, first + constants.shape[1]])[long]
+    listed = np.flatnonzero(np.repeat(~long, count))
+    lists = (_pack_lists(pairs[listed].astype(np.int64), each[:, listed], vertices),) if listed.size else ()
+    runs = np.concatenate([runs, found])
+    if runs.shape[0] == 0:
+        return lists
+    joined = np.concatenate([constants, each], axis=1) if constants.shape[1] else each
+    return _pack_runs(runs, joined, varied, block_count(vertices)), *lists
+
+
+def _long_share(follows: Bool) -> float:
+    """Return the share of springs that lie in runs of at least SHORTEST."""
+    first = np.flatnonzero(np.concatenate([[True], ~follows]))
+    count = np.diff(np.concatenate([first, [follows.shape[0] + 1]]))
+    return float(count[count >= SHORTEST].sum() / (follows.shape[0] + 1))
+
+
+def _pack_runs(runs: Long, constants: Float, each: bool, blocks: int) -> SpringRuns:
+    """Cut (m, 4) runs at the blocks' borders; one task per block that owns an end."""
+    cut = cut_runs(runs, LONGEST)
+    if not each:
+        used, source = np.unique(runs[:, 3], return_inverse=True)
+        cut[:, 3] = source[cut[:, 4]]
+        constants = constants[:, used]
+    task, start = assign_runs(cut[:, :4], blocks)
+    damped = True if constants[2].any() else None
+    return SpringRuns(start, task, np.ascontiguousarray(constants), each or None, damped, locking(constants))
+
+
+def locking(constants: Float) -> bool | None:
+    """Return the mark of constants with rows for locks."""
+    return True if constants.shape[0] > 3 else None
+
+
+def _pack_lists(pairs: Long, constants: Float, vertices: int, general: bool = False) -> SpringLists:
+    """Return lists per block of (s, 2) springs in the order of their vertices; `general` ones count as damped."""
+    order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    constants = constants[:, order]
+    element, start, ends = list_copies(pairs[order].T, vertices)
+    constants = np.ascontiguousarray(np.where(element >= 0, constants[:, element], 0.0))
+    damped = True if general or constants[2].any() else None
+    return SpringLists(start, ends, constants, damped, locking(constants))
+
+
+# Tension for Newton's method: the largest force, and the part that comes of turning.
+
+
+@kernel
+def size_of_tension(x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
+    """Return the size of a spring's tension [N], |k (|d| - L)| if it has not locked."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
+
+
+@kernel
+def tension_of_runs(runs: SpringRuns, x: Float) -> float:
+    """Return the largest tension [N] of springs in runs."""
+    largest, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        for q in range(task[t, 2]):
+            c = task[t, 3] if runs.each is None else task[t, 3] + q
+            largest = max(largest, size_of_tension(x, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks))
+    return largest
+
+
+@kernel
+def tension_of_lists(lists: SpringLists, x: Float) -> float:
+    """Return the largest tension [N] of listed springs."""
+    largest, ends, constants = 0.0, lists.ends, lists.constants
+    for c in range(ends.shape[1]):
+        largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
+    return largest
+
+
+@kernel
+def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
+    """Return the work [J] along d of the tension that a spring got by turning from a to b.
+
+    It is (T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|.
+    """
+    ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
+    bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
+    if a == 0.0 or b == 0.0:
+        return 0.0
+    length = (ax * bx + ay * by + az * bz) / a
+    tension = constants[0, c] * (b - length)
+    if locks is not None:
+        tension += constants[3, c] * (max(b - constants[4, c], 0.0) - max(length - constants[4, c], 0.0))
+    return float(tension * (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b)
+
+
+@kernel
+def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
+    """Return the sum of `turning` over springs in runs, each once: by the task that adds to its first end."""
+    total, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        if task[t, 4] & 1:
+            for q in range(task[t, 2]):
+                c = task[t, 3] if runs.each is None else task[t, 3] + q
+                total += turning(x0, x, d, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks)
+    return total
+
+
+@kernel
+def turning_of_lists(lists: SpringLists, x0: Float, x: Float, d: Float) -> float:
+    """Return the sum of `turning` over listed springs, each once: by its first end's block."""
+    total, ends, constants = 0.0, lists.ends, lists.constants
+    for block in range(lists.start.shape[0] - 1):
+        for c in range(lists.start[block], lists.start[block + 1]):
+            if ends[0, c] // BLOCK == block:
+                total += turning(x0, x, d, ends[0, c], ends[1, c], constants, c, lists.locks)
+    return total
+
+
+def stiffest(springs: SpringRuns | SpringLists) -> float:
+    """Return the greatest stiffness of any spring [N/m]."""
+    constants = springs.constants
+    k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
+    return float(k.max(initial=0.0))

@@ -13,9 +13,9 @@ import numpy as np
 
 from nuno_kernels import block_kernel, shared_source
 from nuno_kernels.compile.reference import by_reference
-from nuno_kernels.lanes.simd import WIDTH, load, write
+from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
-from nuno_kernels.terms import each, over_blocks
+from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force")
@@ -77,15 +77,22 @@ def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: F
             a[row, p] = w * a[row, p] + (factor if w > 0.0 else 0.0)
 
 
+class Step(NamedTuple):
+    """The length of a step [s], and the viscous damping in it [1/s]."""
+
+    dt: float
+    damping: float
+
+
 @block_kernel
 def step_block(
-    block: int, x: Float, v: Float, force: Float, inverse_mass: Float, gravity: Float, damping: float, dt: float,
-    to_x: Float, to_v: Float,
+    block: int, x: Float, v: Float, force: Float, inverse_mass: Float, gravity: Float, step: Step, to_x: Float,
+    to_v: Float,
 ) -> None:  # fmt: skip
     """Take a step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block` and
     `add_twice`, but in one pass.
     """
-    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    low, high, dt, damping = block * BLOCK, min((block + 1) * BLOCK, x.shape[1]), step.dt, step.damping
     for row in range(3):
         g = gravity[row]
         for i in range(np.uint64(low), np.uint64(high)):
@@ -108,7 +115,7 @@ def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Floa
     force = np.zeros((3, width + PADDING))
     add_blocks(p.forces, p.forces_on, block, origin, x, v, force)
     if dt != 0.0:
-        step_block(block, x, v, force, p.inverse_mass, p.gravity, p.damping, dt, to_x, to_v)
+        step_block(block, x, v, force, p.inverse_mass, p.gravity, Step(dt, p.damping), to_x, to_v)
     else:
         for q in range(0, width, WIDTH):
             m = min(WIDTH, width - q)
@@ -181,3 +188,11 @@ def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, thre
     place(bodies, on, x, v, s)
     hold_bodies(bodies, on, x, v, s, threads)
     settle_bodies(bodies, on, x, v, s, threads)
+
+
+def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
+    """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
+    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
+    acting = {id(term): term for term, on in terms if on}
+    calls = [(role_of(type(term), role), term) for term in acting.values()]
+    return [call(term, *args) for call, term in calls if call is not None]

@@ -1,16 +1,215 @@
-"""The lights of a picture, and maps of what they reach."""
+"""The lights of a picture, and depth maps seen along directions, which give shadows and the openness of a point."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nuno_kernels import kernel
 from nuno_render.config import PictureConfig, RasterConfig
-from nuno_render.light.light_maps import Lights, draw_depths
 from nuno_render.scene import DrawnScene
-from nuno_schemas.drawing import Camera
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.pictures import Camera
+
+# Depth maps seen along directions, which give shadows and the openness of a point.
+
+
+class Lights(NamedTuple):
+    """The lights of a picture, and maps of what they reach.
+
+    direction (3,)        toward the key light; colour (3,) radiance of a white diffuse surface that faces it
+    up (3,)               away from the floor; sky, ground (3,) radiance of the sky overhead and of the floor below
+    spread                tangent of the key light's angular radius
+    sheen                 strength of the velvet-like rim of cloth
+    centre (3,)           middle of all maps [m]
+    disc (k, 2)           taps in the unit disc
+    depths (r, r)         seen along basis[2], basis (3, 3), at `scale` [texels/m] (draw_depths); r = 0: no shadows
+    nearest, farthest (k, r, r)  seen along k axes, their bases (k, 3, 3) and `sky_scale`; k = 0 if all is open
+    """
+
+    direction: Float
+    colour: Float
+    up: Float
+    sky: Float
+    ground: Float
+    spread: float
+    sheen: float
+    centre: Float
+    disc: Float
+    depths: NDArray[np.float32]
+    basis: Float
+    scale: float
+    nearest: NDArray[np.float32]
+    farthest: NDArray[np.float32]
+    bases: Float
+    sky_scale: float
+
+
+@kernel
+def draw_depths(
+    positions: Float, faces: Int, basis: Float, centre: Float, scale: float, nearest: NDArray[np.float32],
+    farthest: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Project all faces in parallel into two maps of signed distance along basis[2].
+
+    positions (n, 3); faces (f, 3); basis (3, 3) rows u, v and the direction toward the light; centre (3,) is at the
+    middle of the maps; scale [texels/m]; nearest (r, r) float32 starts at -inf and keeps the largest distance; farthest
+    likewise at +inf the smallest, unless (0, 0). Edges count as inside: a crack would let light through, but surplus
+    hits are invisible.
+    """
+    size = nearest.shape[0]
+    both = farthest.shape[0] > 0
+    count = positions.shape[0]
+    seen = np.empty((count, 3))
+    for i in range(count):
+        x = positions[i, 0] - centre[0]
+        y = positions[i, 1] - centre[1]
+        z = positions[i, 2] - centre[2]
+        seen[i, 0] = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
+        seen[i, 1] = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
+        seen[i, 2] = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if not abs(area) > 1e-12:
+            continue
+        inverse = 1.0 / area
+        left = int(max(np.ceil(min(ax, bx, cx) - 0.5), 0.0))
+        right = int(min(np.floor(max(ax, bx, cx) - 0.5), size - 1.0))
+        top = int(max(np.ceil(min(ay, by, cy) - 0.5), 0.0))
+        bottom = int(min(np.floor(max(ay, by, cy) - 0.5), size - 1.0))
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                x = column + 0.5
+                wb = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) * inverse
+                wc = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) * inverse
+                if wb < -1e-9 or wc < -1e-9 or wb + wc > 1.0 + 1e-9:
+                    continue
+                z = np.float32(seen[a, 2] + wb * (seen[b, 2] - seen[a, 2]) + wc * (seen[c, 2] - seen[a, 2]))
+                nearest[row, column] = max(nearest[row, column], z)
+                if both and z < farthest[row, column]:
+                    farthest[row, column] = z
+
+
+@kernel
+def open_part(depths: NDArray[np.float32], x: float, y: float, z: float, sign: float) -> float:
+    """Return the share of a bilinear texel footprint at (x, y) that does not block a point at z. sign +1: surfaces
+    above z block it; -1: those below (farthest map).
+    """
+    size = depths.shape[0]
+    x -= 0.5
+    y -= 0.5
+    column, row = int(np.floor(x)), int(np.floor(y))
+    if column < 0 or row < 0 or column + 1 >= size or row + 1 >= size:
+        return 1.0
+    fx, fy = x - column, y - row
+    result = 0.0
+    if sign * (depths[row, column] - z) <= 0.0:
+        result += (1.0 - fx) * (1.0 - fy)
+    if sign * (depths[row, column + 1] - z) <= 0.0:
+        result += fx * (1.0 - fy)
+    if sign * (depths[row + 1, column] - z) <= 0.0:
+        result += (1.0 - fx) * fy
+    if sign * (depths[row + 1, column + 1] - z) <= 0.0:
+        result += fx * fy
+    return result
+
+
+@kernel
+def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, lights: Lights) -> float:
+    """Return the share of the sky's light that reaches a point, 0 to 1.
+
+    (px, py, pz) is a point and (nx, ny, nz) its unit normal on the visible side. Each axis of the sky's maps serves the
+    one of its two directions that the normal faces, weighted by cosine and by a sky that is brighter overhead. Without
+    maps everything is open.
+    """
+    nearest, farthest, bases, up = lights.nearest, lights.farthest, lights.bases, lights.up
+    centre, scale = lights.centre, lights.sky_scale
+    size = nearest.shape[1]
+    lift = 1.5 / scale
+    x, y, z = px - centre[0] + lift * nx, py - centre[1] + lift * ny, pz - centre[2] + lift * nz
+    total, free = 0.0, 0.0
+    for k in range(nearest.shape[0]):
+        basis = bases[k]
+        cosine = nx * basis[2, 0] + ny * basis[2, 1] + nz * basis[2, 2]
+        sign = 1.0 if cosine >= 0.0 else -1.0
+        u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
+        v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
+        w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+        # A slope rises within a texel: the tolerance grows with it, up to a limit.
+        slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 0.1)
+        slack = lift * (0.5 + min(slope, 4.0))
+        rise = basis[2, 0] * up[0] + basis[2, 1] * up[1] + basis[2, 2] * up[2]
+        weight = abs(cosine) * (0.8 + 0.5 * sign * rise)
+        total += weight
+        free += weight * open_part(nearest[k] if sign > 0.0 else farthest[k], u, v, w + sign * slack, sign)
+    return free / total if total > 0.0 else 1.0
+
+
+@kernel
+def floor_openness(corner: Float, across: Float, along: Float, lights: Lights, out: Float) -> None:
+    """Write the openness of a floor at corner + j across + i along into out[i, j]; all vectors (3,) [m]."""
+    normal = lights.up
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            x = corner[0] + j * across[0] + i * along[0]
+            y = corner[1] + j * across[1] + i * along[1]
+            z = corner[2] + j * across[2] + i * along[2]
+            out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], lights)
+
+
+@kernel
+def shadow(lights: Lights, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
+    """Return the share of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
+
+    (px, py, pz) the point, lifted off its surface; (nx, ny, nz) its surface's unit normal on the
+    lit side.
+
+    The taps compare with the receiver's own tangent plane rather than with one depth, so that a
+    wide filter neither darkens a slope (acne) nor needs a large bias (detached shadows). The
+    width is that of the penumbra: distance to the mean blocker times the spread (Fernando 2005).
+    """
+    depths, disc, basis, centre, scale = lights.depths, lights.disc, lights.basis, lights.centre, lights.scale
+    size = depths.shape[0]
+    x, y, z = px - centre[0], py - centre[1], pz - centre[2]
+    u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
+    v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
+    w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+    facing = max(basis[2, 0] * nx + basis[2, 1] * ny + basis[2, 2] * nz, 0.15)
+    gu = -(basis[0, 0] * nx + basis[0, 1] * ny + basis[0, 2] * nz) / (facing * scale)
+    gv = -(basis[1, 0] * nx + basis[1, 1] * ny + basis[1, 2] * nz) / (facing * scale)
+    search = 0.02 * size
+    blockers, clear, total = 0, 0, 0.0
+    taps = disc.shape[0]
+    for k in range(0, taps, 4):
+        du, dv = disc[k, 0] * search, disc[k, 1] * search
+        column, row = int(np.floor(u + du)), int(np.floor(v + dv))
+        if column < 0 or row < 0 or column >= size or row >= size:
+            continue
+        above = depths[row, column] - (w + gu * du + gv * dv)
+        if above > (abs(gu) + abs(gv)):
+            blockers += 1
+            total += above
+        else:
+            clear += 1
+    mean = total / blockers if blockers > 0 else 0.0
+    radius = min(max(mean * lights.spread * scale, 1.5), search)
+    if blockers == 0 or clear == 0:
+        taps //= 4
+    result = 0.0
+    for k in range(taps):
+        du, dv = disc[k, 0] * radius, disc[k, 1] * radius
+        result += open_part(depths, u + du, v + dv, w + gu * du + gv * dv, 1.0)
+    lit: float = result / taps
+    return lit
+
+
+# The lights of a picture, and maps of what they reach.
 
 KEY = np.array([0.86, 0.82, 0.765])
 """Radiance of a white diffuse surface that faces the key light."""

@@ -1,18 +1,4 @@
-"""Intersections of rays o + t d, d a unit vector, with triangles and capsules.
-
-A capsule is the union of two spheres and the side of a cylinder between them, and convex: a ray enters it at its first
-entry into one of the three, and leaves it at its last exit from one. With p = o - a from the axis's end a and w = b -
-a, and t counted from the ray's nearest point to a (so that a distant eye costs no digits), the ray meets the side where
-A t^2 + 2 B t + C = 0 with
-
-    A = |d x w|^2,  B = (p x w).(d x w),  C = |p x w|^2 - r^2 w.w,   0 <= w.p + t w.d <= w.w,
-
-and a sphere where t^2 + 2 t p.d + p.p - r^2 = 0. The root of a negative number, and a ray along the axis, give NaN, for
-which every comparison is false. Rejected: dot products, |p|^2 |w|^2 - (p.w)^2, which lose the digits of (|w| / r)^2.
-
-Of items at one distance the lowest number comes first: the result depends neither on the order of the search nor on the
-tree, to the last bit.
-"""
+"""Intersections of rays o + t d, d a unit vector, with triangles and capsules, found by trees of boxes."""
 
 from __future__ import annotations
 
@@ -21,12 +7,95 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.tree import ROUNDING, in_eights, order_triangles, push_children, stack_boxes
 from nuno_kernels import inlined, kernel
-from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, load, root, splat
-from nuno_kernels.meshes.waiting import push_children
-from nuno_render.rays.tree import RayTree
-from nuno_schemas.fabric import Float
+from nuno_kernels.lanes import (
+    WIDTH,
+    first_lane,
+    higher,
+    lane,
+    lanes_up_to,
+    load,
+    lower,
+    root,
+    splat,
+    where_not_negative,
+)
+from nuno_schemas.fabric import Float, Int
+
+# Trees of boxes for rays: over triangles of bodies, and over pieces of yarns as capsules.
+#
+# The trees are those of nuno_geometry.tree, with eight children a node and eight items a leaf, so that a node, like
+# a leaf, is one vector test.
+#
+# Rejected: Embree, by embreex or Open3D. It is in single precision, its Python packages intersect triangles but not
+# capsules, and its choice of two hits at one distance is unspecified: a picture would change with its version.
+#
+# Rejected: cylinders without round ends, which leave gaps on the outer side of every bend; and exact curves, each of
+# which takes several Newton steps where a capsule takes three roots.
+
+
+class RayTree(NamedTuple):
+    """N nodes and L leaves over i items.
+
+    boxes (6 N, 8), child (N,)  as in nuno_geometry.tree.Tree; no nodes without items
+    rows  (r L, 8)              of leaf k in rows r k to r k + r - 1, its eight items; NaN for missing ones. Triangles,
+          r = 9: corner a, edges b - a and c - a [m]. Capsules, r = 7: end a, axis b - a and radius [m]
+    item  (8 L,) int32          number of the item in each place of the leaves, -1 if empty
+    """
+
+    boxes: Float
+    child: NDArray[np.int64]
+    rows: Float
+    item: Int
+
+
+def triangle_tree(x: Float, faces: Int) -> RayTree:
+    """Return the tree of triangles faces (f, 3) of vertices x (n, 3) [m]."""
+    corners = x[faces]
+    a, b, c = (corners[:, k] for k in range(3))
+    return _build(corners, np.concatenate([a, b - a, c - a], axis=1), float(np.abs(corners).max(initial=0.0)))
+
+
+def capsule_tree(start: Float, end: Float, radius: Float) -> RayTree:
+    """Return the tree of capsules from start (i, 3) to end (i, 3) of radius (i,), all [m]."""
+    thick = radius[:, None]
+    low, high = np.minimum(start, end) - thick, np.maximum(start, end) + thick
+    size = max(float(np.abs(low).max(initial=0.0)), float(np.abs(high).max(initial=0.0)))
+    return _build(np.stack([low, high], axis=1), np.concatenate([start, end - start, thick], axis=1), size)
+
+
+def _build(points: Float, rows: Float, size: float) -> RayTree:
+    """Return the tree of items in boxes round points (i, c, 3), with rows (i, r), all within `size` [m] of 0."""
+    count = len(points)
+    if not count:
+        return RayTree(np.zeros((0, WIDTH)), np.zeros(0, np.int64), np.zeros((0, WIDTH)), np.zeros(0, np.int32))
+    order = np.arange(count, dtype=np.int64)
+    capacity = WIDTH
+    while capacity < count:
+        capacity *= WIDTH
+    order_triangles(points.mean(axis=1), capacity, order)
+    boxes, child = stack_boxes(points[order], ROUNDING * size)
+    item = np.full(-(-count // WIDTH) * WIDTH, -1, np.int32)
+    item[:count] = order
+    return RayTree(boxes, child, in_eights(rows[order], np.nan), item)
+
+
+# Intersections of rays o + t d, d a unit vector, with triangles and capsules.
+#
+# A capsule is the union of two spheres and the side of a cylinder between them, and convex: a ray enters it at its
+# first entry into one of the three, and leaves it at its last exit from one. With p = o - a from the axis's end a and w
+# = b - a, and t counted from the ray's nearest point to a (so that a distant eye costs no digits), the ray meets the
+# side where A t^2 + 2 B t + C = 0 with
+#
+#     A = |d x w|^2,  B = (p x w).(d x w),  C = |p x w|^2 - r^2 w.w,   0 <= w.p + t w.d <= w.w,
+#
+# and a sphere where t^2 + 2 t p.d + p.p - r^2 = 0. The root of a negative number, and a ray along the axis, give NaN,
+# for which every comparison is false. Rejected: dot products, |p|^2 |w|^2 - (p.w)^2, which lose the digits of (|w| /
+# r)^2.
+#
+# Of items at one distance the lowest number comes first: the result depends neither on the order of the search nor on
+# the tree, to the last bit.
 
 DEPTH = 96
 """Capacity of the stack of nodes: at most seven a level, and twelve levels hold 5e11 items."""

@@ -13,24 +13,19 @@ from pydantic import BaseModel
 
 from nuno_kernels import block_kernel, kernel
 from nuno_render.annotate import annotate
+from nuno_render.config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_render.light.ground import Ground, background, find_ground
 from nuno_render.light.lighting import GROUND, KEY, SKY, key_direction, unit
-from nuno_render.raster.plugin import encode_picture
-from nuno_render.rays.crossings import cross_yarns
-from nuno_render.rays.fibre import Look
+from nuno_render.raster import encode_picture
 from nuno_render.rays.hits import Buffers, make_buffers, meet_triangle
-from nuno_render.rays.surfaces import shade_floor, shade_skin, shade_yarn
-from nuno_render.rays.worn import Skin, Threads, check_eye, gather_skin, gather_threads
-from nuno_render.rays.yarn_config import CastConfig, LinesConfig, YarnsConfig, grid_of
-from nuno_render.sampling import place_sample, scramble
-from nuno_render.sight import Sight, aim, sight_of
+from nuno_render.rays.surfaces import Look, shade_floor, shade_skin, shade_yarn
+from nuno_render.rays.worn import Skin, Threads, check_eye, cross_yarns, gather_skin, gather_threads
+from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.yarn_picture import Progress, Worn
+from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Picture, Progress, Worn
 
 # Rows of a picture of yarns on bodies, by rays. Each sample's ray ends at the first body, or the floor. Yarns that it
 # crosses transmit a share of the light behind them, each crossing once however many of the yarn's capsules it passes,

@@ -17,8 +17,8 @@ from nuno.exports.camera import SIDES, Side
 from nuno.output_files import RATE, Progress, check_folder, check_target, together
 from nuno.recording.reader import Recording
 from nuno.scene.validation_errors import explain
+from nuno_schemas.dyeing import Crop, DyeView, Form
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import Crop, DyeView, Form
 
 if TYPE_CHECKING:
     from nuno.exports.dyed_pictures import Changes

@@ -12,7 +12,7 @@ from nuno.cli.common import add_flags, add_set, warn
 from nuno.exports.camera import Side
 from nuno.recording.reader import open_recording
 from nuno.runtime import runs
-from nuno_schemas.look import DyeView, Form
+from nuno_schemas.dyeing import DyeView, Form
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

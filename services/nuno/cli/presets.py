@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from nuno.cli.top import align
 from nuno.plugin_contract import registry
-from nuno_schemas.dye_presets import list_dyes
+from nuno_schemas.dyeing import list_dyes
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Preset
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from nuno.exports.dyed_pictures import caption
 from nuno.output_files import check_target, write_png
 from nuno.plugin_contract import registry
-from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
+from nuno_schemas.pictures import DrawnDraft
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,9 +16,18 @@ from numpy.typing import NDArray
 
 from nuno.collision.clearance import to_triangles
 from nuno.collision.pairs import Boxes, boxes_of, overlap
-from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, SKIN, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import (
+    BOX,
+    CAPSULE,
+    OF_TRIANGLES,
+    PLANE,
+    SKIN,
+    DistanceField,
+    Geometry,
+    Poses,
+    rotation_matrices,
+)
 from nuno_schemas.fabric import Bool, Float, Int
-from nuno_schemas.field import DistanceField
 from nuno_schemas.operation import Beside
 
 # Depth of points inside a closed mesh, independent of the search that contact uses.

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arrays
 from nuno.plugin_contract.values import ContractError, check_field, check_layout, check_skins
-from nuno_schemas.bodies import SKIN, Geometry, Poses
-from nuno_schemas.field import DistanceField
-from nuno_schemas.skin import Skin
+from nuno_schemas.bodies import SKIN, DistanceField, Geometry, Poses, Skin
 
 GEOMETRY_QUERY = "collision/ask/geometry"
 POSES_QUERY = "collision/ask/poses"

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, Skin, rotation_matrices
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.skin import Skin
 
 # Meshes of primitives, for drawing bodies.
 #

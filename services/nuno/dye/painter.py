@@ -11,9 +11,9 @@ from nuno.bus.encodings import BadMessage, decode_arrays
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.dye import Cells
-from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
+from nuno_schemas.dyeing import Crop
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import Crop
+from nuno_schemas.pictures import Layers, Photograph, Picture, Window, amount_seen
 
 PICTURE_SIDE, MOST_AUTO = 1000, 16
 """Target of `scale: auto`: pixels of the longer side, and most pixels a cell."""

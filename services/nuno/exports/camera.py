@@ -15,11 +15,11 @@ from nuno.recording.reader import Recording
 from nuno.scene.override import apply_override, overridden
 from nuno.scene.validation_errors import explain
 from nuno.scene.yaml_lines import Path
-from nuno_schemas.camera import frame as fit_camera
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.view import View
+from nuno_schemas.pictures import Camera, Mesh
+from nuno_schemas.pictures import frame as fit_camera
+from nuno_schemas.scene import View
 
 
 def z_up(points: Float) -> Float:

@@ -19,11 +19,10 @@ from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth import build
 from nuno_schemas.bodies import OF_TRIANGLES
-from nuno_schemas.curves import YarnCurves
+from nuno_schemas.dyeing import Form
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
-from nuno_schemas.look import Form
-from nuno_schemas.operation import Operation, Outcome, Surface
+from nuno_schemas.operation import Operation, Outcome, Surface, YarnCurves
 
 OPERATIONS: dict[str, str] = {"straight": "repair", "smooth": "smooth"}
 """straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""

@@ -16,10 +16,10 @@ from nuno.output_files import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.scene.recorded_scene import restored_scene
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.dyeing import Crop, DyeView
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import Crop, DyeView
 from nuno_schemas.messages import CLOTH, CONCENTRATION
+from nuno_schemas.pictures import Picture
 
 CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[][\w-]+\]?\.colour)\b")
 """Fields of a recorded scene that change only its pictures."""

@@ -21,9 +21,9 @@ from nuno.recording.mcap_file import CHUNK_BYTES
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, EVENT, PENETRATION, STATE, STATUS, Event
+from nuno_schemas.pictures import Camera, Mesh
 
 # The layout that shows an exported recording in Foxglove and Lichtblick.
 

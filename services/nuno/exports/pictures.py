@@ -33,9 +33,9 @@ from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import Mesh
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch", "pressure"]

@@ -23,12 +23,11 @@ from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.build import build_fabric
 from nuno.simulation.cloth.pressure import find_pressure, has_pressure
 from nuno.simulation.cloth.yarns import structural_edges
-from nuno_schemas.curves import YarnCurves
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
-from nuno_schemas.view import View
-from nuno_schemas.yarn_picture import SurfaceValues, Worn
+from nuno_schemas.operation import YarnCurves
+from nuno_schemas.pictures import Camera, Mesh, SurfaceValues, Worn
+from nuno_schemas.scene import View
 
 GROUP = "nuno.yarn_pictures"
 STYLE = "yarns"

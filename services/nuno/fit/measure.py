@@ -12,8 +12,7 @@ from nuno.collision.surfaces import outlines
 from nuno.fit.places import trunk
 from nuno.fit.seams import Seam
 from nuno.fit.slices import Slice, cut, turns
-from nuno_schemas.fabric import Bool, Float, Int, Panels
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Bool, Float, Int, Membrane, Panels
 
 # Openings of a garment, and the parts of the body through them: a neckline around trunk and arms has slid down.
 

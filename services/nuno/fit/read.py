@@ -21,8 +21,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.pressure import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Float, Int, Membrane
 
 Mesh = tuple[Float, Int]
 """Vertices (m, 3) [m] and faces (g, 3)."""

@@ -1,7 +1,7 @@
 """Tension across seams.
 
 A membrane's energy per area is W = (C_w e_w^2 + C_f e_f^2 + 2 C_wf e_w e_f + G g^2) / 2 of the strains of F_w and F_f
-(nuno_schemas.triangles.Membrane). A line of the cloth as cut, with the unit normal (n_w, n_f), carries per length
+(nuno_schemas.fabric.Membrane). A line of the cloth as cut, with the unit normal (n_w, n_f), carries per length
 
     T = n_w dW/dF_w + n_f dW/dF_f,   dW/dF_w = (C_w e_w + C_wf e_f) F_w / |F_w| + G g F_f,
 
@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_schemas.fabric import Corners, Float, Int
-from nuno_schemas.triangles import Membrane
+from nuno_schemas.fabric import Corners, Float, Int, Membrane
 
 
 @dataclass(frozen=True)

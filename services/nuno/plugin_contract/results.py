@@ -24,12 +24,11 @@ from nuno.plugin_contract.values import (
 )
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
-from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State
+from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State, Yarns
 from nuno_schemas.layout import Bounds
 from nuno_schemas.operation import Arranged, Outcome
 from nuno_schemas.plugin import BodyShape, Mover
 from nuno_schemas.system import StepLimit, StepReport, Term, Touched
-from nuno_schemas.yarns import Yarns
 
 UNIT = 1e-6
 """Tolerance of the length of a unit vector or quaternion."""

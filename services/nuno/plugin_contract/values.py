@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nuno_schemas.bodies import SKIN, Geometry
-from nuno_schemas.field import DistanceField
+from nuno_schemas.bodies import SKIN, DistanceField, Geometry
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import BodyShape
 
@@ -29,8 +28,8 @@ def check_layout(what: str, value: Any, lengths: Mapping[str, int] | None = None
     """Raise ContractError for the first field of a dataclass or named tuple that violates its annotation.
 
     `what` is the prefix of a field's name; `lengths` are those that are known beforehand. `nuno_schemas.layout` defines
-    the annotations. A named tuple, which is passed to compiled code, has only arrays, finite numbers and None; its
-    arrays without lengths may have any, and hold NaN: they may be scratch memory.
+    the annotations. A named tuple, which is passed to compiled code, has only arrays, finite numbers, named tuples and
+    None; its arrays without lengths may have any, and hold NaN: they may be scratch memory.
     """
     known_lengths = dict(lengths or {})
     for name, hint in _hints(value.__class__).items():
@@ -62,7 +61,7 @@ def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, 
         shape = tuple(_length(size, owner, lengths) for size in sizes) if sizes else (None,) * np.ndim(value)
         check_array(what, value, dtype, shape, bounds or Bounds(finite=bool(sizes)))
         lengths |= {size: length for size, length in zip(sizes, np.shape(value), strict=False) if type(size) is str}
-    elif is_dataclass(kind):
+    elif is_dataclass(kind) or (isinstance(owner, tuple) and hasattr(kind, "_fields")):
         check_type(what, value, annotated)
         check_layout(f"{what}.", value, lengths)
     elif kind is Literal:

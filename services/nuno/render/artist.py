@@ -16,9 +16,8 @@ from nuno.recording.recorded import Frame
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.build import build_fabric
-from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.yarn_picture import Worn
+from nuno_schemas.pictures import Camera, Mesh, Worn
 
 TRIAL = (16, 16)
 """Size in pixels of the trial picture, which shows errors before anything starts."""

@@ -16,9 +16,8 @@ from nuno.scene.validation_errors import NO_FIELD, OVERRIDDEN, explain, located
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 from nuno_schemas.operation import arranges
-from nuno_schemas.parts import Choice
+from nuno_schemas.parts import AUTO, Choice
 from nuno_schemas.scene import Applied
-from nuno_schemas.solver import AUTO
 
 
 @dataclass

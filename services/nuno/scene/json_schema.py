@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from nuno.plugin_contract import registry
-from nuno_schemas.look import YARNS
+from nuno_schemas.dyeing import YARNS
+from nuno_schemas.parts import AUTO
 from nuno_schemas.scene import Scene
-from nuno_schemas.solver import AUTO
 
 PLACES = {
     ("Object", "model"): "nuno.models",

@@ -21,9 +21,8 @@ from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.operation import arranges
-from nuno_schemas.parts import Choice
+from nuno_schemas.parts import AUTO, Choice, Solver
 from nuno_schemas.scene import ClothContact, Scene
-from nuno_schemas.solver import AUTO, Solver
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
 """Solvers with the cheapest step, from which `auto` starts."""

@@ -30,9 +30,8 @@ from nuno.studio.pages.worker import Workshop
 from nuno.studio.recordings import Recordings, run_of
 from nuno.studio.run import Run
 from nuno.studio.screen import Screen
-from nuno_schemas.dye_presets import PRESETS
+from nuno_schemas.dyeing import PRESETS, DyeColour
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.look import DyeColour
 from nuno_schemas.preset import Preset
 
 # Exported files of a recording: made by `nuno export` in another process, and sent to the browser.

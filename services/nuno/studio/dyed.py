@@ -19,9 +19,9 @@ from nuno.studio.pages.guard import Refused
 from nuno.studio.pages.server import NOT_FOUND, whole
 from nuno.studio.pages.worker import Workshop
 from nuno_schemas.dye import Cells, DyeState, Supply
-from nuno_schemas.dye_picture import Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import Picture, Window, amount_seen
 
 SIDE, MOST_SCALE = 1000, 8
 """Approximate pixels of a picture's longer side, and the most pixels per cell."""

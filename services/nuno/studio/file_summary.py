@@ -24,10 +24,10 @@ from nuno.studio.draw.append import MARK, read_text
 from nuno.studio.pages.server import describe
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
 from nuno_schemas.colour import as_rgb
-from nuno_schemas.draft import DrawnDraft
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.pattern import Checked
+from nuno_schemas.pictures import DrawnDraft
 from nuno_schemas.plugin import BodyShape
 
 Rows = list[tuple[str, str]]

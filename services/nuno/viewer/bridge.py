@@ -25,7 +25,6 @@ from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.layout import BACKGROUND
 from nuno_schemas.colour import colours, to_srgb
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
@@ -47,7 +46,8 @@ from nuno_schemas.messages import (
     Penetration,
     Status,
 )
-from nuno_schemas.view import View
+from nuno_schemas.pictures import Picture
+from nuno_schemas.scene import View
 
 # Explanations for the user: a page, and the colour scale of tension.
 

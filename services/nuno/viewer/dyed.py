@@ -15,8 +15,8 @@ from nuno.bus.encodings import decode_arrays
 from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.messages import DyeStatus
+from nuno_schemas.pictures import Picture
 
 MOST_PIXELS = 2**21
 """Most pixels of a picture in the viewer; the scale is reduced accordingly."""

@@ -21,7 +21,7 @@ from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.dyed import viewer_painter
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 FLUSH_SECONDS = 60.0
 BLOCK = 2**20

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
 """Timelines of the scene, and of the dyeing in scenes of dye alone; entity of the dyed cloth's picture."""

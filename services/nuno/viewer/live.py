@@ -16,7 +16,7 @@ import psutil
 
 from nuno.viewer.stream import END
 from nuno_schemas.messages import FRAMES, STATE
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 RING_BYTES = 64 * 2**20
 """Most bytes of frames on their way to the viewer; beyond that the oldest are skipped. A window takes

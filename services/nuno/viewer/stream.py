@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from nuno.bus.sessions import free_port
-from nuno_schemas.view import View
+from nuno_schemas.scene import View
 
 if TYPE_CHECKING:
     from nuno.dye.painter import DyePainter

@@ -13,7 +13,7 @@ from nuno.recording.reader import Recording
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.pictures import Picture
 
 SIZE = (640, 480)
 SHARES = {"at a third": 1 / 3, "at two thirds": 2 / 3, "at the end": 1.0}

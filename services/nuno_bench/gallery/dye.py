@@ -14,9 +14,9 @@ from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Difference, Kind, Shown
 from nuno_bench.machine import cores
 from nuno_schemas.dye import Cells
-from nuno_schemas.dye_picture import Picture, amount_seen
+from nuno_schemas.dyeing import DyeView
 from nuno_schemas.fabric import Bool, Float
-from nuno_schemas.look import DyeView
+from nuno_schemas.pictures import Picture, amount_seen
 
 NEAR = 2e-3
 """Around the middle of the dye [m]: what lies farther is too pale to be judged by eye."""

@@ -19,8 +19,8 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
+from nuno_schemas.pictures import Picture
 
 EFFECT = 1.2
 """Least ratio by which a difference counts as shown."""

@@ -19,8 +19,8 @@ from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.pressure import named_heights
 from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.pictures import Picture
 
 BAND = 0.02
 """Height of the band around a place that is averaged over [m], as the report's pressure has it."""

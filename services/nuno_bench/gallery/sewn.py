@@ -22,7 +22,7 @@ from nuno_bench.gallery.contact import measure as measure_run
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.pictures import Picture
 
 SIDES = {"from the front": 20, "from the side": 110, "from behind": 200}
 """Azimuths that are drawn [deg]."""

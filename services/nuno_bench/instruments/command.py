@@ -23,7 +23,7 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.report.result import number
 from nuno_bench.sweep import places
-from nuno_cloth.fabrics.drapes import read_drape
+from nuno_cloth.fabrics.laboratory import read_drape
 from nuno_schemas.errors import BadInput
 
 LEAD = (

@@ -17,7 +17,7 @@ from nuno_bench import machine
 from nuno_bench.gallery.kind import embed, read_picture
 from nuno_bench.instruments.drape import count_nodes, measure
 from nuno_bench.report import page
-from nuno_schemas.dye_picture import Picture
+from nuno_schemas.pictures import Picture
 from nuno_schemas.preset import Preset
 
 LEAD = (

@@ -32,7 +32,7 @@ from nuno_bench.problem.reference import DISTURBANCE, Compared, Horizon, refer
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Table
 from nuno_schemas.errors import BadInput
-from nuno_schemas.solver import Accuracy
+from nuno_schemas.parts import Accuracy
 
 SCENES = (
     "hanging-sheet", "net", "drape-over-sphere", "skirt-hula", "skirt-paper", "skirt-walk", "stiff-sheet",

@@ -21,13 +21,12 @@ from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import is_thorough, pass_by
-from nuno_contact.offset.contact_state import ContactState
+from nuno_contact.offset.contact_state import CHOICES, LISTED, LISTS_MADE, STEPS, ContactState
+from nuno_contact.offset.force import drag_anchors, find_touching
 from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
-from nuno_contact.offset.places import CHOICES, LISTED, LISTS_MADE, STEPS
-from nuno_contact.offset.touching import drag_anchors, find_touching
+from nuno_integrators.packing import copy_term, silence
 from nuno_kernels.step.acceleration import evaluate
-from nuno_kernels.step.packing import copy_term, silence
-from nuno_kernels.step.rows import sum_rows
+from nuno_kernels.step.blocks import sum_rows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 

@@ -19,11 +19,9 @@ from nuno_bench import options
 from nuno_bench.problem.piles import build_model
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import measure, watch_compiler
-from nuno_schemas.camera import frame
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Float, Int, State
 from nuno_schemas.operation import Surface
-from nuno_schemas.yarn_picture import Worn
+from nuno_schemas.pictures import Mesh, Worn, frame
 
 UNIT = "M queries/s"
 LEGS = {"20,000": 58, "330,000": 244}

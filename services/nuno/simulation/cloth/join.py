@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Corners, Fabric, Hinges, Panels, Springs
-from nuno_schemas.triangles import Bending, BendingFriction, Membrane
-from nuno_schemas.yarns import Yarns
+from nuno_schemas.fabric import Bending, BendingFriction, Corners, Fabric, Hinges, Membrane, Panels, Springs, Yarns
 
 
 def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:

@@ -23,7 +23,7 @@ from nuno.simulation.solver_selection.budget import Budget, Spent
 from nuno.simulation.solver_selection.selection import PROMISE, Selection, written
 from nuno.simulation.solver_selection.trials import Method, Trials
 from nuno_schemas.errors import BadInput
-from nuno_schemas.solver import AUTO, Accuracy
+from nuno_schemas.parts import AUTO, Accuracy
 from nuno_schemas.system import System
 
 SAFE: dict[Accuracy, float] = {"preview": 0.9, "normal": 0.7, "reference": 0.7}

@@ -27,7 +27,7 @@ from nuno.simulation.solver_selection.budget import Budget, Spent
 from nuno.simulation.solver_selection.selection import PROMISE, Selection, written
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.solver import AUTO
+from nuno_schemas.parts import AUTO
 
 LONG = "rkl2"
 FINER = {FIRST_DYE: (2, 4), LONG: (2,)}

@@ -10,7 +10,7 @@ from nuno.formatting import many
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.solver import Accuracy
+from nuno_schemas.parts import Accuracy
 
 PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
 """Largest error of each accuracy. For cloth, the distance to the exact motion, root mean square over vertices and

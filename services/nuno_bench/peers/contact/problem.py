@@ -19,7 +19,7 @@ from nuno_bench.contact.run import Oracle
 from nuno_bench.machine import cores
 from nuno_bench.peers.problem import RATE
 from nuno_bench.speed.timing import seconds
-from nuno_contact.offset.places import TOUCHING
+from nuno_contact.offset.contact_state import TOUCHING
 from nuno_schemas.fabric import Float, Int
 
 SCENE = "contact/five-sheets"

@@ -22,9 +22,9 @@ from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, Ta
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.report.result import number, spread_of
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Float
-from nuno_schemas.view import View
+from nuno_schemas.pictures import Mesh
+from nuno_schemas.scene import View
 
 HEADINGS = (
     "peer", "setting", "off [%]", "hem height [mm]", "hem radius [mm]", "stretch [%]", "crossed", "by ipctk",

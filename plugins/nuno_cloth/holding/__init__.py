@@ -1,1 +1,0 @@
-"""Operations that bind vertices to bodies, and release them, during a simulation."""

@@ -1,1 +1,0 @@
-"""Wind and air drag: the plugins and their kernels."""

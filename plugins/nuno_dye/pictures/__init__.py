@@ -1,1 +1,0 @@
-"""Pictures of dyed cloth: colours of dye, and yarns with their shade."""

@@ -1,0 +1,1 @@
+"""Files of meshes and arrays: OBJ, PLY, STL, GLB and NPZ."""

@@ -1,1 +1,0 @@
-"""Triangle meshes: files, checks, closest points, sections, limbs. Plugins make meshes."""

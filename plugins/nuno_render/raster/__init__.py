@@ -1,1 +1,0 @@
-"""The renderer for meshes, by a z-buffer."""
