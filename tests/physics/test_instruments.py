@@ -11,8 +11,9 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import drape, loops, sheet
-from nuno_bench.instruments import sheet as cantilever
+from nuno_bench.instruments import command as cantilever
+from nuno_bench.instruments import command as sheet
+from nuno_bench.instruments import drape, loops
 from nuno_bench.instruments.command import find_fabric
 from nuno_bench.instruments.rig import mount
 from nuno_bench.sweep.executor import Executor, Processes

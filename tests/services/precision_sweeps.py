@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.page import Findings
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.command import Findings
+from nuno_bench.precision.sweep import Point
 
 FLAGS = ("--repeats", "1", "--budget", "600")
 

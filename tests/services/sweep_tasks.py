@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.stability import sweep as stability_sweep
-from nuno_bench.stability.sweep import measure_setting
+from nuno_bench.stability import command as stability_sweep
+from nuno_bench.stability.command import measure_setting
 from nuno_schemas.errors import BadInput
 
 

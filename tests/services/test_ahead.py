@@ -19,7 +19,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Kind, Shown
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.validation import suite
+from nuno_bench.validation import command as suite
 from nuno_bench.validation.laws.base import Outcome
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.precision.compare import Result, compare, read, summary
-from nuno_bench.precision.point import Error, Point
+from nuno_bench.precision.sweep import Error, Point
 
 FLOOR = 1e-8
 

@@ -16,11 +16,11 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.contact import command, run
-from nuno_bench.contact.run import Oracle, Passed, run_pile
+from nuno_bench.contact import command
+from nuno_bench.contact import command as run
+from nuno_bench.contact.command import Passed, run_pile
 from nuno_bench.problem import piles
-from nuno_bench.problem.piles import irregular_square
-from nuno_bench.problem.random_scenes import BODIES, SOLVERS, random_pile
+from nuno_bench.problem.piles import BODIES, SOLVERS, Oracle, irregular_square, random_pile
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.sweep.storage import Kept
 

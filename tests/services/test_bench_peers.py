@@ -24,9 +24,8 @@ from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
 from nuno_bench.peers.command import choose
 from nuno_bench.peers.problem import Score, Sheet, judge
-from nuno_bench.peers.process import Point, measure
+from nuno_bench.peers.process import SHEET_KINDS, Kind, Point, measure
 from nuno_bench.peers.python import NumPy, stiff_sheet
-from nuno_bench.peers.table import SHEET_KINDS, Kind
 from nuno_schemas.fabric import Float, State
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)

@@ -25,8 +25,7 @@ from nuno_bench.peers.contact.problem import (
     own_answers,
     their_answers,
 )
-from nuno_bench.peers.process import Point
-from nuno_bench.peers.table import Kind
+from nuno_bench.peers.process import Kind, Point
 
 SMALL = tuple(f"objects.{i}.model.resolution=[5, 5]" for i in range(len(SIDES)))
 HERE = str(Path(__file__).parent)

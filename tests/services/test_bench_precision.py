@@ -14,10 +14,9 @@ from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno_bench.precision.page import Findings, report
-from nuno_bench.precision.point import fit_order, judge
+from nuno_bench.precision.command import Findings, report
 from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import MORE, Runner
+from nuno_bench.precision.sweep import MORE, Runner, fit_order, judge
 from nuno_bench.problem.observe import POSITIONS, Problem, simulate
 from nuno_bench.problem.reference import Reference
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler

@@ -12,10 +12,9 @@ from precision_sweeps import FLAGS, swept
 
 from nuno.cli import main as nuno_main
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.page import Findings
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.command import Findings
 from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import Runner, Sweep, run_sweep
+from nuno_bench.precision.sweep import Point, Runner, Sweep, run_sweep
 from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput
 

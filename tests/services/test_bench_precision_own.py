@@ -14,11 +14,10 @@ from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
 from nuno_bench import machine
-from nuno_bench.precision.page import Findings, orders
-from nuno_bench.precision.point import Point, fit_order
-from nuno_bench.problem.dye import AMOUNTS
-from nuno_bench.problem.observe import POSITIONS
-from nuno_bench.report.result import number
+from nuno_bench.precision.command import Findings, orders
+from nuno_bench.precision.sweep import Point, fit_order
+from nuno_bench.problem.observe import AMOUNTS, POSITIONS
+from nuno_bench.report.page import number
 
 
 def of(found: Findings, label: str) -> Point:

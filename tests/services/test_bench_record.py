@@ -11,10 +11,10 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.machine import DISTURBED
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
+from nuno_bench.speed import command as record
 from nuno_bench.speed import command as speed
-from nuno_bench.speed import record
-from nuno_bench.speed.record import Record
+from nuno_bench.speed.command import Record
 
 BEFORE = (1.0, 1.1, 1.2)
 PAGE = Path(__file__).parents[2] / "docs" / "measured" / "benchmarks.md"

@@ -16,7 +16,7 @@ from nuno import registry
 from nuno.cli import main
 from nuno_bench.problem.observe import Series
 from nuno_bench.stability import command as stability_page
-from nuno_bench.stability.sweep import (
+from nuno_bench.stability.command import (
     Point,
     Setting,
     classify,

@@ -22,7 +22,7 @@ from nuno.solver_selection.selection import PROMISE
 from nuno.solver_selection.trials import Method, Trials
 from nuno_bench.precision.accuracy import promised_frames
 from nuno_bench.problem.observe import make_problem, simulate
-from nuno_bench.problem.random_scenes import random_scene
+from nuno_bench.problem.piles import random_scene
 from nuno_bench.problem.reference import find_horizon, make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -20,11 +20,10 @@ import sweep_tasks
 from line_net import write_net
 
 from nuno.cli import main
-from nuno_bench.stability import sweep as stability_sweep
-from nuno_bench.sweep.executor import Executor, Lost, Processes
-from nuno_bench.sweep.places import Cluster
+from nuno_bench.stability import command as stability_sweep
+from nuno_bench.sweep.executor import Cluster, Executor, Lost, Processes
 from nuno_bench.sweep.storage import Kept, pack, unpacked
-from nuno_bench.validation import suite as validate
+from nuno_bench.validation import command as validate
 from nuno_schemas.errors import BadInput, RunFailed
 
 distributed = pytest.importorskip("distributed", reason="needs nuno[sweep]")
@@ -218,10 +217,10 @@ def test_a_worker_with_another_version_is_refused_by_name(scheduler: Any, tmp_pa
 
 @pytest.mark.full
 def test_a_cluster_whose_workers_are_all_gone_ends_the_sweep(scheduler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_bench.sweep.places.WORKER_SECONDS", 0.5)
+    monkeypatch.setattr("nuno_bench.sweep.executor.WORKER_SECONDS", 0.5)
     with pytest.raises(BadInput, match="has no worker"):
         Cluster(scheduler.scheduler_address)
-    monkeypatch.setattr("nuno_bench.sweep.places.WORKER_SECONDS", 60.0)
+    monkeypatch.setattr("nuno_bench.sweep.executor.WORKER_SECONDS", 60.0)
     with worker_of(scheduler, TESTS):
         cluster = Cluster(scheduler.scheduler_address)
         running = cluster.run(sweep_tasks.square, [2, 3])
@@ -247,7 +246,7 @@ def test_a_scheduler_that_ends_in_mid_sweep_is_said(tmp_path: Path) -> None:
 def test_what_is_no_scheduler_is_refused_within_seconds(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nuno_bench.sweep.places.CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr("nuno_bench.sweep.executor.CONNECT_SECONDS", 1.0)
     with socket.socket() as silent:
         # A port that is taken by somebody who never answers: the worst of addresses.
         silent.bind(("127.0.0.1", 0))

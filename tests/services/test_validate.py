@@ -15,8 +15,8 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench.sweep.executor import Executor
+from nuno_bench.validation import command as validate
 from nuno_bench.validation import command as validation_page
-from nuno_bench.validation import suite as validate
 from nuno_bench.validation.laws import oscillator, statics
 from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
 from nuno_integrators.explicit.rk4 import RK4
@@ -190,7 +190,7 @@ def test_verdicts_follow_from_the_error() -> None:
 
 def test_the_table_fits_a_screen_of_120_columns_however_many_solvers_there_are() -> None:
     names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
-    part = validate.Part("cloth", validate.CASES, tuple(names))
+    part = validate.Suite("cloth", validate.CASES, tuple(names))
     found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
     text = validation_page.case_tables(part, found)
     assert max(map(len, text.splitlines())) <= 120

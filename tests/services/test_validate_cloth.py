@@ -8,7 +8,7 @@ import pytest
 
 from nuno import registry
 from nuno_bench.problem import piles
-from nuno_bench.validation import suite
+from nuno_bench.validation import command as suite
 from nuno_bench.validation.laws import contacts
 from nuno_bench.validation.laws.base import Outcome
 from nuno_schemas.system import System

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from nuno_bench import machine, options
 from nuno_bench.report import page
-from nuno_bench.report.result import Result, number
+from nuno_bench.report.page import Result, number
 from nuno_schemas.errors import BadInput
 
 PARTS = {

@@ -22,7 +22,7 @@ from nuno.service import Options
 from nuno.solver_selection.cloth import decide
 from nuno.supervision.supervisor import Deployment
 from nuno.verification import verify
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import RunFailed
 from soak.processes import Digests, digests
 from soak.scenes import CASES, Case, Changes

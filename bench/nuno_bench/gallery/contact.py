@@ -11,8 +11,7 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
-from nuno_bench.report.page import Table
-from nuno_bench.report.result import number
+from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 
 SIZE = (640, 480)

@@ -17,8 +17,7 @@ import numpy as np
 import nuno
 from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
-from nuno_bench.report.page import Table
-from nuno_bench.report.result import number
+from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
 

@@ -16,12 +16,11 @@ from nuno.fit.read import read_fits, wearer
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno_bench.contact.run import Oracle
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
-from nuno_bench.report.page import Table
-from nuno_bench.report.result import number
+from nuno_bench.problem.piles import Oracle
+from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 
 SIDES = {"from the front": 20, "from the side": 110, "from behind": 200}

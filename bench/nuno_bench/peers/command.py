@@ -16,12 +16,11 @@ from nuno_bench.peers import page as sheet_page
 from nuno_bench.peers.contact import page as contact_page
 from nuno_bench.peers.contact.problem import ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
-from nuno_bench.peers.process import Point, S, measure
+from nuno_bench.peers.process import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind, Point, S, measure
 from nuno_bench.peers.python import Nuno, PileSolver, stiff_sheet
 from nuno_bench.peers.skirt import page as skirt_page
 from nuno_bench.peers.skirt.problem import DURATION, converge, hula_skirt
 from nuno_bench.peers.skirt.problem import look as look_at_skirt
-from nuno_bench.peers.table import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

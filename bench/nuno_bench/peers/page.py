@@ -10,11 +10,9 @@ from typing import Any, Generic
 import numpy as np
 
 from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
-from nuno_bench.peers.process import Point, S, fastest, is_ours
-from nuno_bench.peers.table import Kind
-from nuno_bench.report.page import Figure, Part, Report, Sections, Table
+from nuno_bench.peers.process import Kind, Point, S, fastest, is_ours
+from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
-from nuno_bench.report.result import number, spread_of
 
 HEADINGS = ("peer", "setting", "off [mm]", "strain", "peak", "time [s]", "min - max", "start [s]", "verdict")
 PACKAGES = {"newton": ("newton", "warp-lang")}

@@ -7,17 +7,152 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from nuno_bench.peers.problem import SECONDS, Peer
-from nuno_bench.peers.table import Kind, Setting
+from nuno_bench import options
+from nuno_bench.peers.problem import RATE, SECONDS, Peer
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
+
+# Which engines `nuno bench peers` steps each scene with, at which settings, and how each is given it.
+
+Setting = Mapping[str, float | str]
+
+EXACT = "The sheet's own springs, dampers, masses, drag and pins"
+KERNELS = f"{EXACT}; kernels alone."
+PILE = "Springs and hinges of the cloth, damped by 0.05 of critical; solver and cloth contact as a scene has them."
+SAME_PILE = "The same triangles, masses, thickness and friction; single precision; no damping but the solver's own. "
+SKIRT = (
+    "Springs and hinges of the cloth, damped by 0.05 of critical; capsules push by penalty; solver and cloth contact "
+    "as a scene has them."
+)
+SAME_SKIRT = (
+    "The same vertices, masses, waist and drag; capsules are kinematic bodies, posed in every step; contact by springs "
+    "of 1,000 N/m; single precision. "
+)
+OWN_SKIRT = f"{SAME_SKIRT}The skirt's own springs, dampers and hinges. "
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One way to step what is posed.
+
+    name      as it is shown, and as --only takes it
+    package   what is imported, "" for what always is there
+    module    of the class `made`, which is made as `made(posed, **setting)`
+    settings  by what they are shown as, from coarse to fine
+    posed     what the engine is given, and where that is not the same material
+    """
+
+    name: str
+    package: str
+    module: str
+    made: str
+    settings: Mapping[str, Setting]
+    posed: str
+
+    @property
+    def missing(self) -> bool:
+        return bool(self.package and options.missing_package(self.package))
+
+
+def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Kind:
+    """Our `solver`, what it is given beside `dt`, and what that may be: auto, or a number of steps a frame."""
+    module, _, made = place.rpartition(".")
+    before = "dt " if made == "Nuno" else ""
+    settings: dict[str, Setting] = {}
+    for step in steps:
+        name, dt = ("dt auto", "auto") if step == "auto" else (f"{before}{step} a frame", repr(1 / RATE / int(step)))
+        settings[f"{given}{name}"] = {"solver": f"plugin: {solver}, {given}dt: {dt}"}
+    return Kind(f"nuno-{solver}", "", f"nuno_bench.peers.{module}", made, settings, posed)
+
+
+def _at(rate: int, **more: int) -> dict[str, Setting]:
+    """So many steps a second."""
+    dt = f"{1e3 / rate:.3g} ms" if rate <= 1000 else f"{1e6 / rate:.3g} us"
+    return {", ".join([dt, *(f"{name} {value}" for name, value in more.items())]): {"dt": 1 / rate, **more}}
+
+
+def _in(steps: int, iterations: int, said: str = "", **more: bool) -> dict[str, Setting]:
+    name = ", ".join(filter(None, [f"{steps} steps a frame, {iterations} iterations", said]))
+    return {name: {"substeps": steps, "iterations": iterations, **more}}
+
+
+def _engine(module: str, made: str, settings: Mapping[str, Setting], posed: str) -> Kind:
+    package = module.rpartition(".")[2]
+    return Kind(f"{package}-{made.lower()}", package, f"nuno_bench.peers.{module}", made, settings, posed)
+
+
+SHEET_KINDS = (
+    Kind("nuno-auto", "", "nuno_bench.peers.python", "Nuno",
+         {f"accuracy {one}": {"solver": "plugin: auto", "accuracy": one} for one in ("preview", "normal")},
+         f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."),
+    _nuno("python.Nuno", KERNELS, "symplectic_euler", "", "auto", "240"),
+    _nuno("python.Nuno", KERNELS, "leapfrog", "", "auto", "240"),
+    _nuno("python.Nuno", KERNELS, "dopri5", "tolerance: 1e-6, ", "auto"),
+    _nuno("python.Nuno", KERNELS, "tr_bdf2", "residual: 1e-2, ", "1", "2", "4"),
+    _nuno("python.Nuno", KERNELS, "implicit_euler", "residual: 1e-2, ", "1", "4"),
+    Kind("numpy", "", "nuno_bench.peers.python", "NumPy", _at(7500) | _at(15000),
+         f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
+    Kind("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
+         {f"{method}, tolerance {rtol:.0e}": {"method": method, "rtol": rtol}
+          for method, rtol in (("RK45", 1e-3), ("RK45", 1e-5), ("DOP853", 1e-4))},
+         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their "
+         "matrices has 24,576 columns."),
+    _engine("mujoco", "Edges", _at(7500) | _at(10000),
+            f"{EXACT}: springs of equal constants are a 1D flex, whose edges have that stiffness and damping; drag is "
+            "an applied force. MuJoCo integrates such edges explicitly only, so integrator=Euler."),
+    _engine("mujoco", "Tendons", _at(300) | _at(600) | _at(1200),
+            f"{EXACT}: each spring is a tendon between two sites, drag is joint damping. integrator=discrete, the one "
+            "that MuJoCo documents as implicit in stiffness, with its CG solver."),
+    _engine("newton", "SemiImplicit", _at(7500) | _at(10000),
+            f"{EXACT}; single precision; drag is an applied force."),
+    _engine("newton", "XPBD", _at(600, iterations=10) | _at(20000, iterations=1),
+            f"{EXACT}; single precision. Newton's XPBD adds up the corrections of all springs of a vertex without "
+            "relaxation, which diverges unless the step is so small that compliance holds it back."),
+    _engine("newton", "VBD", _at(600, iterations=10) | _at(2400, iterations=4) | _at(2400, iterations=10)
+            | _at(4800, iterations=4),
+            f"{EXACT}; single precision; vertices are coloured so that no spring joins two of a colour."),
+)  # fmt: skip
+PILE_KINDS = (
+    _nuno("python.PileSolver", PILE, "symplectic_euler", "", "auto"),
+    _nuno("python.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
+    _engine("contact.newton", "VBD",
+            _in(10, 4, "as cloth_twist") | _in(10, 10, "as cloth_hanging") | _in(20, 10, "as poker_cards"),
+            f"{SAME_PILE}Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact "
+            "within the thickness, its stiffness and buffers as in the example cloth_twist. A frame is a graph of "
+            "kernels."),
+    _engine("contact.newton", "Style3D",
+            _in(10, 4, "as cloth_style3d") | _in(10, 4, "its own 6 mm thickness", own_reach=True) | _in(20, 10),
+            f"{SAME_PILE}Baraff and Witkin's triangles of the cloth's tension and shear, not narrowing; quadratic "
+            "bending of their folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm "
+            "unless a part of the solver is changed, as it is here but for a row."),
+    Kind("ipctk", "ipctk", "", "", {},
+         "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
+)  # fmt: skip
+SKIRT_KINDS = (
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "respa", "", "auto"),
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "symplectic_euler", "", "auto"),
+    _nuno("skirt.problem.SkirtSolver", SKIRT, "implicit_euler", "residual: 1e-1, ", "1"),
+    _engine("skirt.newton", "XPBD", _in(10, 4) | _in(100, 1),
+            f"{OWN_SKIRT}It adds up the corrections of all springs of a vertex without relaxation, which diverges "
+            "unless the step is so small that compliance holds it back. Cloth meets cloth as balls at its vertices, "
+            "of the thickness: edges and triangles may pass."),
+    _engine("skirt.newton", "VBD", _in(10, 4, "as cloth_twist"),
+            f"{OWN_SKIRT}Self-contact within the thickness, by triangles without a stiffness; its buffers are as in "
+            "the example cloth_twist. Edges that meet are the mesh's and those of hinges."),
+    _engine("skirt.newton", "Style3D", _in(10, 4, "as cloth_style3d") | _in(20, 10),
+            f"{SAME_SKIRT}Baraff and Witkin's triangles of the fabric's warp, weft and shear instead of springs, "
+            "each flat as long as its springs are; no dampers, but 0.2% of all velocities are taken away in every "
+            "step; quadratic bending of their edges, of the hinges' stiffness, which a cell whose triangles have the "
+            "other diagonal has on that one. Self-contact within the thickness."),
+)  # fmt: skip
+
 
 S = TypeVar("S")
 ENOUGH = 1 / 3

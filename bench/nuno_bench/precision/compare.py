@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from nuno_bench import machine, options
-from nuno_bench.precision.point import ABOVE, POINT, Point
-from nuno_bench.report.page import Report, Table
-from nuno_bench.report.result import apart, factor, number
+from nuno_bench.precision.sweep import ABOVE, POINT, Point
+from nuno_bench.report.page import Report, Table, apart, factor, number
 from nuno_schemas.errors import BadInput
 
 SAME_ERROR = 1.01

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno_bench.options import require_known
-from nuno_bench.problem.dye import AnyProblem
-from nuno_bench.report.result import number, reason_of
+from nuno_bench.problem.observe import AnyProblem
+from nuno_bench.report.page import number, reason_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepLimit
 

@@ -2,19 +2,208 @@
 
 from __future__ import annotations
 
+import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import TypeAdapter
 
 from nuno.formatting import duration, roughly
-from nuno_bench.precision.point import DONE, POINT, RAN_AWAY, Point, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision.settings import Omission, Setting, Solver
-from nuno_bench.problem.dye import AnyProblem
-from nuno_bench.problem.observe import Run
+from nuno_bench.problem.observe import AnyProblem, Run, Series
 from nuno_bench.problem.reference import Compared
-from nuno_bench.report.result import reason_of
+from nuno_bench.report.page import number, reason_of
 from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Float
+
+# Measured settings of solvers: their errors relative to the scene's scale, and the conclusions from all of them.
+
+DONE = "done"
+RAN_AWAY = 2.0
+"""Distance from the reference, in scales, at which a run has left it, even for chaotic motion."""
+ABOVE = 3.0
+"""Multiple of the floor from which on errors are known to a third."""
+TARGETS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
+ASYMPTOTIC = 0.1
+"""Largest error for fits of orders, relative to the scale: larger errors have no order."""
+FITTED = 4
+"""Most points of a fit of an order: the finest resolved ones."""
+FLOOR_HEADINGS = ("in", "floor", "errors above it", "verdict")
+CHOICE_HEADINGS = ("error at most", "fastest", "setting", "time [s]", "next ones [s]")
+
+
+@dataclass(frozen=True)
+class Error:
+    """Errors relative to the scale: at the last compared frame, root mean square and largest over the frames.
+
+    For the leading quantity final and l2 are also root mean squares over the vertices or cells, and linf is that of
+    the farthest one.
+    """
+
+    final: float
+    l2: float
+    linf: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting of one solver, measured.
+
+    outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself),
+             "cut" (out of time)
+    seconds  wall time of each repeat, in the solver's own calls [s]
+    finer    the step [s], or the tolerance of an adaptive solver
+    share    step over the stability limit, None without a step or a limit
+    errors   by quantity, if the run reached its end
+    history  by quantity, the error at every compared frame but the first, to four digits
+    """
+
+    solver: str
+    setting: str
+    kind: str
+    order: int
+    finer: float
+    beyond: bool
+    outcome: str
+    message: str
+    seconds: tuple[float, ...]
+    totals: Mapping[str, int]
+    errors: Mapping[str, Error]
+    history: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    share: float | None = None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.solver, self.setting
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.seconds) if self.seconds else float("nan")
+
+    @property
+    def done(self) -> bool:
+        return self.outcome == DONE
+
+    def error(self, quantity: str) -> float | None:
+        """Return the l2 error of a quantity, or None."""
+        return self.errors[quantity].l2 if quantity in self.errors else None
+
+
+POINT = TypeAdapter(Point)
+"""Reads the result of dataclasses.asdict, in which a number that is not finite may be text."""
+
+
+def measure_errors(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Error]:
+    """Return errors by quantity over the reference's `scales`; of the leading one over the first `frames` frames, if
+    there are any after the start.
+
+    Empty for a run that did not reach the end: its errors would be those of a shorter time.
+    """
+    if len(run.t) < len(reference.t):
+        return {}
+    over = errors_over_frames(run, reference, scales, frames)
+    errors = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
+    leading = reference.leading
+    if leading in errors:
+        farthest = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2).max() / scales[leading]
+        errors[leading] = replace(errors[leading], linf=float(farthest))
+    return errors
+
+
+def errors_over_frames(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Float]:
+    """Return the error at every compared frame but the first, by quantity; of the leading one its root mean square."""
+    errors: dict[str, Float] = {}
+    if frames > 1:
+        errors[reference.leading] = _distances(run, reference)[1:frames] / scales[reference.leading]
+    for name, values in reference.values.items():
+        errors[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
+    return errors
+
+
+def ran_away(run: Series, reference: Series, size: float) -> float | None:
+    """Return the time at which a run was first RAN_AWAY times `size` from the reference [s], or None."""
+    frames = np.flatnonzero(~(_distances(run, reference) <= RAN_AWAY * size))
+    return float(run.t[frames[0]]) if frames.size else None
+
+
+def _distances(run: Series, reference: Series) -> Float:
+    """Return the root mean square distance at each of the run's frames, shape (f,)."""
+    distances: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1))
+    return distances
+
+
+class Judgement(NamedTuple):
+    """Whether the reference is exact enough for the errors of a quantity, in words under FLOOR_HEADINGS.
+
+    resolved counts points above ABOVE times the floor, of all. The verdict is "judged" if all errors are resolved, "in
+    part" if some are too near the floor, "failed" if all are.
+    """
+
+    quantity: str
+    floor: str
+    resolved: str
+    verdict: str
+
+
+def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgement]:
+    """Return one judgement per quantity."""
+    judged = []
+    for name, floor in floors.items():
+        errors = [error for point in points if (error := point.error(name)) is not None]
+        resolved, total = sum(error > ABOVE * floor.l2 for error in errors), len(errors)
+        verdict = "no point" if not total else "judged" if resolved == total else "in part" if resolved else "failed"
+        judged.append(Judgement(name, f"{floor.l2:.1e}", f"{resolved} of {total}", verdict))
+    return judged
+
+
+def fit_order(points: Sequence[Point], quantity: str, floor: float) -> float | None:
+    """Return the slope of the logarithm of the error over that of the step or tolerance, of the finest resolved points.
+
+    None with fewer than three of them.
+    """
+    finest = sorted(
+        (point.finer, error)
+        for point in points
+        if (error := point.error(quantity)) is not None and ABOVE * floor < error < ASYMPTOTIC and not point.beyond
+    )[:FITTED]
+    if len(finest) < 3:
+        return None
+    steps, errors = np.log(np.array(finest)).T
+    return float(np.polyfit(steps, errors, 1)[0])
+
+
+def by_solver(points: Sequence[Point]) -> dict[str, list[Point]]:
+    """Return the points of each solver from coarse to fine, with solvers in the order of their first point."""
+    groups: dict[str, list[Point]] = {}
+    for point in points:
+        groups.setdefault(point.solver, []).append(point)
+    return {name: sorted(group, key=lambda point: -point.finer) for name, group in groups.items()}
+
+
+def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[list[str]]:
+    """Return the fastest solver for each target that is resolved above the floor, under CHOICE_HEADINGS.
+
+    A point that is fastest for several targets is listed at the tightest of them. Points beyond the stability limit
+    are left out.
+    """
+    rows: list[list[str]] = []
+    candidates = [(p, e) for p in points if (e := p.error(quantity)) is not None and p.seconds and not p.beyond]
+    tighter: tuple[str, str] | None = None
+    for target in sorted(target for target in TARGETS if target >= ABOVE * floor):
+        best: dict[str, Point] = {}
+        for point in sorted((p for p, error in candidates if error <= target), key=lambda p: p.median):
+            best.setdefault(point.solver, point)
+        ranked = list(best.values())
+        if ranked and (first := ranked[0]).key != tighter:
+            rest = ", ".join(f"{point.solver} {number(point.median)}" for point in ranked[1:3])
+            rows.append([f"{target:g}", first.solver, first.setting, number(first.median), rest])
+            tighter = first.key
+    return rows[::-1]
+
 
 FIRST_STEPS = 20
 """Steps by which the cost of a solver with fixed steps is estimated before its first point."""

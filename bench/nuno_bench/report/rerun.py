@@ -17,8 +17,8 @@ import rerun.blueprint as rrb
 
 from nuno.recording.writer import part_of
 from nuno.viewer.layout import entity
+from nuno_bench.report.page import number
 from nuno_bench.report.plots import Panel
-from nuno_bench.report.result import number
 from nuno_schemas.fabric import Float
 
 WIDTH, HEIGHT, MARGIN = 9.0, 6.0, 1.5

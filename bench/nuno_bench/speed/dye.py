@@ -10,7 +10,7 @@ import numpy as np
 from nuno import registry
 from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import bandwidth, measure
 from nuno_bench.validation.laws.dye import D0, SIZE, make_cells
 from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm

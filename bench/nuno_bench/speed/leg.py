@@ -17,7 +17,7 @@ from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno_bench import options
 from nuno_bench.problem.piles import build_model
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import measure, watch_compiler
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh

@@ -24,7 +24,7 @@ from nuno.solver_selection.cloth import decide
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno_bench.machine import cores
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import BODIES, STATE
 

@@ -21,7 +21,7 @@ from nuno.studio import scenes
 from nuno.studio.desk import Desk
 from nuno.supervision import runs
 from nuno_bench.chromium import Page, find_browser
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import RunFailed
 
 SCENE = "skirt-hula"

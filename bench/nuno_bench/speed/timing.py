@@ -19,7 +19,7 @@ import numpy as np
 from numba.core import event
 
 from nuno_bench.machine import cores
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 
 LANE, ROUNDS = 2048, 20_000
 """Numbers that a thread works on, 16 KiB, inside every first-level cache; and how often."""

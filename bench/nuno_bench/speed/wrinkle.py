@@ -9,7 +9,7 @@ from typing import Any
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.operation import Outcome

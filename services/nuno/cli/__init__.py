@@ -35,7 +35,7 @@ COMMANDS = {
         "nuno_bench.cli",
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
     ),
-    "sweep": ("nuno_bench.sweep.command", "a scene run for each combination of values of its fields, in one table"),
+    "sweep": ("nuno_bench.sweep.grid", "a scene run for each combination of values of its fields, in one table"),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": (
         "nuno_bench.gallery.command",

@@ -9,8 +9,7 @@ from statistics import median
 from nuno_bench.peers.contact.problem import ASKED, ASKING, LEAD, Answer, Seen
 from nuno_bench.peers.page import Measured, against, compose
 from nuno_bench.peers.process import Point, fastest, times_ours
-from nuno_bench.report.page import Part, Report, Sections, Table
-from nuno_bench.report.result import number, spread_of
+from nuno_bench.report.page import Part, Report, Sections, Table, number, spread_of
 
 HEADINGS = (
     "peer", "setting", "crossed", "stretch [%]", "height [mm]", "time [s]", "min - max", "start [s]", "times ours",

@@ -18,9 +18,8 @@ from nuno_bench.peers.page import Measured, against, compose, plain
 from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.process import Point, fastest, is_ours, times_ours
 from nuno_bench.peers.skirt.problem import DEEP, SCENE, Seen, Skirt
-from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, Table
+from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import Curve, Panel, draw
-from nuno_bench.report.result import number, spread_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Float
