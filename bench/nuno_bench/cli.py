@@ -11,11 +11,11 @@ COMMANDS = {
     "precision": ("nuno_bench.precision.command", "every solver's error over the wall time it takes, on any scene"),
     "accuracy": ("nuno_bench.precision.accuracy", "whether `accuracy: LEVEL` keeps its promise, on many scenes"),
     "compare": ("nuno_bench.precision.compare", "two results of precision: which errors and times have changed"),
-    "stability": ("nuno_bench.stability.command", "maps of what solvers make of a scene over stiffness, mesh and step"),
-    "contact": ("nuno_bench.contact.command", "random scenes of cloth that meets cloth: none may pass through"),
+    "stability": ("nuno_bench.stability", "maps of what solvers make of a scene over stiffness, mesh and step"),
+    "contact": ("nuno_bench.contact", "random scenes of cloth that meets cloth: none may pass through"),
     "peers": ("nuno_bench.peers.command", "the same cloth in other engines and in ours: a sheet, a pile, a skirt"),
     "integrators": (
-        "nuno_bench.integrators.command",
+        "nuno_bench.integrators",
         "the skirt paper's experiment: four methods, split and unsplit bones",
     ),
 }

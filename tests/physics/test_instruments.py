@@ -11,13 +11,11 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import command as cantilever
-from nuno_bench.instruments import command as sheet
-from nuno_bench.instruments import drape, loops
-from nuno_bench.instruments.command import find_fabric
+from nuno_bench.instruments import drape, loops, sheet
 from nuno_bench.instruments.rig import mount
+from nuno_bench.instruments.sheet import find_fabric
 from nuno_bench.sweep.executor import Executor, Processes
-from nuno_bench.validation.laws import statics
+from nuno_bench.validation import statics
 from nuno_schemas.errors import BadInput, RunFailed
 
 DENSITY, RIGIDITY = 0.2, 1e-5
@@ -34,7 +32,7 @@ PEIRCE = (RIGIDITY / (DENSITY * 9.81)) ** (1.0 / 3.0)
 def test_the_elastica_is_the_published_one() -> None:
     for gamma, expected in STEEPNESS.items():
         assert elastica.steepness(gamma) == pytest.approx(expected, rel=1e-4)
-    assert elastica.gamma_at(cantilever.SLOPE) ** (-1.0 / 3.0) == pytest.approx(0.5, rel=1e-3)
+    assert elastica.gamma_at(sheet.SLOPE) ** (-1.0 / 3.0) == pytest.approx(0.5, rel=1e-3)
 
 
 @pytest.mark.quick(layout=["irregular"])
@@ -46,7 +44,7 @@ def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:
     length, errors = PEIRCE * gamma ** (1.0 / 3.0), []
     for share in (8, 24):
         edges = round(share * max(2.0, gamma ** (1.0 / 3.0)))
-        found = cantilever.steepness(*cantilever.hang(FABRIC, length, edges, layout=layout))
+        found = sheet.steepness(*sheet.hang(FABRIC, length, edges, layout=layout))
         errors.append(abs(found / STEEPNESS[gamma] - 1.0))
     assert errors[1] < 0.01 and errors[1] < max(errors[0], 5e-3)
 
@@ -55,10 +53,7 @@ def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:
 @pytest.mark.parametrize("layout", ["aligned", "irregular"])
 def test_a_strip_that_hangs_almost_straight_does_too(layout: str) -> None:
     errors = [
-        abs(
-            cantilever.steepness(*cantilever.hang(FABRIC, 10.0 * PEIRCE, edges, layout=layout)) / STEEPNESS[1000.0]
-            - 1.0
-        )
+        abs(sheet.steepness(*sheet.hang(FABRIC, 10.0 * PEIRCE, edges, layout=layout)) / STEEPNESS[1000.0] - 1.0)
         for edges in (128, 256)
     ]
     assert errors[1] < 0.01 and errors[1] < errors[0]
@@ -72,7 +67,7 @@ def test_the_cantilever_of_astm_finds_the_bending_length(name: str) -> None:
     rigid = {"warp": 2e-5, "weft": 1e-5, "bias": 4.0 / (1 / 2e-5 + 1 / 1e-5 + 2.0 / math.sqrt(2e-10))}
     angle = {"warp": 0.0, "weft": 0.5 * math.pi, "bias": 0.25 * math.pi}
     expected = (rigid[name] / (DENSITY * 9.81)) ** (1.0 / 3.0)
-    found = cantilever.bending_length(cantilever.overhang(fabric, 2.1 * expected, 32, angle[name]))
+    found = sheet.bending_length(sheet.overhang(fabric, 2.1 * expected, 32, angle[name]))
     assert found == pytest.approx(expected, rel=0.01)
     assert sheet.measures(fabric)["bend_bias"] == pytest.approx(rigid["bias"], rel=1e-12)
 
@@ -82,15 +77,15 @@ def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, mo
     """As of limp cloth, by 0.5 % from one length to the next, which is 0.2 % of the length."""
 
     def steepness(length: float, scatter: float) -> float:
-        return math.tan(cantilever.SLOPE) * (length / 0.02) ** 2.5 * (1.0 + scatter * math.sin(1e7 * length))
+        return math.tan(sheet.SLOPE) * (length / 0.02) ** 2.5 * (1.0 + scatter * math.sin(1e7 * length))
 
-    monkeypatch.setattr(cantilever, "hang", lambda fabric, length, edges, angle: (length, fabric))
-    monkeypatch.setattr(cantilever, "steepness", steepness)
-    assert cantilever.overhang(5e-3, 0.02 * guess, 32) == pytest.approx(0.02, rel=3e-3)
-    assert cantilever.overhang(0.0, 0.02 * guess, 32) == pytest.approx(0.02, rel=cantilever.ENOUGH)
-    monkeypatch.setattr(cantilever, "steepness", lambda length, scatter: 0.1)
+    monkeypatch.setattr(sheet, "hang", lambda fabric, length, edges, angle: (length, fabric))
+    monkeypatch.setattr(sheet, "steepness", steepness)
+    assert sheet.overhang(5e-3, 0.02 * guess, 32) == pytest.approx(0.02, rel=3e-3)
+    assert sheet.overhang(0.0, 0.02 * guess, 32) == pytest.approx(0.02, rel=sheet.ENOUGH)
+    monkeypatch.setattr(sheet, "steepness", lambda length, scatter: 0.1)
     with pytest.raises(RunFailed, match="no length is found"):
-        cantilever.overhang(0.0, 0.02, 32)
+        sheet.overhang(0.0, 0.02, 32)
 
 
 @pytest.mark.quick(layout=["irregular"], poisson=[0.3])

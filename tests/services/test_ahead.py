@@ -20,7 +20,7 @@ from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Kind, Shown
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as suite
-from nuno_bench.validation.laws.base import Outcome
+from nuno_bench.validation.law import Outcome
 
 
 def test_what_is_left_follows_from_what_is_done() -> None:

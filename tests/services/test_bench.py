@@ -13,7 +13,7 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.problem.observe import advance_all
+from nuno_bench.problem import advance_all
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Result, number
 from nuno_bench.speed import command as speed

@@ -18,8 +18,8 @@ from nuno.cli import main as nuno_main
 from nuno.scene import scene_file
 from nuno_bench.precision.command import orders
 from nuno_bench.precision.sweep import fit_order
-from nuno_bench.problem.observe import AMOUNTS, DyeProblem, Series, make_dye_problem
-from nuno_bench.problem.reference import make_dye_reference
+from nuno_bench.problem import AMOUNTS, DyeProblem, Series, make_dye_problem
+from nuno_bench.reference import make_dye_reference
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float

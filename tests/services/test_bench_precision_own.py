@@ -16,7 +16,7 @@ from nuno.cli import main as nuno_main
 from nuno_bench import machine
 from nuno_bench.precision.command import Findings, orders
 from nuno_bench.precision.sweep import Point, fit_order
-from nuno_bench.problem.observe import AMOUNTS, POSITIONS
+from nuno_bench.problem import AMOUNTS, POSITIONS
 from nuno_bench.report.page import number
 
 

@@ -22,7 +22,7 @@ from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
 from nuno_bench.precision.command import Findings, _own, orders, over_frames, over_wall_time, report, tabs
 from nuno_bench.precision.sweep import POINT, Error, Point, choice_rows, judge, measure_errors
-from nuno_bench.problem.observe import POSITIONS, DyeProblem, Problem
+from nuno_bench.problem import POSITIONS, DyeProblem, Problem
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
 

@@ -10,7 +10,7 @@ from rrd import columns
 
 from nuno.viewer.layout import entity
 from nuno_bench.report.plots import Curve, Panel
-from nuno_bench.stability.command import Mapped, Point, panels_by_tab
+from nuno_bench.stability import Mapped, Point, panels_by_tab
 
 
 def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:

@@ -14,9 +14,9 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.problem.observe import Series
-from nuno_bench.stability import command as stability_page
-from nuno_bench.stability.command import (
+from nuno_bench import stability
+from nuno_bench.problem import Series
+from nuno_bench.stability import (
     Point,
     Setting,
     classify,
@@ -186,8 +186,8 @@ def test_tables_count_points_on_either_side_of_the_limit() -> None:
         for value in (1.0, 10.0)
         for i, outcome in enumerate(outcomes)
     ]
-    assert stability_page.counts(points).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
-    assert stability_page.beyond(points).rows == [["rk4", "0 of 2", "2 of 4"]]
+    assert stability.counts(points).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
+    assert stability.beyond(points).rows == [["rk4", "0 of 2", "2 of 4"]]
 
 
 def test_every_class_has_a_colour_of_its_own_lightness() -> None:
@@ -195,7 +195,7 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
         red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
         return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
 
-    known = sorted(lightness(colour) for colour in stability_page.COLOURS.values())
+    known = sorted(lightness(colour) for colour in stability.COLOURS.values())
     assert np.diff(known).min() > 0.02
 
 

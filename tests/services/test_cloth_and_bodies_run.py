@@ -17,8 +17,8 @@ from nuno.collision.surfaces import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.problem import piles
-from nuno_bench.problem.piles import Oracle, write_obj
+from nuno_bench import piles
+from nuno_bench.piles import Oracle, write_obj
 from nuno_contact.offset.plugin import Offset
 from nuno_contact.offset.start import check_thickness
 from nuno_schemas.errors import BadInput

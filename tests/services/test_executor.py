@@ -20,7 +20,7 @@ import sweep_tasks
 from line_net import write_net
 
 from nuno.cli import main
-from nuno_bench.stability import command as stability_sweep
+from nuno_bench import stability
 from nuno_bench.sweep.executor import Cluster, Executor, Lost, Processes
 from nuno_bench.sweep.storage import Kept, pack, unpacked
 from nuno_bench.validation import command as validate
@@ -149,9 +149,9 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
 
 
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
-    settings = [s for s in stability_sweep.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
+    settings = [s for s in stability.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
     kept = Kept(path.parent / "rows.jsonl", {}, False, print)
-    points, omissions = stability_sweep.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
+    points, omissions = stability.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
     assert [text for text in omissions if "resolution" not in text] == []
     return [(p.axis, p.value, p.solver, p.dt, p.outcome, repr(p.error), repr(p.gained)) for p in points]
 
@@ -167,7 +167,7 @@ def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
     executor: Executor, alone: list[tuple[Any, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mark = tmp_path / "killed"
-    monkeypatch.setattr(stability_sweep, "measure_setting", sweep_tasks.Dying(str(mark)))
+    monkeypatch.setattr(stability, "measure_setting", sweep_tasks.Dying(str(mark)))
     assert rows(scene_with_a_file(tmp_path / "user"), executor) == alone
     assert len(alone) >= 20
     assert mark.exists()

@@ -15,8 +15,8 @@ from nuno.exports.cloth import read_pieces
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
-from nuno_bench.problem.observe import lengths_at_rest
-from nuno_bench.stability.command import shortest, stiffen
+from nuno_bench.problem import lengths_at_rest
+from nuno_bench.stability import shortest, stiffen
 from nuno_schemas.errors import BadInput
 
 LINE = {"points": [[0.05, 0.0, 0.05], [0.15, 0.0, 0.15]], "height": 0.01}

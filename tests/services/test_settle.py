@@ -17,7 +17,7 @@ from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.problem.piles import Oracle
+from nuno_bench.piles import Oracle
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepReport
 

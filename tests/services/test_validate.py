@@ -16,9 +16,8 @@ from nuno import registry
 from nuno.cli import main
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as validate
-from nuno_bench.validation import command as validation_page
-from nuno_bench.validation.laws import oscillator, statics
-from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
+from nuno_bench.validation import oscillator, statics
+from nuno_bench.validation.law import Case, Found, Outcome, Unsupported
 from nuno_integrators.explicit.rk4 import RK4
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
@@ -192,7 +191,7 @@ def test_the_table_fits_a_screen_of_120_columns_however_many_solvers_there_are()
     names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
     part = validate.Suite("cloth", validate.CASES, tuple(names))
     found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
-    text = validation_page.case_tables(part, found)
+    text = validate.case_tables(part, found)
     assert max(map(len, text.splitlines())) <= 120
     assert text.count("1e-9") == len(found)
 

@@ -11,9 +11,9 @@ import pytest
 
 from nuno import registry
 from nuno_bench.validation import command as validate
-from nuno_bench.validation.laws import dye
-from nuno_bench.validation.laws.base import Outcome
-from nuno_bench.validation.laws.dye import GROUP, make_cells
+from nuno_bench.validation import dye
+from nuno_bench.validation.dye import GROUP, make_cells
+from nuno_bench.validation.law import Outcome
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput

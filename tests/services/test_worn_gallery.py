@@ -16,7 +16,7 @@ from nuno.fit.read import read_fits
 from nuno.scene import scene_file
 from nuno_bench.gallery import command as worn
 from nuno_bench.gallery import sewn
-from nuno_bench.problem.piles import Oracle
+from nuno_bench.piles import Oracle
 
 BODY = ["--body", "column.obj"]
 

@@ -19,7 +19,7 @@ from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
-from nuno_bench.problem.piles import Oracle
+from nuno_bench.piles import Oracle
 from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 

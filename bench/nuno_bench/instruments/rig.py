@@ -11,8 +11,8 @@ import numpy as np
 
 from nuno.cloth import build
 from nuno.scene import scene_file, shipped
-from nuno_bench.problem.observe import Problem, make_problem
-from nuno_bench.problem.piles import G
+from nuno_bench.piles import G
+from nuno_bench.problem import Problem, make_problem
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import System

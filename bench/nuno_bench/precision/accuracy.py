@@ -25,9 +25,9 @@ from nuno.solver_selection.cloth import decide
 from nuno.solver_selection.selection import PROMISE
 from nuno.solver_selection.trials import GROWTH
 from nuno_bench import machine, options
-from nuno_bench.problem.observe import AnyProblem, DyeProblem, Run, pose
-from nuno_bench.problem.piles import random_scene
-from nuno_bench.problem.reference import DISTURBANCE, Compared, Horizon, refer
+from nuno_bench.piles import random_scene
+from nuno_bench.problem import AnyProblem, DyeProblem, Run, pose
+from nuno_bench.reference import DISTURBANCE, Compared, Horizon, refer
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Table
 from nuno_schemas.errors import BadInput

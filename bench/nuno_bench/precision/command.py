@@ -38,8 +38,8 @@ from nuno_bench.precision.sweep import (
     run_sweep,
     start_sweep,
 )
-from nuno_bench.problem.observe import AnyProblem, DyeProblem, Problem, pose
-from nuno_bench.problem.reference import DISTURBANCE, LOST, Horizon, refer
+from nuno_bench.problem import AnyProblem, DyeProblem, Problem, pose
+from nuno_bench.reference import DISTURBANCE, LOST, Horizon, refer
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of

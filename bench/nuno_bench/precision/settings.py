@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno_bench.options import require_known
-from nuno_bench.problem.observe import AnyProblem
+from nuno_bench.problem import AnyProblem
 from nuno_bench.report.page import number, reason_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepLimit

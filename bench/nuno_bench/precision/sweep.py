@@ -13,8 +13,8 @@ from pydantic import TypeAdapter
 
 from nuno.formatting import duration, roughly
 from nuno_bench.precision.settings import Omission, Setting, Solver
-from nuno_bench.problem.observe import AnyProblem, Run, Series
-from nuno_bench.problem.reference import Compared
+from nuno_bench.problem import AnyProblem, Run, Series
+from nuno_bench.reference import Compared
 from nuno_bench.report.page import number, reason_of
 from nuno_bench.sweep.storage import Kept
 from nuno_schemas.errors import BadInput, RunFailed

@@ -16,7 +16,7 @@ from nuno.collision.pairs import Mesh, mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.problem.piles import pile, sheet
+from nuno_bench.piles import pile, sheet
 from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.candidate_pairs import choose_near, make_list

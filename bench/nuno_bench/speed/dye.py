@@ -12,7 +12,7 @@ from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import bandwidth, measure
-from nuno_bench.validation.laws.dye import D0, SIZE, make_cells
+from nuno_bench.validation.dye import D0, SIZE, make_cells
 from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm
 from nuno_schemas.errors import RunFailed
 

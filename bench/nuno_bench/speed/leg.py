@@ -16,7 +16,7 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno_bench import options
-from nuno_bench.problem.piles import build_model
+from nuno_bench.piles import build_model
 from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import measure, watch_compiler
 from nuno_schemas.camera import frame

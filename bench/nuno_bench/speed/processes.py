@@ -21,7 +21,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision.supervisor import supervise
 from nuno_bench.machine import cores
-from nuno_bench.problem.observe import run_own
+from nuno_bench.problem import run_own
 from nuno_bench.report.page import Result
 from nuno_bench.speed.steps import DAMPING, net_arrays, scene_of, sheet, sheet_scene
 from nuno_schemas.errors import RunFailed

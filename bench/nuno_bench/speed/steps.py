@@ -21,8 +21,8 @@ from nuno.simulation.renumbered_solver import RenumberedSolver
 from nuno_bench.machine import cores
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
-from nuno_bench.problem.observe import run_own
-from nuno_bench.problem.piles import DOWN, build_model, irregular_square, write_obj
+from nuno_bench.piles import DOWN, build_model, irregular_square, write_obj
+from nuno_bench.problem import run_own
 from nuno_bench.report.page import Result
 from nuno_bench.speed.timing import inverse_roots, measure, seconds, watch_compiler
 from nuno_schemas.errors import RunFailed

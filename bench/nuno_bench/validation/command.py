@@ -23,11 +23,11 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor
-from nuno_bench.validation.laws import contacts, dye, nets, oscillator, statics
-from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
+from nuno_bench.validation import contacts, dye, nets, oscillator, statics
+from nuno_bench.validation.law import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
-# `nuno validate`: every law of `nuno_bench.validation.laws` against every installed solver, and what came out.
+# Every law against every installed solver, and what came out.
 
 CASES: tuple[Case, ...] = tuple(case for module in (oscillator, nets, statics, contacts, dye) for case in module.laws)
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}

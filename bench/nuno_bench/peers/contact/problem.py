@@ -17,7 +17,7 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.problem import RATE
-from nuno_bench.problem.piles import Oracle
+from nuno_bench.piles import Oracle
 from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.places import TOUCHING
 from nuno_schemas.fabric import Float, Int

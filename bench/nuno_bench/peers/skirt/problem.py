@@ -17,7 +17,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.peers.problem import RATE, Sheet
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.python import PileSolver, plain_sheet
-from nuno_bench.problem.piles import Oracle
+from nuno_bench.piles import Oracle
 from nuno_cloth.fabrics.material import resolve
 from nuno_contact.motions.rotations import slerp
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices

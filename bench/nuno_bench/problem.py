@@ -176,7 +176,7 @@ class Series:
 
     leading            name of the quantity x
     t       (f,)       [s]
-    x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.problem.observe
+    x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.problem
     values  per observable: "centre" (f, 3) centre of mass of the free vertices [m], "drop" (f, 1)
             its way along gravity since the start [m], "energy" (f, 1) kinetic, gravitational and
             elastic together [J], "strain" (f, 1) mean of | |d| / rest - 1 | over all springs
@@ -312,7 +312,7 @@ SCHEME = "explicit"
 
 @dataclass(frozen=True)
 class DyeProblem:
-    """A scene of dye ready to be run by any solver; see nuno_bench.problem.observe.Problem, which is one of cloth.
+    """A scene of dye ready to be run by any solver; see nuno_bench.problem.Problem, which is one of cloth.
 
     Its series hold mobile and fixed dye of every cell as x (f, dyes * cells, 2), and by dye as values (f, dyes)
     their totals, and the spread [m]: the root mean square distance of dye from its middle.

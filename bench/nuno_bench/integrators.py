@@ -18,7 +18,7 @@ from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno_bench import machine, options
-from nuno_bench.problem.observe import make_problem
+from nuno_bench.problem import make_problem
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Report, Table, number
 from nuno_bench.report.plots import Curve, Panel

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import (
+from nuno_bench.validation.law import (
     NONE,
     Broken,
     Found,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from nuno_bench.instruments import buckling
-from nuno_bench.problem.piles import DOWN, G, build_model
-from nuno_bench.validation.laws.base import (
+from nuno_bench.piles import DOWN, G, build_model
+from nuno_bench.validation.law import (
     ACCURATE,
     NONE,
     Found,

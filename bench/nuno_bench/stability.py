@@ -21,8 +21,8 @@ from nuno.formatting import duration
 from nuno.scene import scene_file, shipped
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
-from nuno_bench.problem.observe import Problem, Run, Series, lengths_at_rest, make_problem, simulate
-from nuno_bench.problem.reference import PRIMARY, tight
+from nuno_bench.problem import Problem, Run, Series, lengths_at_rest, make_problem, simulate
+from nuno_bench.reference import PRIMARY, tight
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, reason_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw

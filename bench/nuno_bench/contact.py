@@ -19,7 +19,7 @@ from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import machine, options
-from nuno_bench.problem.piles import CLOTHS, Oracle, random_pile
+from nuno_bench.piles import CLOTHS, Oracle, random_pile
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
 from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor, versions

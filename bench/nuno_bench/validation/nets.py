@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_bench.problem.piles import DOWN, G, build_model
-from nuno_bench.validation.laws.base import NONE, Found, Laws, Run, fit_order, make_fabric
-from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM, order_found
+from nuno_bench.piles import DOWN, G, build_model
+from nuno_bench.validation.law import NONE, Found, Laws, Run, fit_order, make_fabric
+from nuno_bench.validation.oscillator import KEEPS_ANGULAR_MOMENTUM, order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.system import System
 

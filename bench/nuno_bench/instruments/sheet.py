@@ -26,7 +26,7 @@ from nuno_bench.gallery.kind import embed, read_picture
 from nuno_bench.instruments import buckling, drape, loops
 from nuno_bench.instruments.drape import DOT
 from nuno_bench.instruments.rig import mount
-from nuno_bench.problem.piles import G
+from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number
 from nuno_bench.report.plots import Curve, Panel

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.problem.observe import SCHEME, AnyProblem, DyeProblem, Problem, Run, Series, simulate
+from nuno_bench.problem import SCHEME, AnyProblem, DyeProblem, Problem, Run, Series, simulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

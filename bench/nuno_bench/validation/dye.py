@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from nuno_bench.validation.laws.base import (
+from nuno_bench.validation.law import (
     ACCURATE,
     Broken,
     Found,

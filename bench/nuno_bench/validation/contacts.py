@@ -11,9 +11,9 @@ import numpy as np
 from nuno import registry
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
-from nuno_bench.problem import piles
-from nuno_bench.problem.piles import G
-from nuno_bench.validation.laws.base import (
+from nuno_bench import piles
+from nuno_bench.piles import G
+from nuno_bench.validation.law import (
     ACCURATE,
     EXACT,
     NONE,
@@ -26,7 +26,7 @@ from nuno_bench.validation.laws.base import (
     make_fabric,
     relative,
 )
-from nuno_bench.validation.laws.oscillator import KEEPS_ANGULAR_MOMENTUM
+from nuno_bench.validation.oscillator import KEEPS_ANGULAR_MOMENTUM
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import System, Term
