@@ -15,7 +15,7 @@ from nuno_bench.peers import command as peers
 from nuno_bench.peers.process import Kind, Point
 from nuno_bench.peers.skirt import problem
 from nuno_bench.peers.skirt.newton import _from_z, lay_flat
-from nuno_bench.peers.skirt.page import Found, settings
+from nuno_bench.peers.skirt.problem import Found, settings
 from nuno_bench.peers.skirt.problem import Skirt, SkirtSolver, hula_skirt, look
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import RunFailed

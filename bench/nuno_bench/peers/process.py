@@ -120,8 +120,8 @@ SHEET_KINDS = (
             f"{EXACT}; single precision; vertices are coloured so that no spring joins two of a colour."),
 )  # fmt: skip
 PILE_KINDS = (
-    _nuno("python.PileSolver", PILE, "symplectic_euler", "", "auto"),
-    _nuno("python.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
+    _nuno("contact.problem.PileSolver", PILE, "symplectic_euler", "", "auto"),
+    _nuno("contact.problem.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
     _engine("contact.newton", "VBD",
             _in(10, 4, "as cloth_twist") | _in(10, 10, "as cloth_hanging") | _in(20, 10, "as poker_cards"),
             f"{SAME_PILE}Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact "

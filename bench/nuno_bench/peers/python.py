@@ -11,7 +11,6 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno.solver_selection.cloth import decide
 from nuno_bench.machine import cores
-from nuno_bench.peers.contact import problem as pile
 from nuno_bench.peers.problem import SCENE, Sheet
 from nuno_schemas.fabric import Float
 
@@ -63,21 +62,6 @@ class Nuno:
             if report.status != "ok":
                 raise RuntimeError(f"{report.status}: {report.message}")
             yield simulation.state.x
-
-
-class PileSolver(Nuno):
-    """With cloth contact, on the pile; other scenes with it derive from this."""
-
-    scene, overrides = pile.SCENE, pile.OVERRIDES
-
-    def __init__(self, posed: object, solver: str) -> None:
-        super().__init__(posed, solver, overrides=self.overrides)
-
-    def advance(self, seconds: float) -> Float:
-        frames = np.array([x.copy() for x in self.frames(seconds)])
-        cut, steps = self.simulation.present().report.counts["cut_short"], self.simulation.steps
-        self.remark = f"{cut:,} of {steps * frames[..., 0].size:,} steps of vertices cut short"
-        return frames
 
 
 class _Sliced:
