@@ -12,8 +12,8 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers import command as peers
-from nuno_bench.peers.contact import problem as page
-from nuno_bench.peers.contact.problem import (
+from nuno_bench.peers import pile as page
+from nuno_bench.peers.pile import (
     CROSSED,
     MOTION,
     PAIRS,
@@ -74,15 +74,15 @@ def test_ipctk_and_ours_answer_alike() -> None:
     ("module", "made", "setting", "steps", "kept"),
     [
         pytest.param(
-            "contact.problem",
+            "pile",
             "PileSolver",
             {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"},
             60,
             1.0,
             marks=pytest.mark.full,
         ),
-        pytest.param("contact.newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
-        pytest.param("contact.newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
+        pytest.param("pile_newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
+        pytest.param("pile_newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
     ],
 )
 def test_cloth_falls_freely_until_it_meets_anything(
@@ -110,7 +110,7 @@ def test_cloth_falls_freely_until_it_meets_anything(
 def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     """Bent to a cylinder across rows a fold of angle curvature x width stores rigidity curvature^2 / 2 per area."""
     pytest.importorskip("newton", reason="the peer engine newton is not installed")
-    module = importlib.import_module("nuno_bench.peers.contact.newton")
+    module = importlib.import_module("nuno_bench.peers.pile_newton")
     pile = five_sheets()
     model = getattr(module, made)(pile, 10, 4).model
     np.testing.assert_allclose(model.particle_mass.numpy(), pile.mass, rtol=1e-6)

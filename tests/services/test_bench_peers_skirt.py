@@ -12,11 +12,10 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers import command as peers
+from nuno_bench.peers import skirt as problem
 from nuno_bench.peers.process import Kind, Point
-from nuno_bench.peers.skirt import problem
-from nuno_bench.peers.skirt.newton import _from_z, lay_flat
-from nuno_bench.peers.skirt.problem import Found, settings
-from nuno_bench.peers.skirt.problem import Skirt, SkirtSolver, hula_skirt, look
+from nuno_bench.peers.skirt import Found, Skirt, SkirtSolver, hula_skirt, look, settings
+from nuno_bench.peers.skirt_newton import _from_z, lay_flat
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
@@ -117,7 +116,7 @@ def test_newton_has_the_masses_the_hinges_and_the_waist_of_the_skirt(
     skirt: Skirt, made: str, substeps: int, iterations: int
 ) -> None:
     pytest.importorskip("newton", reason="the peer engine newton is not installed")
-    engine = getattr(importlib.import_module("nuno_bench.peers.skirt.newton"), made)(skirt, substeps, iterations)
+    engine = getattr(importlib.import_module("nuno_bench.peers.skirt_newton"), made)(skirt, substeps, iterations)
     np.testing.assert_allclose(engine.model.particle_mass.numpy(), skirt.mass * skirt.free, rtol=1e-6)
     quads, k = engine.model.edge_indices.numpy(), engine.model.edge_bending_properties.numpy()[:, 0]
     if made != "Style3D":  # which has a fabric of its own

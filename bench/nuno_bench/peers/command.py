@@ -13,14 +13,14 @@ from typing import Any
 
 from nuno_bench import machine, options
 from nuno_bench.peers import page as sheet_page
-from nuno_bench.peers.contact import problem as contact_page
-from nuno_bench.peers.contact.problem import PileSolver, ask, five_sheets, look
+from nuno_bench.peers import pile as contact_page
+from nuno_bench.peers import skirt as skirt_page
+from nuno_bench.peers.pile import PileSolver, ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind, Point, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
-from nuno_bench.peers.skirt import problem as skirt_page
-from nuno_bench.peers.skirt.problem import DURATION, converge, hula_skirt
-from nuno_bench.peers.skirt.problem import look as look_at_skirt
+from nuno_bench.peers.skirt import DURATION, converge, hula_skirt
+from nuno_bench.peers.skirt import look as look_at_skirt
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -84,7 +84,7 @@ def _in(steps: int, iterations: int, said: str = "", **more: bool) -> dict[str, 
 
 
 def _engine(module: str, made: str, settings: Mapping[str, Setting], posed: str) -> Kind:
-    package = module.rpartition(".")[2]
+    package = module.rpartition("_")[2]
     return Kind(f"{package}-{made.lower()}", package, f"nuno_bench.peers.{module}", made, settings, posed)
 
 
@@ -120,14 +120,14 @@ SHEET_KINDS = (
             f"{EXACT}; single precision; vertices are coloured so that no spring joins two of a colour."),
 )  # fmt: skip
 PILE_KINDS = (
-    _nuno("contact.problem.PileSolver", PILE, "symplectic_euler", "", "auto"),
-    _nuno("contact.problem.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
-    _engine("contact.newton", "VBD",
+    _nuno("pile.PileSolver", PILE, "symplectic_euler", "", "auto"),
+    _nuno("pile.PileSolver", PILE, "implicit_euler", "residual: 1e-1, ", "1"),
+    _engine("pile_newton", "VBD",
             _in(10, 4, "as cloth_twist") | _in(10, 10, "as cloth_hanging") | _in(20, 10, "as poker_cards"),
             f"{SAME_PILE}Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact "
             "within the thickness, its stiffness and buffers as in the example cloth_twist. A frame is a graph of "
             "kernels."),
-    _engine("contact.newton", "Style3D",
+    _engine("pile_newton", "Style3D",
             _in(10, 4, "as cloth_style3d") | _in(10, 4, "its own 6 mm thickness", own_reach=True) | _in(20, 10),
             f"{SAME_PILE}Baraff and Witkin's triangles of the cloth's tension and shear, not narrowing; quadratic "
             "bending of their folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm "
@@ -136,17 +136,17 @@ PILE_KINDS = (
          "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
 )  # fmt: skip
 SKIRT_KINDS = (
-    _nuno("skirt.problem.SkirtSolver", SKIRT, "respa", "", "auto"),
-    _nuno("skirt.problem.SkirtSolver", SKIRT, "symplectic_euler", "", "auto"),
-    _nuno("skirt.problem.SkirtSolver", SKIRT, "implicit_euler", "residual: 1e-1, ", "1"),
-    _engine("skirt.newton", "XPBD", _in(10, 4) | _in(100, 1),
+    _nuno("skirt.SkirtSolver", SKIRT, "respa", "", "auto"),
+    _nuno("skirt.SkirtSolver", SKIRT, "symplectic_euler", "", "auto"),
+    _nuno("skirt.SkirtSolver", SKIRT, "implicit_euler", "residual: 1e-1, ", "1"),
+    _engine("skirt_newton", "XPBD", _in(10, 4) | _in(100, 1),
             f"{OWN_SKIRT}It adds up the corrections of all springs of a vertex without relaxation, which diverges "
             "unless the step is so small that compliance holds it back. Cloth meets cloth as balls at its vertices, "
             "of the thickness: edges and triangles may pass."),
-    _engine("skirt.newton", "VBD", _in(10, 4, "as cloth_twist"),
+    _engine("skirt_newton", "VBD", _in(10, 4, "as cloth_twist"),
             f"{OWN_SKIRT}Self-contact within the thickness, by triangles without a stiffness; its buffers are as in "
             "the example cloth_twist. Edges that meet are the mesh's and those of hinges."),
-    _engine("skirt.newton", "Style3D", _in(10, 4, "as cloth_style3d") | _in(20, 10),
+    _engine("skirt_newton", "Style3D", _in(10, 4, "as cloth_style3d") | _in(20, 10),
             f"{SAME_SKIRT}Baraff and Witkin's triangles of the fabric's warp, weft and shear instead of springs, "
             "each flat as long as its springs are; no dampers, but 0.2% of all velocities are taken away in every "
             "step; quadratic bending of their edges, of the hinges' stiffness, which a cell whose triangles have the "

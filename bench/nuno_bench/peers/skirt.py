@@ -22,8 +22,8 @@ from nuno.exports.pictures import RENDERER, ROOM
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.kind import embed
-from nuno_bench.peers.contact.problem import PileSolver
 from nuno_bench.peers.page import Measured, against, compose, plain
+from nuno_bench.peers.pile import PileSolver
 from nuno_bench.peers.problem import RATE, Sheet
 from nuno_bench.peers.process import Point, fastest, is_ours, times_ours
 from nuno_bench.peers.python import plain_sheet

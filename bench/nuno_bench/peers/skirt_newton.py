@@ -12,7 +12,7 @@ import numpy as np
 from nuno.collision.pairs import mesh_of
 from nuno_bench.peers.newton import Cloth, colour
 from nuno_bench.peers.problem import RATE
-from nuno_bench.peers.skirt.problem import Skirt
+from nuno_bench.peers.skirt import Skirt
 from nuno_schemas.fabric import Float
 
 

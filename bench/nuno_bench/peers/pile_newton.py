@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.peers.contact import problem
-from nuno_bench.peers.contact.problem import Pile
+from nuno_bench.peers import pile as problem
 from nuno_bench.peers.newton import Cloth
+from nuno_bench.peers.pile import Pile
 from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
 
