@@ -139,11 +139,11 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
         Point("never", "", None, (), None, "not done after 9 s"),
     ]
     kinds = [Kind(name, "", "", "", {}, "") for name in ("nuno-a", "other", "never")]
-    found = peer_page.Found(kinds, points, (), 1.0)
-    assert [row[-1] for row in peer_page.settings(found).rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
-    assert peer_page.notes(found.points).rows == [["never", "", "not done after 9 s"]]
-    assert "10 times faster" in " ".join(peer_page.verdicts(found))
-    assert "Accurate and done at no setting shown: never." in peer_page.verdicts(found)
+    found = peer_page.SheetComparison(kinds, points, (), 1.0)
+    assert [row[-1] for row in found.settings().rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
+    assert found.notes().rows == [["never", "", "not done after 9 s"]]
+    assert "10 times faster" in " ".join(found.verdicts())
+    assert "Accurate and done at no setting shown: never." in found.verdicts()
 
 
 class Stretched:

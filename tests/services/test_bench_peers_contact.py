@@ -12,13 +12,13 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers import command as peers
-from nuno_bench.peers import pile as page
 from nuno_bench.peers.pile import (
     CROSSED,
     MOTION,
     PAIRS,
     SIDES,
     Pile,
+    PileComparison,
     Seen,
     five_sheets,
     look,
@@ -141,10 +141,10 @@ def test_another_engine_is_held_against_our_fastest_with_no_more_crossings() -> 
         Point("newton-c", "crosses", 1.0, (3.0,), seen(5, 6, 7)),
         Point[Seen]("newton-c", "breaks", failure="not done after 9 s"),
     ]
-    found = page.Found([Kind(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
-    rows = [row[-2:] for row in page.settings(found).rows]
+    found = PileComparison([Kind(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
+    rows = [row[-2:] for row in found.settings().rows]
     assert rows == [["", ""], ["", ""], ["1.5", "bar met"], ["0.5", "missed"], ["3", "bar met"], ["", "failed"]]
-    assert page.verdicts(found) == [
+    assert found.verdicts() == [
         "nuno-a (tight): 4 s, cloth through cloth in 0 of 60 frames.",
         "newton-b (quick): 2 s, 0.5 times as long as ours, cloth through cloth in 0 of 60 frames.",
         "newton-c (crosses): 3 s, 3 times as long as ours, cloth through cloth in 3 of 60 frames.",

@@ -14,7 +14,7 @@ from nuno.cli import main
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import skirt as problem
 from nuno_bench.peers.process import Kind, Point
-from nuno_bench.peers.skirt import Found, Skirt, SkirtSolver, hula_skirt, look, settings
+from nuno_bench.peers.skirt import Skirt, SkirtComparison, SkirtSolver, hula_skirt, look
 from nuno_bench.peers.skirt_newton import _from_z, lay_flat
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import RunFailed
@@ -141,8 +141,8 @@ def test_another_engine_is_held_against_our_fastest_that_is_no_farther_off(skirt
         Point("newton-b", "far", 1.0, (2.0,), far),
         Point("newton-b", "breaks", failure="not done after 9 s"),
     ]
-    found = Found([Kind(name, "", "", "", {}, "") for name in ("nuno-a", "newton-b")], points, (), skirt)
-    rows = [row[-2:] for row in settings(found).rows]
+    found = SkirtComparison([Kind(name, "", "", "", {}, "") for name in ("nuno-a", "newton-b")], points, (), skirt)
+    rows = [row[-2:] for row in found.settings().rows]
     assert rows == [["", ""], ["", ""], ["", ""], ["0.5", "missed"], ["2", "bar met"], ["", "failed"]]
     assert [point.setting for point in found.nearest()] == ["fine", "tight", "near"]
 

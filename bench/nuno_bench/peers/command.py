@@ -8,18 +8,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import ModuleType
 from typing import Any
 
 from nuno_bench import machine, options
-from nuno_bench.peers import page as sheet_page
-from nuno_bench.peers import pile as contact_page
-from nuno_bench.peers import skirt as skirt_page
-from nuno_bench.peers.pile import PileSolver, ask, five_sheets, look
+from nuno_bench.peers.page import Comparison, SheetComparison, versions
+from nuno_bench.peers.pile import PileComparison, PileSolver, ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
 from nuno_bench.peers.process import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind, Point, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
-from nuno_bench.peers.skirt import DURATION, converge, hula_skirt
+from nuno_bench.peers.skirt import DURATION, SkirtComparison, converge, hula_skirt
 from nuno_bench.peers.skirt import look as look_at_skirt
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
@@ -35,15 +32,13 @@ class Scene:
     kinds    of engines
     require  raises BadInput where something is missing that it cannot be without
     measure  kinds, what is left out, what was asked for (repeats, limit, duration [s]): all that is found
-    page     module that shows that: `tables`, `verdicts`, `report`
     """
 
     says: str
     section: str
     kinds: Sequence[Kind]
     require: Callable[[], None]
-    measure: Callable[[list[Kind], list[str], argparse.Namespace], Any]
-    page: ModuleType
+    measure: Callable[[list[Kind], list[str], argparse.Namespace], Comparison[Any]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,11 +68,11 @@ def main(args: argparse.Namespace) -> int:
     others = machine.Others()
     found = scene.measure(kinds, left_out, args)
     used = [kind.package for kind in kinds if kind.package and not kind.missing]
-    for table in page.nonempty(scene.page.tables(found)):
+    for table in page.nonempty(found.tables()):
         print(table.text() if isinstance(table, page.Table) else table)
-    for text in [*map(": ".join, sheet_page.notes(found.points).rows), *scene.page.verdicts(found), *left_out]:
+    for text in [*map(": ".join, found.notes().rows), *found.verdicts(), *left_out]:
         print(text)
-    report = scene.page.report(found, machine.about(others, peers=sheet_page.versions(used)))
+    report = found.report(machine.about(others, peers=versions(used)))
     base = args.out / scene.section.replace(" ", "-")
     report.write(args.html or base.with_suffix(".html"), base.with_suffix(".json"), args.docs, scene.section)
     return 0
@@ -94,17 +89,17 @@ def points_of(
             yield measure(kind, name, posed, score, asked.repeats, asked.limit, seconds)
 
 
-def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> sheet_page.Found:
+def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> SheetComparison:
     """Against the converged run of ours."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
     converged, begin = Nuno(sheet, REFERENCE), time.perf_counter()
     exact = converged.advance(SECONDS)
     taken, score = time.perf_counter() - begin, partial(judge, sheet, exact=exact)
-    return sheet_page.Found(kinds, list(points_of(kinds, sheet, score, asked)), left_out, taken)
+    return SheetComparison(kinds, list(points_of(kinds, sheet, score, asked)), left_out, taken)
 
 
-def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> contact_page.Found:
+def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> PileComparison:
     """By the frames of every engine; and questions about ours."""
     pile = five_sheets()
     points = list(points_of(kinds, pile, partial(look, pile), asked))
@@ -112,16 +107,16 @@ def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Name
     if any(kind.name == "ipctk" for kind in kinds):
         print("questions to ipctk ...", file=sys.stderr)
         answers = ask(pile, PileSolver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), asked.repeats)
-    return contact_page.Found(kinds, points, left_out, answers)
+    return PileComparison(kinds, points, left_out, answers)
 
 
-def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> skirt_page.Found:
+def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> SkirtComparison:
     """Against the converged run of ours, beside one that checks it."""
     print("the lead-in and the converged runs ...", file=sys.stderr)
     skirt = hula_skirt(asked.duration, threads=machine.cores())
     exact, points = converge(skirt, asked.duration)
     points += points_of(kinds, skirt, partial(look_at_skirt, skirt, exact=exact), asked, asked.duration)
-    return skirt_page.Found(kinds, points, left_out, skirt)
+    return SkirtComparison(kinds, points, left_out, skirt)
 
 
 def require_oracle() -> None:
@@ -163,9 +158,9 @@ def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
 
 SCENES = {
     "sheet": Scene("the stiff sheet, its error beside time", "peers", SHEET_KINDS, plots.require_matplotlib,
-                   measure_sheet, sheet_page),
+                   measure_sheet),
     "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", PILE_KINDS,
-                     require_oracle, measure_contact, contact_page),
+                     require_oracle, measure_contact),
     "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", SKIRT_KINDS,
-                   plots.require_matplotlib, measure_skirt, skirt_page),
+                   plots.require_matplotlib, measure_skirt),
 }  # fmt: skip

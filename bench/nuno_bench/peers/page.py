@@ -1,20 +1,20 @@
-"""What `nuno bench peers` found, as values for a page, the screen, the documentation and JSON."""
+"""A comparison of engines as values for a page, the screen, the documentation and JSON; and that of the sheet."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any, Generic
+from typing import Any, ClassVar, Generic
 
 import numpy as np
 
 from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
-from nuno_bench.peers.process import Kind, Point, S, fastest, is_ours
+from nuno_bench.peers.process import Kind, Point, S
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 
-HEADINGS = ("peer", "setting", "off [mm]", "strain", "peak", "time [s]", "min - max", "start [s]", "verdict")
 PACKAGES = {"newton": ("newton", "warp-lang")}
 LEAD = (
     f"A second of the scene {SCENE}: 64 x 64 vertices, springs of 1000, 300 and 20 N/m, let go at 45 degrees, held "
@@ -35,125 +35,114 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class Measured(Generic[S]):
-    """What every comparison finds: all points, and what is left out and why."""
+class Comparison(Generic[S]):
+    """Points of several engines on one problem, and what is left out and why; how they are shown.
+
+    A subclass has `title`, `judged`, a text on how points are judged, and the columns `measures` of a point's score.
+    """
 
     kinds: Sequence[Kind]
     points: Sequence[Point[S]]
     left_out: Sequence[str]
+    title: ClassVar[str]
+    judged: ClassVar[str]
+    measures: ClassVar[tuple[str, ...]]
+    judgement: ClassVar[tuple[str, ...]] = ("times ours", "verdict")
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time, over which wall times are shown [s]."""
+        return 1.0
+
+    @abstractmethod
+    def cells(self, score: S) -> list[str]:
+        """Return the texts under `measures`."""
+
+    def no_worse(self, one: S, other: S) -> bool:
+        """Return whether a score is at least as good as another, unless a subclass knows better: yes."""
+        return True
+
+    @abstractmethod
+    def verdicts(self) -> list[str]:
+        """Return sentences on the fastest points."""
+
+    @abstractmethod
+    def report(self, about: Mapping[str, str]) -> Report:
+        """Return the page, the data and the documentation's section."""
+
+    def tables(self) -> list[Table]:
+        """Return what is shown on the screen."""
+        return [self.settings()]
 
     def of(self, kind: Kind) -> list[Point[S]]:
-        """The points of a kind, from coarse to fine."""
+        """Return the points of a kind, from coarse to fine."""
         return [point for point in self.points if point.kind == kind.name]
 
+    def settings(self) -> Table:
+        """Return a table with a row per point."""
+        heads = ("peer", "setting", *self.measures, "time [s]", "min - max", "start [s]", *self.judgement)
+        rows = []
+        for point in self.points:
+            start, score = number(round(point.start, 2)) if point.start is not None else "", point.score
+            cells, judged = [""] * (len(self.measures) + 2), [""] * (len(self.judgement) - 1) + ["failed"]
+            if score is not None:
+                rates = [seconds / self.seconds for seconds in point.seconds]
+                cells = [*self.cells(score), number(float(np.median(rates))), spread_of(rates)]
+                judged = self.judge(point)
+            rows.append([point.kind, point.setting, *cells, start, *judged])
+        return Table(heads, rows, self.judged)
 
-@dataclass(frozen=True)
-class Found(Measured[Score]):
-    """Of the sheet; and the wall time of the converged run [s]."""
+    def times_ours(self, point: Point[S]) -> float | None:
+        """Return how many times as long another engine takes as our fastest whose score is no worse than its.
 
-    exact_seconds: float
+        None for ours, for what has no score, and where none of ours is as good; that one is faster is not said then.
+        """
+        if (score := point.score) is None or is_ours(point):
+            return None
+        own = fastest(filter(is_ours, self.points), lambda one: self.no_worse(one, score))
+        return point.median / own.median if own is not None else None
 
+    def judge(self, point: Point[S]) -> list[str]:
+        """Return the texts under `judgement` of a point with a score: the bar is to take longer than ours."""
+        if is_ours(point) or all(point.kind != kind.name for kind in self.kinds):
+            return ["", ""]
+        times, verdict = self.times_ours(point), ""
+        if any(is_ours(one) and one.score is not None for one in self.points):
+            verdict = "bar met" if times is not None and times > 1.0 else "missed"
+        return [number(times) if times is not None else "", verdict]
 
-def accurate(point: Point[Score]) -> bool:
-    return point.score is not None and point.score.accurate
+    def notes(self) -> Table:
+        """Return why points failed, and what engines say of their runs."""
+        noted = [[point.kind, point.setting, point.failure or point.remark] for point in self.points]
+        rows = [row for row in noted if row[-1]]
+        return Table(("peer", "setting", "note"), rows, "Failures, and what engines say.", prose=True)
 
+    def compose(
+        self, lead: str, sections: Sections, brief: Sequence[Part], about: Mapping[str, str], **data: Any
+    ) -> Report:
+        """Add what all comparisons have to a comparison's own sections, data and parts of the documentation's section.
 
-def best(points: Iterable[Point[Score]]) -> Point[Score] | None:
-    """The fastest that is accurate."""
-    return fastest(points, lambda score: score.accurate)
-
-
-def settings(found: Found) -> Table:
-    """One row of text per point."""
-    chosen = [best(found.of(kind)) for kind in found.kinds]
-    return Table(HEADINGS, [_row(point, any(point is each for each in chosen)) for point in found.points], JUDGED)
-
-
-def _row(point: Point[Score], chosen: bool) -> list[str]:
-    start, score = number(round(point.start, 2)) if point.start is not None else "", point.score
-    if score is None:
-        return [point.kind, point.setting, "", "", "", "", "", start, "failed"]
-    verdict = ("best of its kind" if chosen else "accurate") if accurate(point) else "not accurate"
-    figures = (1e3 * score.centre, round(score.strain, 3), round(score.peak, 4), point.median)
-    return [point.kind, point.setting, *map(number, figures), spread_of(point.seconds), start, verdict]
-
-
-def tables(found: Found) -> list[Table]:
-    """What is shown on the screen."""
-    return [settings(found)]
-
-
-def notes(points: Sequence[Point[Any]]) -> Table:
-    """Why a point failed, and what an engine says of its run."""
-    noted = [[point.kind, point.setting, point.failure or point.remark] for point in points]
-    rows = [row for row in noted if row[-1]]
-    return Table(("peer", "setting", "note"), rows, "Failures, and what engines say.", prose=True)
-
-
-def given(kinds: Sequence[Kind]) -> Table:
-    """What each is given."""
-    rows = [[kind.name, kind.posed] for kind in kinds]
-    return Table(("peer", "what it is given"), rows, "Material and method.", prose=True)
-
-
-def against(points: Sequence[Point[Any]], point: Point[Any], times: float | None) -> list[str]:
-    """Cells of how many times as long as ours another engine takes, and whether that meets the bar, of more than 1."""
-    verdict = ""
-    if not is_ours(point) and any(is_ours(one) and one.score is not None for one in points):
-        verdict = "bar met" if times is not None and times > 1.0 else "missed"
-    return [number(times) if times is not None else "", verdict]
-
-
-def verdicts(found: Found) -> list[str]:
-    """The fastest of ours and of theirs, and who reaches the accuracy at no setting."""
-    own = best(filter(is_ours, found.points))
-    other = best(point for point in found.points if not is_ours(point))
-    texts = [
-        f"{whose}: {point.kind} ({point.setting}) is accurate in {number(point.median)} s."
-        for whose, point in (("Ours", own), ("Of the others", other)) if point is not None
-    ]  # fmt: skip
-    if own is not None and other is not None:
-        texts.append(f"That is {number(other.median / own.median)} times faster.")
-    never = [kind.name for kind in found.kinds if found.of(kind) and best(found.of(kind)) is None]
-    return texts + ([f"Accurate and done at no setting shown: {', '.join(never)}."] if never else [])
+        The first section begins with the verdicts.
+        """
+        posed = Table(("peer", "what it is given"), [[kind.name, kind.posed] for kind in self.kinds],
+                      "Material and method.", prose=True)  # fmt: skip
+        after = ("Notes", [self.notes()]), ("What each is given", [posed]), ("Left out", self.left_out)
+        said = " ".join([*self.verdicts(), *(f"{text}." for text in self.left_out)])
+        (_, first), *others = sections
+        sections = [("", [" ".join(self.verdicts()), *first]), *others, *after]
+        own = {"points": list(map(plain, self.points)), "left_out": self.left_out}
+        own |= {"posed": {kind.name: kind.posed for kind in self.kinds}} | data
+        return Report(self.title, lead, sections, about, own, [said, *brief, self.notes(), posed])
 
 
-def error_over_time(found: Found) -> Panel:
-    """A curve per kind from coarse to fine; a point without a score stands above the panel."""
-    times = [point.median for point in found.points if point.seconds]
-    first, last = (min(times), max(times)) if times else (0.1, 1.0)
-    curves = [Curve("accurate enough", np.array([first, last]), np.full(2, 1e3 * CENTRE), INK, dashed=True)]
-    for i, kind in enumerate(kind for kind in found.kinds if found.of(kind)):
-        own = found.of(kind)
-        x = np.array([point.median if point.seconds else first for point in own])
-        y = np.array([1e3 * point.score.centre if point.score else np.inf for point in own])
-        spread = [(min(point.seconds, default=first), max(point.seconds, default=first)) for point in own]
-        hollow, dashed = (
-            [bool(point.score and point.score.stretched) for point in own],
-            not kind.name.startswith("nuno-"),
-        )
-        curves.append(Curve(kind.name, x, y, i, dashed, marker=marker_of(i), hollow=hollow, spread=spread))
-    return Panel("", curves, "wall time of a simulated second [s]", "centre of mass off by [mm]", log="xy")
+def fastest(points: Iterable[Point[S]], fits: Callable[[S], bool]) -> Point[S] | None:
+    """Return the fastest of those that have a score, and one that fits."""
+    kept = (point for point in points if point.score is not None and fits(point.score))
+    return min(kept, key=lambda point: point.median, default=None)
 
 
-def versions(packages: Iterable[str]) -> str:
-    names = [name for package in dict.fromkeys(packages) for name in PACKAGES.get(package, (package,))]
-    return ", ".join(f"{name} {version(name)}" for name in names) or "none"
-
-
-def compose(
-    found: Measured[Any], title: str, lead: str, sections: Sections, brief: Sequence[Part], about: Mapping[str, str],
-    **data: Any,
-) -> Report:  # fmt: skip
-    """A comparison's own sections, of which the first begins with its verdicts, own parts of the documentation's
-    section and own data, with what all comparisons have.
-    """
-    said_of, posed = notes(found.points), given(found.kinds)
-    after = ("Notes", [said_of]), ("What each is given", [posed]), ("Left out", found.left_out)
-    said = " ".join([str(sections[0][1][0]), *(f"{text}." for text in found.left_out)])
-    own = {"points": list(map(plain, found.points)), "left_out": found.left_out}
-    own |= {"posed": {kind.name: kind.posed for kind in found.kinds}} | data
-    return Report(title, lead, [*sections, *after], about, own, [said, *brief, said_of, posed])
+def is_ours(point: Point[Any]) -> bool:
+    return point.kind.startswith("nuno-")
 
 
 def plain(point: Point[Any]) -> dict[str, Any]:
@@ -161,11 +150,67 @@ def plain(point: Point[Any]) -> dict[str, Any]:
     return vars(point) | {"median": point.median if point.seconds else None}
 
 
-def report(found: Found, about: Mapping[str, str]) -> Report:
-    """The page, the data and the documentation's section."""
-    figure, table = Figure(draw([error_over_time(found)], height=5.0), CAPTION), settings(found)
-    judged = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE}
-    points = [plain(point) | {"accurate": accurate(point)} for point in found.points]
-    sections: Sections = [("", [" ".join(verdicts(found)), figure]), ("All settings", [table])]
-    return compose(found, "The stiff sheet in other engines", LEAD, sections, [JUDGED, table], about, points=points,
-                   accuracy=judged | {"reference_seconds": found.exact_seconds})  # fmt: skip
+def versions(packages: Iterable[str]) -> str:
+    names = [name for package in dict.fromkeys(packages) for name in PACKAGES.get(package, (package,))]
+    return ", ".join(f"{name} {version(name)}" for name in names) or "none"
+
+
+@dataclass(frozen=True)
+class SheetComparison(Comparison[Score]):
+    """Of the sheet; and the wall time of the converged run [s]."""
+
+    exact_seconds: float
+    title: ClassVar[str] = "The stiff sheet in other engines"
+    judged: ClassVar[str] = JUDGED
+    measures: ClassVar[tuple[str, ...]] = ("off [mm]", "strain", "peak")
+    judgement: ClassVar[tuple[str, ...]] = ("verdict",)
+
+    def cells(self, score: Score) -> list[str]:
+        return list(map(number, (1e3 * score.centre, round(score.strain, 3), round(score.peak, 4))))
+
+    def best(self, points: Iterable[Point[Score]]) -> Point[Score] | None:
+        """Return the fastest that is accurate."""
+        return fastest(points, lambda score: score.accurate)
+
+    def judge(self, point: Point[Score]) -> list[str]:
+        if point.score is None or not point.score.accurate:
+            return ["not accurate"]
+        own = [one for one in self.points if one.kind == point.kind]
+        return ["best of its kind" if self.best(own) is point else "accurate"]
+
+    def verdicts(self) -> list[str]:
+        """The fastest of ours and of theirs, and who reaches the accuracy at no setting."""
+        own = self.best(filter(is_ours, self.points))
+        other = self.best(point for point in self.points if not is_ours(point))
+        texts = [
+            f"{whose}: {point.kind} ({point.setting}) is accurate in {number(point.median)} s."
+            for whose, point in (("Ours", own), ("Of the others", other)) if point is not None
+        ]  # fmt: skip
+        if own is not None and other is not None:
+            texts.append(f"That is {number(other.median / own.median)} times faster.")
+        never = [kind.name for kind in self.kinds if self.of(kind) and self.best(self.of(kind)) is None]
+        return texts + ([f"Accurate and done at no setting shown: {', '.join(never)}."] if never else [])
+
+    def error_over_time(self) -> Panel:
+        """A curve per kind from coarse to fine; a point without a score stands above the panel."""
+        times = [point.median for point in self.points if point.seconds]
+        first, last = (min(times), max(times)) if times else (0.1, 1.0)
+        curves = [Curve("accurate enough", np.array([first, last]), np.full(2, 1e3 * CENTRE), INK, dashed=True)]
+        for i, kind in enumerate(kind for kind in self.kinds if self.of(kind)):
+            own = self.of(kind)
+            x = np.array([point.median if point.seconds else first for point in own])
+            y = np.array([1e3 * point.score.centre if point.score else np.inf for point in own])
+            spread = [(min(point.seconds, default=first), max(point.seconds, default=first)) for point in own]
+            hollow, dashed = (
+                [bool(point.score and point.score.stretched) for point in own],
+                not kind.name.startswith("nuno-"),
+            )
+            curves.append(Curve(kind.name, x, y, i, dashed, marker=marker_of(i), hollow=hollow, spread=spread))
+        return Panel("", curves, "wall time of a simulated second [s]", "centre of mass off by [mm]", log="xy")
+
+    def report(self, about: Mapping[str, str]) -> Report:
+        figure, table = Figure(draw([self.error_over_time()], height=5.0), CAPTION), self.settings()
+        reached = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE}
+        points = [plain(point) | {"accurate": bool(point.score and point.score.accurate)} for point in self.points]
+        return self.compose(LEAD, [("", [figure]), ("All settings", [table])], [JUDGED, table], about, points=points,
+                            accuracy=reached | {"reference_seconds": self.exact_seconds})  # fmt: skip

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -180,27 +180,6 @@ class Point(Generic[S]):
     @property
     def median(self) -> float:
         return float(np.median(self.seconds)) if self.seconds else float("nan")
-
-
-def fastest(points: Iterable[Point[S]], fits: Callable[[S], bool]) -> Point[S] | None:
-    """Of those that have a score, and one that fits."""
-    kept = (point for point in points if point.score is not None and fits(point.score))
-    return min(kept, key=lambda point: point.median, default=None)
-
-
-def is_ours(point: Point[Any]) -> bool:
-    return point.kind.startswith("nuno-")
-
-
-def times_ours(points: Iterable[Point[S]], point: Point[S], no_worse: Callable[[S], bool]) -> float | None:
-    """How many times as long another engine takes as our fastest whose score is no worse than its.
-
-    None for ours, for what has no score, and where none of ours is as good; that one is faster is not said then.
-    """
-    if point.score is None or is_ours(point):
-        return None
-    own = fastest(filter(is_ours, points), no_worse)
-    return point.median / own.median if own is not None else None
 
 
 def measure(
