@@ -10,6 +10,7 @@ from typing import Any
 from nuno.exports.cloth import read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
+from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
@@ -35,15 +36,15 @@ are a sixtieth of a second, too; it became about twice as fast in 2026. Of Newto
 """
 
 
-def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
-    """Its moments, by way of a file in a folder."""
+def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """Draw its moments, by way of a file in a folder, and measure its run."""
     last = read_frame(recording)
     found = []
     for label, share in SHARES.items():
         frame = read_frame(recording, round(share * last.number))
         picture = export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")
         found.append((f"{label}, {frame.t:.3g} s", read_picture(picture)))
-    return found
+    return found, measure(recording.report())
 
 
 def measure(report: Mapping[str, Any]) -> dict[str, float]:
@@ -75,7 +76,7 @@ KIND = Kind(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
     scenes=partial(find_scenes, "contact"),
-    run_scene=partial(show_scene, draw=draw, measure=lambda recording: measure(recording.report())),
+    run_scene=partial(show_scene, look=look),
     differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "
     "vertex.",

@@ -6,9 +6,8 @@ import base64
 import io
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ import numpy as np
 import nuno
 from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
+from nuno.scene.scene_file import Loaded
 from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
@@ -80,35 +80,30 @@ class Kind:
     table: Callable[[Sequence[Shown]], Table] = list_measured
 
 
-@contextmanager
-def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
-    """Run a scene's file: its recording, None where there is none, a folder to work in, and why it failed."""
+Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapping[str, float]]]
+"""Takes a scene, its recording and a folder to work in; gives pictures by label, and what is measured."""
+
+
+def show_scene(path: Path, look: Look, whole: bool = False) -> Shown:
+    """Run a scene's file to its end, or to where it fails, and look at its recording, of a `whole` run alone if asked.
+
+    Raises BadInput.
+    """
+    loaded = scene_file.read(path)
+    shown = Shown(loaded.scene.name, loaded.scene.description)
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        target, failed = Path(folder) / f"{path.stem}.mcap", ""
+        target = Path(folder) / f"{path.stem}.mcap"
         try:
             nuno.run(path, record=target)
         except RunFailed as error:
-            failed = str(error).removesuffix(f"; recording kept in {target}")
-        if not target.is_file():
-            yield None, Path(folder), failed
-            return
+            shown = replace(shown, failed=str(error).removesuffix(f"; recording kept in {target}"))
+        if not target.is_file() or (whole and shown.failed):
+            return shown
         with open_recording(target) as recording:
-            yield recording, Path(folder), failed
-
-
-def show_scene(
-    path: Path,
-    draw: Callable[[Recording, Path], list[tuple[str, Picture]]],
-    measure: Callable[[Recording], dict[str, float]],
-) -> Shown:
-    """Run a scene's file to its end, or to where it fails: pictures by label that are drawn of what its recording
-    holds, with a folder to work in, and what is measured. Raises BadInput.
-    """
-    scene = scene_file.read(path).scene
-    with recorded(path) as (recording, folder, failed):
-        if recording is None or not recording.marks():
-            return Shown(scene.name, scene.description, failed=failed)
-        return Shown(scene.name, scene.description, draw(recording, folder), measure(recording), failed)
+            if not recording.marks():
+                return shown
+            pictures, measured = look(loaded, recording, Path(folder))
+            return replace(shown, pictures=pictures, measured=measured)
 
 
 def find_scenes(folder: str) -> dict[str, Path]:

@@ -15,10 +15,8 @@ from nuno.exports.cloth import read_frame, read_pieces
 from nuno.exports.pictures import Colour, export_picture
 from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import Recording
-from nuno.recording.recorded import Frame
-from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, Shown, find_scenes, read_picture, recorded
+from nuno_bench.gallery.kind import Difference, Kind, find_scenes, read_picture, show_scene
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int
 
@@ -71,26 +69,17 @@ DIFFERENCES = (
 )
 
 
-def run_scene(path: Path) -> Shown:
-    """Run one to its end, or to where it fails, and draw what its recording ends with. Raises BadInput."""
-    loaded = scene_file.read(path)
-    pictures: list[tuple[str, Picture]] = []
-    measured: dict[str, float] = {}
-    with recorded(path) as (recording, folder, failed):
-        if recording is not None and recording.marks():
-            report, frame = recording.report(), read_frame(recording)
-            if np.isfinite(frame.x).all():
-                pictures = _draw(loaded, recording, folder)
-                measured = _measure(loaded, _knitted(loaded, recording, frame, report), report)
-    return Shown(loaded.scene.name, loaded.scene.description, pictures, measured, failed)
-
-
-def _knitted(loaded: Loaded, recording: Recording, frame: Frame, report: Mapping[str, Any]) -> Knitted:
-    """The scene's first object at a frame; a recording names its kinds of yarn in its report alone."""
+def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """Draw what a recording ends with, and measure its first object; nothing of one that is not finite."""
+    report, frame = recording.report(), read_frame(recording)
+    if not np.isfinite(frame.x).all():
+        return [], {}
     config, piece = loaded.models[0].config.model_dump(), read_pieces(recording)[0]
     x = frame.x[piece.start : piece.stop].reshape(config["courses"] + 1, 2 * config["wales"], 3)
     kind = np.full(len(piece.edges), -1, np.int8) if piece.yarns is None else piece.yarns
-    return Knitted(x, piece.edges, piece.rest, kind, tuple(report.get("yarns", {})), config["form"] == "tube")
+    # A recording names its kinds of yarn in its report alone.
+    knit = Knitted(x, piece.edges, piece.rest, kind, tuple(report.get("yarns", {})), config["form"] == "tube")
+    return _draw(loaded, recording, folder), _measure(loaded, knit, report)
 
 
 def _measure(loaded: Loaded, knit: Knitted, report: Mapping[str, Any]) -> dict[str, float]:
@@ -201,7 +190,7 @@ KIND = Kind(
     lead="The knits that come with nuno: the knit paper's stitches, stretched, and its stocking on a leg, at rest; the "
     "pictures follow its figures.",
     scenes=partial(find_scenes, "knit"),
-    run_scene=run_scene,
+    run_scene=partial(show_scene, look=look),
     differences=DIFFERENCES,
     measures="Links by mean elongation; stitches over their area and pressure as means of 2 cm at each place.",
 )

@@ -39,14 +39,14 @@ TOLD = (
 )
 
 
-def draw(recording: Recording, folder: Path) -> list[tuple[str, Picture]]:
-    """Its end from all sides, by way of a file in a folder."""
+def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """Draw its end from all sides, by way of a file in a folder, and measure it."""
     found = []
     for label, azimuth in SIDES.items():
         changes = Changes(overrides=(f"view.azimuth={azimuth} deg",))
         picture = export_picture(recording, folder / "picture.png", None, SIZE, "cloth", changes)
         found.append((label, read_picture(picture)))
-    return found
+    return found, measure(recording)
 
 
 def measure(recording: Recording) -> dict[str, float]:
@@ -95,7 +95,7 @@ KIND = Kind(
     title="Sewn from patterns",
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
     scenes=partial(find_scenes, "sewn"),
-    run_scene=partial(show_scene, draw=draw, measure=measure),
+    run_scene=partial(show_scene, look=look),
     differences=(),
     alike=True,
     measures=TOLD,

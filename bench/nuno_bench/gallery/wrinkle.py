@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +15,10 @@ from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scene import scene_file, shipped
+from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, Shown, read_picture, recorded
+from nuno_bench.gallery.kind import Difference, Kind, read_picture, show_scene
+from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Bool, Float, Int, State
 
 NEAR = 0.06
@@ -42,20 +44,15 @@ def scenes() -> dict[str, Path]:
     return {name: known[name] for name in NAMES if name in known}
 
 
-def run_scene(path: Path) -> Shown:
-    """Run one to its end, or to where it fails, and draw its stages. Raises BadInput."""
-    loaded = scene_file.read(path)
-    shown = loaded.scene.name, loaded.scene.description
-    with recorded(path) as (recording, folder, failed):
-        if failed or recording is None:
-            return Shown(*shown, failed=failed)
-        frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
-        pictures = [
-            (f"{label}, {frame.t:.3g} s",
-             read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
-            for label, frame in frames.items()
-        ]  # fmt: skip
-        return Shown(*shown, pictures, _measure(recording, frames, loaded))
+def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """Draw the stages of a recording, and measure its lines."""
+    frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
+    pictures = [
+        (f"{label}, {frame.t:.3g} s",
+         read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
+        for label, frame in frames.items()
+    ]  # fmt: skip
+    return pictures, _measure(recording, frames, loaded)
 
 
 def _operations(loaded: Loaded) -> list[dict[str, Any]]:
@@ -181,7 +178,7 @@ KIND = Kind(
     title="Wrinkles",
     lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
     scenes=scenes,
-    run_scene=run_scene,
+    run_scene=partial(show_scene, look=look, whole=True),
     differences=DIFFERENCES,
     measures="Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along "
     "that chord, at half the height. Just drawn is as it is raised, before any step.",
