@@ -69,7 +69,7 @@ class Page:
         browser = psutil.Process(self._process.pid)
         for process in browser.children(recursive=True):
             with contextlib.suppress(psutil.Error):
-                machine.Others.besides += sum(process.cpu_times()[:2])
+                machine.OtherLoad.besides += sum(process.cpu_times()[:2])
         self._process.kill()
         self._process.wait()
 

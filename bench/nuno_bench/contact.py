@@ -22,8 +22,8 @@ from nuno_bench import machine, options
 from nuno_bench.piles import CLOTHS, Oracle, random_pile
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
-from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import Kept, require_kept
+from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
+from nuno_bench.sweep.storage import SweepFile, require_kept
 from nuno_schemas.errors import BadInput
 
 # One random scene, stepped to its end: in which frames cloth passes through cloth, by ipctk and by our own check.
@@ -32,7 +32,7 @@ Verdict = Literal["clean", "crossed", "disagrees", "failed", "refused", "crashed
 
 
 @dataclass(frozen=True)
-class Passed:
+class PileOutcome:
     """What came of a scene.
 
     fabrics, cloths  of its pieces: presets or `springs`; quads, triangles, irregular triangles or a skirt
@@ -78,11 +78,11 @@ class Passed:
         return self.cut / self.vertex_steps if self.vertex_steps else 0.0
 
 
-def run_pile(task: tuple[int, float]) -> Passed:
+def run_pile(task: tuple[int, float]) -> PileOutcome:
     """The scene of a seed, for a duration [s]. What goes wrong, whatever it raises, is a finding about the scene."""
     (seed, duration), begun = task, time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        found = Passed(seed)
+        found = PileOutcome(seed)
         try:
             path = random_pile(seed, duration, Path(folder))
             found = made_of(seed, scene_file.read(path).data)
@@ -95,7 +95,7 @@ def run_pile(task: tuple[int, float]) -> Passed:
     return replace(found, seconds=time.perf_counter() - begun)
 
 
-def made_of(seed: int, scene: dict[str, Any]) -> Passed:
+def made_of(seed: int, scene: dict[str, Any]) -> PileOutcome:
     """What a scene is made of, by its data."""
     models = [part["model"] for part in scene["objects"]]
     bodies = scene.get("bodies", [])
@@ -103,11 +103,11 @@ def made_of(seed: int, scene: dict[str, Any]) -> Passed:
     fabrics = {model["fabric"] if isinstance(model["fabric"], str) else "springs" for model in models}
     cloths = {model.get("cells", "skirt" if model["plugin"] == "skirt" else CLOTHS[-1]) for model in models}
     body = "wearer" if worn else bodies[0]["collider"]["plugin"] if bodies else "none"
-    return Passed(seed, scene["solver"]["plugin"], body, tuple(sorted(fabrics)), tuple(sorted(cloths)),
+    return PileOutcome(seed, scene["solver"]["plugin"], body, tuple(sorted(fabrics)), tuple(sorted(cloths)),
                   scene["frame_rate"])  # fmt: skip
 
 
-def watch(simulation: Simulation, found: Passed) -> Passed:
+def watch(simulation: Simulation, found: PileOutcome) -> PileOutcome:
     """Step to the end, or to where it stops, and look at every frame that would be published."""
     faces, number = simulation.fabric.faces, simulation.fabric.number
     oracle, mesh = Oracle(simulation.state.x, faces), mesh_of(faces)
@@ -147,7 +147,7 @@ LEAD = (
     "Random scenes by a seed: two or three pieces of random cloth fly at each other and at a body, under random wind, "
     "friction, thickness, solver and frame rate. Every frame is looked at by ipctk, and by our own check."
 )
-BY: Mapping[str, Callable[[Passed], Sequence[str]]] = {
+BY: Mapping[str, Callable[[PileOutcome], Sequence[str]]] = {
     "solver": lambda one: (one.solver,),
     "body": lambda one: (one.body,),
     "cloth": lambda one: one.cloths,
@@ -171,9 +171,9 @@ def main(args: argparse.Namespace) -> int:
     page.check_section(args.docs, "contact")
     if args.resume:
         require_kept([args.out / KEPT])
-    others, seeds = machine.Others(), args.seeds or list(range(1, args.count + 1))
+    others, seeds = machine.OtherLoad(), args.seeds or list(range(1, args.count + 1))
     say, identity = partial(print, file=sys.stderr), {"duration": args.duration, "versions": versions()}
-    with Kept(args.out / KEPT, identity, args.resume, say) as kept, open_executor(args) as where:
+    with SweepFile(args.out / KEPT, identity, args.resume, say) as kept, open_executor(args) as where:
         found = run_all(seeds, args.duration, kept, where, say)
     for table in count_tables(found):
         print(table.text(), end="\n\n")
@@ -185,21 +185,21 @@ def main(args: argparse.Namespace) -> int:
 
 
 def run_all(
-    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, say: Callable[[str], None]
-) -> list[Passed]:
+    seeds: Sequence[int], duration: float, kept: SweepFile, where: Executor, say: Callable[[str], None]
+) -> list[PileOutcome]:
     """What came of the scenes of all seeds, in their order; those that are kept are not run again."""
-    found = {one.seed: one for one in (Passed(**line) for line in kept.lines)}
+    found = {one.seed: one for one in (PileOutcome(**line) for line in kept.lines)}
     left = [(seed, duration) for seed in dict.fromkeys(seeds) if seed not in found]
     for (seed, _), one in where.run(run_pile, left):
-        if isinstance(one, BadInput | Lost):
-            one = Passed(seed, status="crashed", message=str(one))
+        if isinstance(one, BadInput | LostTask):
+            one = PileOutcome(seed, status="crashed", message=str(one))
         found[seed] = one
         kept.add(vars(one))
         say(f"{len(found)} of {len(seeds)}: {describe(one) or f'seed {seed}, {one.solver}: clean'}")
     return [found[seed] for seed in dict.fromkeys(seeds)]
 
 
-def keep(found: Sequence[Passed], duration: float, folder: Path) -> Path | None:
+def keep(found: Sequence[PileOutcome], duration: float, folder: Path) -> Path | None:
     """Write the scenes that went wrong or failed, each with its files; the folder, None where there is none."""
     wrong = [one for one in found if one.verdict != "clean"]
     for one in wrong:
@@ -208,7 +208,7 @@ def keep(found: Sequence[Passed], duration: float, folder: Path) -> Path | None:
     return folder if wrong else None
 
 
-def is_bad(one: Passed) -> bool:
+def is_bad(one: PileOutcome) -> bool:
     """Whether a scene shows a fault; a solver that gives up and says so is none."""
     return one.verdict not in ("clean", "failed")
 
@@ -217,7 +217,7 @@ def percent(value: float) -> str:
     return f"{100.0 * value:.2g} %"
 
 
-def counts_of(group: Sequence[Passed]) -> list[str]:
+def counts_of(group: Sequence[PileOutcome]) -> list[str]:
     """Of some scenes, under HEADINGS."""
     steps = sum(one.vertex_steps for one in group)
     return [
@@ -228,7 +228,7 @@ def counts_of(group: Sequence[Passed]) -> list[str]:
     ]  # fmt: skip
 
 
-def count_table(found: Sequence[Passed], by: str, caption: str = "") -> Table:
+def count_table(found: Sequence[PileOutcome], by: str, caption: str = "") -> Table:
     """A row for each of a kind, most scenes first, and one of all."""
     named = BY[by]
     names = sorted({name for one in found for name in named(one)})
@@ -237,11 +237,11 @@ def count_table(found: Sequence[Passed], by: str, caption: str = "") -> Table:
     return Table((by, *HEADINGS), [*rows, ["all", *counts_of(found)]], caption)
 
 
-def count_tables(found: Sequence[Passed]) -> list[Table]:
+def count_tables(found: Sequence[PileOutcome]) -> list[Table]:
     return [count_table(found, by, CAPTION if i == 0 else "") for i, by in enumerate(BY)]
 
 
-def describe(one: Passed) -> str:
+def describe(one: PileOutcome) -> str:
     """What is to be said of a scene that was not clean; empty of one that was."""
     if one.verdict == "clean":
         return ""
@@ -258,7 +258,7 @@ def listed(frames: Iterable[int], most: int = 5) -> str:
     return ", ".join([*map(str, numbers[:most]), *["..."] * (len(numbers) > most)]) or "none"
 
 
-def summary(found: Sequence[Passed]) -> str:
+def summary(found: Sequence[PileOutcome]) -> str:
     """The counts in a sentence."""
     frames, crossed = sum(one.frames for one in found), sum(len(one.crossed) for one in found)
     own, cut = sum(len(one.own) for one in found), [one.share for one in found]
@@ -271,7 +271,7 @@ def summary(found: Sequence[Passed]) -> str:
     )
 
 
-def scene_table(found: Iterable[Passed]) -> Table:
+def scene_table(found: Iterable[PileOutcome]) -> Table:
     """A line a scene."""
     rows = [
         [str(one.seed), one.solver, one.body, ", ".join(one.cloths), ", ".join(one.fabrics), f"{one.rate:g}",
@@ -284,7 +284,7 @@ def scene_table(found: Iterable[Passed]) -> Table:
     return Table(heads, rows, "Every scene; held: steps of held vertices that were cut short.")
 
 
-def report(found: Sequence[Passed], duration: float, about: Mapping[str, str]) -> Report:
+def report(found: Sequence[PileOutcome], duration: float, about: Mapping[str, str]) -> Report:
     """The page."""
     unclean = Table(
         ("verdict", "seed", "solver", "body", "frame", "why"),

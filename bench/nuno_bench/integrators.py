@@ -214,7 +214,7 @@ def main(args: argparse.Namespace) -> int:
     if not loaded.colliders or loaded.colliders[0].name != "skeleton":
         problem = "the comparison needs a skeleton as its first body"
         raise BadInput(problem, str(path), field="bodies.0", remedy="use skirt-paper")
-    others = machine.Others()
+    others = machine.OtherLoad()
     traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
     print(runs(traces).text())
     for claim, seen, verdict in compare_with_paper(traces):

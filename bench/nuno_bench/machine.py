@@ -24,7 +24,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Others:
+class OtherLoad:
     """Measures the share of the machine that other processes used during a measurement."""
 
     besides = 0.0
@@ -40,7 +40,7 @@ class Others:
         idle = all_times.idle + getattr(all_times, "iowait", 0.0)
         # Guests are counted within user and nice.
         guests = getattr(all_times, "guest", 0.0) + getattr(all_times, "guest_nice", 0.0)
-        return float(sum(all_times) - guests - idle - sum(own[:4])) - Others.besides
+        return float(sum(all_times) - guests - idle - sum(own[:4])) - OtherLoad.besides
 
     def share(self) -> float:
         """Return the share of all cores since the start, 0 to 1."""
@@ -59,7 +59,7 @@ def command() -> str:
     return "nuno " + shlex.join(sys.argv[1:])
 
 
-def about(others: Others, **more: str) -> dict[str, str]:
+def about(others: OtherLoad, **more: str) -> dict[str, str]:
     """Return the circumstances of a report, as text by name: command, `more`, machine, versions, other load.
 
     Call it after the kernels have run: numba knows its threading layer only then.

@@ -44,7 +44,7 @@ DYE_CHECKED = (64, 32, 16, 8, 4, 2, 1)
 
 
 @dataclass(frozen=True)
-class Compared:
+class ReferenceRuns:
     """The run that errors are measured against, an independent one, and how both were made."""
 
     run: Run
@@ -54,7 +54,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Reference(Compared):
+class Reference(ReferenceRuns):
     """That of a moving cloth: twin(disturbance) runs it again from disturbed positions (n, 3) [m]."""
 
     twin: Callable[[Float], Run]
@@ -187,7 +187,7 @@ def disturb(problem: Problem) -> Float:
     return result
 
 
-def refer(problem: AnyProblem, budget: float, say: Callable[[str], None]) -> tuple[Compared, Horizon]:
+def refer(problem: AnyProblem, budget: float, say: Callable[[str], None]) -> tuple[ReferenceRuns, Horizon]:
     """The reference, each run of which may take `budget` [s], and how long it can be predicted. Raises BadInput."""
     if isinstance(problem, DyeProblem):
         of_dye = make_dye_reference(problem, budget, say)
@@ -209,7 +209,7 @@ def find_horizon(problem: Problem, reference: Reference) -> Horizon:
     return Horizon(frames, float(t[frames - 1]), frames == len(t), float(apart[frames - 1] / DISTURBANCE), apart)
 
 
-def make_dye_reference(problem: DyeProblem, most_seconds: float, say: Callable[[str], None]) -> Compared:
+def make_dye_reference(problem: DyeProblem, most_seconds: float, say: Callable[[str], None]) -> ReferenceRuns:
     """The explicit scheme, extrapolated; its runs may take `most_seconds`, and those that check it as long again.
 
     The scheme's error is of first order in the step, so that 2 u(h / 2) - u(h) takes it away (Richardson 1911); what is
@@ -235,7 +235,7 @@ def make_dye_reference(problem: DyeProblem, most_seconds: float, say: Callable[[
     found = [_check_dye(problem, name, stable * finer, most_seconds, say) for name in others]
     checks = [one for one in found if one] or [(extrapolate(half, coarse), "the same at twice the step")]
     check, said = min(checks, key=lambda pair: float(np.abs(pair[0].series.x - run.series.x).max()))
-    return Compared(run, check, f"{how}, checked by {said}", coarse.seconds + fine.seconds + check.seconds)
+    return ReferenceRuns(run, check, f"{how}, checked by {said}", coarse.seconds + fine.seconds + check.seconds)
 
 
 def _check_dye(

@@ -26,8 +26,8 @@ from nuno_bench.reference import PRIMARY, tight
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, reason_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw
-from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import Kept, Packed, pack, require_kept, unpacked
+from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
+from nuno_bench.sweep.storage import PackedScene, SweepFile, pack, require_kept, unpacked
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
 
@@ -68,17 +68,17 @@ LONGEST = 0.1
 
 
 @dataclass(frozen=True)
-class Setting:
+class Variant:
     """What a row of points shares: a scene at a stiffness factor or a mesh of some size."""
 
-    scene: Packed
+    scene: PackedScene
     overrides: tuple[str, ...]
     axis: str
     value: float
 
 
 @dataclass(frozen=True)
-class Point:
+class MapPoint:
     """A step of a solver at a setting: its class, and the figures behind it.
 
     edge           of the shortest spring [m]
@@ -105,7 +105,7 @@ class Point:
         return 0.0 < self.limit < math.inf
 
 
-def pose(setting: Setting) -> Problem:
+def pose(setting: Variant) -> Problem:
     """The beginning of the scene at its stiffness or mesh. Raises BadInput."""
     with unpacked(setting.scene, [*setting.overrides, "allow_unstable=true"]) as loaded:
         problem = make_problem(loaded, threads=1)
@@ -175,11 +175,11 @@ def classify(path: Series, reference: Series) -> tuple[str, float, float]:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class StabilityMap:
     """A scene with its points in the order of settings and solvers, and what was left out, in words."""
 
     scene: str
-    points: Sequence[Point]
+    points: Sequence[MapPoint]
     omissions: Sequence[str]
 
 
@@ -202,14 +202,14 @@ def mesh_overrides(path: Path, overrides: Sequence[str], factor: float) -> list[
     return made
 
 
-def settings_of(path: Path, overrides: Sequence[str]) -> tuple[list[Setting], list[str]]:
+def settings_of(path: Path, overrides: Sequence[str]) -> tuple[list[Variant], list[str]]:
     """All settings of a scene, the middle ones first, and the names of what cannot be varied."""
     scene = pack(path, overrides)
-    found = [Setting(scene, (), "stiffness", value) for value in FACTORS]
+    found = [Variant(scene, (), "stiffness", value) for value in FACTORS]
     omissions = []
     try:
         for value in MESHES:
-            found.append(Setting(scene, tuple(mesh_overrides(path, overrides, value)), "mesh", value))
+            found.append(Variant(scene, tuple(mesh_overrides(path, overrides, value)), "mesh", value))
     except BadInput as error:
         omissions.append(f"the map over mesh sizes: {error.problem}")
     return sorted(found, key=lambda s: (abs(math.log(s.value)), s.axis)), omissions
@@ -225,7 +225,7 @@ def step_counts(frame: float, omega: float) -> list[int]:
 class Task:
     """The rows of some solvers at one setting: a point may take `most` seconds, all of them `left`."""
 
-    setting: Setting
+    setting: Variant
     solvers: tuple[str, ...]
     most: float
     left: float
@@ -235,18 +235,18 @@ class Task:
 
 
 def measure_all(
-    settings: Sequence[Setting],
+    settings: Sequence[Variant],
     solvers: Sequence[str],
-    kept: Kept,
+    kept: SweepFile,
     budget: float,
     executor: Executor,
     say: Callable[[str], None],
-) -> tuple[list[Point], list[str]]:
+) -> tuple[list[MapPoint], list[str]]:
     """All points, in the order of the settings and solvers, and what was left out.
 
     A solver's points at a setting are kept as they come, where none of them is left out.
     """
-    omissions, points = list[str](), [Point(**point) for line in kept.lines for point in line["points"]]
+    omissions, points = list[str](), [MapPoint(**point) for line in kept.lines for point in line["points"]]
     known = {(point.axis, point.value, point.solver) for point in points}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
@@ -258,7 +258,7 @@ def measure_all(
     tasks = (Task(s, names, most, deadline - time.monotonic()) for s, names in wanted.items() if names)
     for task, found in executor.run(measure_setting, tasks):
         say(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
-        if isinstance(found, BadInput | Lost):
+        if isinstance(found, BadInput | LostTask):
             why = found.problem if isinstance(found, BadInput) else found.reason
             omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")
             continue
@@ -275,7 +275,7 @@ def measure_all(
     return points, omissions
 
 
-def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
+def compile_all(setting: Variant, solvers: Sequence[str]) -> None:
     """One call of every solver: processes of this machine then load what this one compiled."""
     problem = pose(setting)
     for plugin in (registry.load(Problem.group, name) for name in (PRIMARY, *solvers)):
@@ -283,7 +283,7 @@ def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
 
-def measure_setting(task: Task) -> list[list[Point]]:
+def measure_setting(task: Task) -> list[list[MapPoint]]:
     """The points of each solver of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
@@ -297,25 +297,25 @@ def measure_setting(task: Task) -> list[list[Point]]:
 
 def measure_row(
     problem: Problem,
-    setting: Setting,
+    setting: Variant,
     solver: str,
     counts: Sequence[int],
     reference: Series,
     most: float,
     deadline: float,
-) -> list[Point]:
+) -> list[MapPoint]:
     """A point for each number of steps a frame, from long steps to short ones.
 
     A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
     """
     plugin = registry.load(Problem.group, solver)
-    config, points, each, limit = plugin.Config(), list[Point](), 0.0, math.nan
+    config, points, each, limit = plugin.Config(), list[MapPoint](), 0.0, math.nan
     with contextlib.suppress(BadInput, RunFailed):
         limit = problem.limit(plugin, config).dt
         problem.first_call(plugin, config, 1, 0)  # compiles
     for count in sorted(counts):
         dt, edge = problem.frame / count, shortest(problem.fabric)
-        point = Point(setting.axis, setting.value, edge, solver, limit, dt, "refused")
+        point = MapPoint(setting.axis, setting.value, edge, solver, limit, dt, "refused")
         if 2.0 * each > most or time.monotonic() > deadline:
             points.append(replace(point, outcome="left out", why="the budget of time"))
             continue
@@ -390,17 +390,17 @@ def _rows(args: argparse.Namespace, path: Path) -> Path:
     return folder / f"stability-{path.stem}.rows.jsonl"
 
 
-def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Executor) -> Mapped:
+def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Executor) -> StabilityMap:
     """One scene."""
     say = partial(print, f"{path.stem}:", file=sys.stderr)
-    others, base = machine.Others(), args.out / f"stability-{path.stem}"
+    others, base = machine.OtherLoad(), args.out / f"stability-{path.stem}"
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": list(solvers), "versions": versions()}
-    kept = Kept(_rows(args, path), identity, args.resume, say)
+    kept = SweepFile(_rows(args, path), identity, args.resume, say)
     say(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
     with kept:
         points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
-    found = Mapped(path.stem, points, [*omissions, *lost])
+    found = StabilityMap(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {summary(found)}")
     print(counts(points).text())
     for text in found.omissions:
@@ -410,14 +410,14 @@ def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Ex
     return found
 
 
-def summary(found: Mapped) -> str:
+def summary(found: StabilityMap) -> str:
     """Points in all, and of each class that occurs."""
     tally = Counter(point.outcome for point in found.points)
     kinds = ", ".join(f"{tally[name]} {name}" for name in CLASSES if tally[name])
     return f"{number(sum(tally.values()))} points: {kinds}" if tally else "no points"
 
 
-def counts(points: Sequence[Point]) -> Table:
+def counts(points: Sequence[MapPoint]) -> Table:
     """How many points fell into each class, by map and solver."""
     tally = Counter((point.axis, point.solver, point.outcome) for point in points)
     keys = sorted({key[:2] for key in tally})
@@ -425,7 +425,7 @@ def counts(points: Sequence[Point]) -> Table:
     return Table(("map", "solver", *CLASSES), rows, "Points of each class.")
 
 
-def beyond(points: Sequence[Point]) -> Table:
+def beyond(points: Sequence[MapPoint]) -> Table:
     """How the stated limits compare with the maps: points that were lost below, and above, out of all."""
     known = [p for p in points if p.limited and p.outcome not in ("left out", "refused")]
     tally = Counter((p.solver, p.dt > p.limit, p.outcome == "diverged") for p in known)
@@ -437,7 +437,7 @@ def beyond(points: Sequence[Point]) -> Table:
     return Table(("solver", "lost below its limit", "lost above it"), rows, "Points of all maps. Lost: diverged.")
 
 
-def maps(points: Sequence[Point], axis: str) -> list[Panel]:
+def maps(points: Sequence[MapPoint], axis: str) -> list[Panel]:
     """A panel a solver: its points over axis and step, each class a curve, and the limit that it states."""
     panels = []
     for solver in sorted({point.solver for point in points if point.axis == axis}):
@@ -457,18 +457,18 @@ def maps(points: Sequence[Point], axis: str) -> list[Panel]:
     return panels
 
 
-def _place(point: Point) -> float:
+def _place(point: MapPoint) -> float:
     """Where it stands: its factor, or the shortest spring [mm]."""
     return 1e3 * point.edge if point.axis == "mesh" else point.value
 
 
-def panels_by_tab(found: Mapped) -> dict[str, list[Panel]]:
+def panels_by_tab(found: StabilityMap) -> dict[str, list[Panel]]:
     """The panels by scene and kind of map, of those kinds that were mapped."""
     made = {f"{found.scene}, {axis}": maps(found.points, axis) for axis in AXES}
     return {name: panels for name, panels in made.items() if panels}
 
 
-def report(found: Mapped, about: Mapping[str, str]) -> Report:
+def report(found: StabilityMap, about: Mapping[str, str]) -> Report:
     """The page, all points, and the documentation's section."""
     made = {axis: maps(found.points, axis) for axis in AXES}
     said = "Classes over {} and the step. The black line is the limit that each solver states."

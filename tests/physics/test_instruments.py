@@ -155,9 +155,9 @@ def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
 @pytest.mark.full
 def test_drapes_are_the_same_one_after_another_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sheet, "EDGES", (0.03, 0.025))
-    told, rows = list[str](), list[list[sheet.Row]]()
+    told, rows = list[str](), list[list[sheet.SheetRow]]()
     for executor in (Executor(), Processes(2)):
-        rows.append(sheet.test(FABRIC, ["drape"], sheet.How(True, executor, told.append), {}).rows)
+        rows.append(sheet.test(FABRIC, ["drape"], sheet.TestOptions(True, executor, told.append), {}).rows)
         executor.close()
     assert rows[0] == rows[1] and len(rows[0]) == 3
     assert told[:3] == ["test 1 of 1: drape", "drape 1 of 2 is at rest", "drape 2 of 2 is at rest"]

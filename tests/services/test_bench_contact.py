@@ -17,10 +17,10 @@ from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import contact, piles
-from nuno_bench.contact import Passed, run_pile
+from nuno_bench.contact import PileOutcome, run_pile
 from nuno_bench.piles import BODIES, SOLVERS, Oracle, irregular_square, random_pile
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.storage import Kept
+from nuno_bench.sweep.storage import SweepFile
 
 SHORT = 0.1
 """Duration of a scene [s]."""
@@ -93,9 +93,9 @@ def test_what_passes_through_is_seen_named_kept_and_ends_the_command_with_1(
 def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = list[int]()
 
-    def ran(task: tuple[int, float]) -> Passed:
+    def ran(task: tuple[int, float]) -> PileOutcome:
         asked.append(task[0])
-        return Passed(task[0], "rk4", "box", ("denim",), ("quads",), crossed=[4] * (task[0] == 2))
+        return PileOutcome(task[0], "rk4", "box", ("denim",), ("quads",), crossed=[4] * (task[0] == 2))
 
     monkeypatch.setattr(contact, "run_pile", ran)
     flags = ["--jobs", "1", "--out", str(tmp_path)]
@@ -121,19 +121,19 @@ def test_both_checks_see_an_edge_through_a_triangle() -> None:
 @pytest.mark.parametrize(
     ("found", "verdict", "bad"),
     [
-        (Passed(1), "clean", False),
-        (Passed(1, crossed=[3], own=[3]), "crossed", True),
-        (Passed(1, crossed=[3]), "disagrees", True),
-        (Passed(1, status="diverged", message="vertex 3"), "failed", False),
-        (Passed(1, crossed=[3], own=[3], status="diverged"), "crossed", True),
-        (Passed(1, status="refused", message="no"), "refused", True),
-        (Passed(1, status="crashed", message="no"), "crashed", True),
+        (PileOutcome(1), "clean", False),
+        (PileOutcome(1, crossed=[3], own=[3]), "crossed", True),
+        (PileOutcome(1, crossed=[3]), "disagrees", True),
+        (PileOutcome(1, status="diverged", message="vertex 3"), "failed", False),
+        (PileOutcome(1, crossed=[3], own=[3], status="diverged"), "crossed", True),
+        (PileOutcome(1, status="refused", message="no"), "refused", True),
+        (PileOutcome(1, status="crashed", message="no"), "crashed", True),
     ],
 )
-def test_verdicts_follow_from_what_was_seen(found: Passed, verdict: str, bad: bool) -> None:
+def test_verdicts_follow_from_what_was_seen(found: PileOutcome, verdict: str, bad: bool) -> None:
     assert (found.verdict, contact.is_bad(found)) == (verdict, bad)
     assert bool(contact.describe(found)) == (verdict != "clean")
-    assert contact.keep([Passed(1)], 0.1, Path("nowhere")) is None
+    assert contact.keep([PileOutcome(1)], 0.1, Path("nowhere")) is None
 
 
 @pytest.mark.usefixtures("crossing")
@@ -142,15 +142,17 @@ def test_what_raises_is_a_finding_about_its_scene(tmp_path: Path, monkeypatch: p
         raise ZeroDivisionError("by hand")
 
     monkeypatch.setattr(Simulation, "step", broken)
-    kept = Kept(tmp_path / "kept.jsonl", {}, False, print)
+    kept = SweepFile(tmp_path / "kept.jsonl", {}, False, print)
     (found,) = contact.run_all([2], SHORT, kept, Executor(), lambda text: None)
     assert (found.verdict, found.message, found.frames) == ("crashed", "ZeroDivisionError: by hand", 0)
 
 
 def test_scenes_that_are_counted_are_all_in_the_tables() -> None:
     found = [
-        Passed(1, "rk4", "box", ("denim",), ("quads",), vertices=10, frames=5, vertex_steps=1000, cut=1),
-        Passed(2, "xpbd", "box", ("denim", "springs"), ("quads",), frames=5, crossed=[4], own=[4], vertex_steps=1000),
+        PileOutcome(1, "rk4", "box", ("denim",), ("quads",), vertices=10, frames=5, vertex_steps=1000, cut=1),
+        PileOutcome(
+            2, "xpbd", "box", ("denim", "springs"), ("quads",), frames=5, crossed=[4], own=[4], vertex_steps=1000
+        ),
     ]
     by_solver, by_body, _, by_fabric = contact.count_tables(found)
     assert [row[:4] for row in by_solver.rows] == [

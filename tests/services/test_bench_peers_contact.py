@@ -19,13 +19,13 @@ from nuno_bench.peers.pile import (
     SIDES,
     Pile,
     PileComparison,
-    Seen,
+    PileScore,
     five_sheets,
     look,
     own_answers,
     their_answers,
 )
-from nuno_bench.peers.process import Kind, Point
+from nuno_bench.peers.process import Engine, EnginePoint
 
 SMALL = tuple(f"objects.{i}.model.resolution=[5, 5]" for i in range(len(SIDES)))
 HERE = str(Path(__file__).parent)
@@ -128,20 +128,20 @@ def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     assert not k[~inner].any() and len(x) == sum(side * side for side in SIDES)
 
 
-def seen(*crossed: int) -> Seen:
-    return Seen(60, crossed, 0.05, 0.6)
+def seen(*crossed: int) -> PileScore:
+    return PileScore(60, crossed, 0.05, 0.6)
 
 
 def test_another_engine_is_held_against_our_fastest_with_no_more_crossings() -> None:
     points = [
-        Point("nuno-a", "loose", 1.0, (1.0,), seen(3, 4)),
-        Point("nuno-a", "tight", 1.0, (4.0,), seen()),
-        Point("newton-b", "clean", 1.0, (6.0, 2.0, 8.0), seen()),
-        Point("newton-b", "quick", 1.0, (2.0,), seen()),
-        Point("newton-c", "crosses", 1.0, (3.0,), seen(5, 6, 7)),
-        Point[Seen]("newton-c", "breaks", failure="not done after 9 s"),
+        EnginePoint("nuno-a", "loose", 1.0, (1.0,), seen(3, 4)),
+        EnginePoint("nuno-a", "tight", 1.0, (4.0,), seen()),
+        EnginePoint("newton-b", "clean", 1.0, (6.0, 2.0, 8.0), seen()),
+        EnginePoint("newton-b", "quick", 1.0, (2.0,), seen()),
+        EnginePoint("newton-c", "crosses", 1.0, (3.0,), seen(5, 6, 7)),
+        EnginePoint[PileScore]("newton-c", "breaks", failure="not done after 9 s"),
     ]
-    found = PileComparison([Kind(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
+    found = PileComparison([Engine(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
     rows = [row[-2:] for row in found.settings().rows]
     assert rows == [["", ""], ["", ""], ["1.5", "bar met"], ["0.5", "missed"], ["3", "bar met"], ["", "failed"]]
     assert found.verdicts() == [
@@ -158,8 +158,8 @@ def test_page_tells_crossings_and_who_is_left_out(
     pytest.importorskip("ipctk")
     settings = {"rests": {"depth": 0.0}, "sinks": {"depth": 0.06}}
     kinds = (
-        Kind("fake-sinks", "", "fake_engines", "Sinks", settings, "A pile."),
-        Kind("fake-none", "no_such_engine", "fake_engines", "Sinks", settings, "A pile."),
+        Engine("fake-sinks", "", "fake_engines", "Sinks", settings, "A pile."),
+        Engine("fake-none", "no_such_engine", "fake_engines", "Sinks", settings, "A pile."),
     )
     docs = tmp_path / "page.md"
     docs.write_text("before\n<!-- measured: peers contact -->\n<!-- end: peers contact -->\nafter\n")

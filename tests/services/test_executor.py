@@ -21,8 +21,8 @@ from line_net import write_net
 
 from nuno.cli import main
 from nuno_bench import stability
-from nuno_bench.sweep.executor import Cluster, Executor, Lost, Processes
-from nuno_bench.sweep.storage import Kept, pack, unpacked
+from nuno_bench.sweep.executor import Cluster, Executor, LostTask, Processes
+from nuno_bench.sweep.storage import SweepFile, pack, unpacked
 from nuno_bench.validation import command as validate
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -91,7 +91,7 @@ def test_a_task_that_always_loses_its_process_is_named_and_the_others_are_done(t
     found = dict(executor.run(sweep_tasks.die_at_first, tasks))
     executor.close()
     lost = found.pop(tasks[2])
-    assert isinstance(lost, Lost) and "lost twice" in lost.reason
+    assert isinstance(lost, LostTask) and "lost twice" in lost.reason
     assert sorted(map(str, found.values())) == ["0", "1", "3"]
     assert len((tmp_path / "always").read_text()) == 2
 
@@ -150,7 +150,7 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
 
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
     settings = [s for s in stability.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
-    kept = Kept(path.parent / "rows.jsonl", {}, False, print)
+    kept = SweepFile(path.parent / "rows.jsonl", {}, False, print)
     points, omissions = stability.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
     assert [text for text in omissions if "resolution" not in text] == []
     return [(p.axis, p.value, p.solver, p.dt, p.outcome, repr(p.error), repr(p.gained)) for p in points]

@@ -333,7 +333,7 @@ def test_a_measured_drape_is_held_against_the_virtual_one(tmp_path: Path, monkey
         return drape.Drape(0.65, 6, -1e-3, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
 
     monkeypatch.setattr(drape, "drape", hang)
-    quick, whole = (sheet.How(each, Executor(), lambda text: None) for each in (True, False))
+    quick, whole = (sheet.TestOptions(each, Executor(), lambda text: None) for each in (True, False))
     rows = sheet.test(fabric, ["drape"], quick, measured).rows
     assert set(hung) == {(0.12, 0.09)}
     assert [row.measured for row in rows] == [True, True, False]

@@ -18,11 +18,11 @@ from nuno.scene import scene_file
 from nuno.templates.garments import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
-from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed
+from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Gallery, ShownScene, compare, embed
 from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
 
-KINDS: dict[str, Kind] = {
+KINDS: dict[str, Gallery] = {
     "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
 }  # fmt: skip
 ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
@@ -52,11 +52,11 @@ def main(args: argparse.Namespace) -> int:
         return show(kind, args, section)
 
 
-def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
+def show(kind: Gallery, args: argparse.Namespace, section: str) -> int:
     """See main."""
-    others = machine.Others()
+    others = machine.OtherLoad()
     paths = choose(kind, args.scenes)
-    number, shown, pace = len(paths), list[Shown](), RuntimeEstimate({path.stem: 1.0 for path in paths})
+    number, shown, pace = len(paths), list[ShownScene](), RuntimeEstimate({path.stem: 1.0 for path in paths})
     if not kind.alike:
         print(
             f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True
@@ -88,13 +88,13 @@ def show(kind: Kind, args: argparse.Namespace, section: str) -> int:
     return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
 
 
-def _refused(path: Path, error: BadInput) -> Shown:
+def _refused(path: Path, error: BadInput) -> ShownScene:
     """A scene that would not start."""
     print(f"{path.stem}: {error}", file=sys.stderr, flush=True)
-    return Shown(path.stem, "", failed=str(error), refused=True)
+    return ShownScene(path.stem, "", failed=str(error), refused=True)
 
 
-def choose(kind: Kind, wanted: str | None) -> list[Path]:
+def choose(kind: Gallery, wanted: str | None) -> list[Path]:
     """The scenes' files, in their order. Raises BadInput for a name that none of them has."""
     known = kind.scenes()
     names = list(known) if wanted is None else options.names_of(wanted)
@@ -104,9 +104,9 @@ def choose(kind: Kind, wanted: str | None) -> list[Path]:
     return [path for name, path in known.items() if name in names]
 
 
-def report(kind: Kind, shown: Sequence[Shown], found: list[list[str]], about: dict[str, str]) -> page.Report:
+def report(kind: Gallery, shown: Sequence[ShownScene], found: list[list[str]], about: dict[str, str]) -> page.Report:
     """The page: pictures by section, what failed, what must show and what was measured."""
-    own: dict[str, list[Shown]] = {}
+    own: dict[str, list[ShownScene]] = {}
     for one in shown:
         own.setdefault(kind.section(one.name), []).append(one)
     lost = [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]
@@ -121,7 +121,7 @@ def report(kind: Kind, shown: Sequence[Shown], found: list[list[str]], about: di
     return page.Report(kind.title, kind.lead, sections, about, {}, [measured])
 
 
-def _pictures(kind: Kind, shown: Sequence[Shown]) -> list[page.Image]:
+def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
     """Those of one section, those that stand apart last; what a scene is stands below its first picture alone."""
     found = []
     for one in shown:

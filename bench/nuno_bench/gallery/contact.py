@@ -11,7 +11,7 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
+from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, read_picture, show_scene
 from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
 
@@ -63,7 +63,7 @@ def measure(report: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def table(shown: Sequence[Shown]) -> Table:
+def table(shown: Sequence[ShownScene]) -> Table:
     """A row a scene."""
     rows = [
         [one.name, *(number(one.measured[name]) for name in MEASURES), PUBLISHED.get(one.name, "")]
@@ -72,7 +72,7 @@ def table(shown: Sequence[Shown]) -> Table:
     return Table(("scene", *MEASURES, "published, a frame"), rows)
 
 
-KIND = Kind(
+KIND = Gallery(
     title="Cloth meets cloth",
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
     scenes=partial(find_scenes, "contact"),

@@ -11,7 +11,7 @@ from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, Shown
+from nuno_bench.gallery.kind import Difference, Gallery, ShownScene
 from nuno_bench.machine import cores
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Picture, amount_seen
@@ -60,7 +60,7 @@ def figure_of(name: str) -> int:
     return int("".join(c for c in name.removeprefix("fig").partition("-")[0] if c.isdigit()))
 
 
-def run_scene(path: Path) -> Shown:
+def run_scene(path: Path) -> ShownScene:
     """Run one to its end, or to where it fails. Raises BadInput."""
     loaded = scene_file.read(path)
     name, frames = loaded.scene.name, loaded.scene.frames
@@ -79,7 +79,7 @@ def run_scene(path: Path) -> Shown:
     if name in SEEN_FIXED:
         pictures.append((FIXED, _draw(painter, run, "fixed")))
     dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
-    return Shown(name, loaded.scene.description, pictures, {BALANCE: balance} | _measure(name, dyed), failed)
+    return ShownScene(name, loaded.scene.description, pictures, {BALANCE: balance} | _measure(name, dyed), failed)
 
 
 def _measure(name: str, dyed: Dyed) -> dict[str, float]:
@@ -205,7 +205,7 @@ def _around(amount: Float) -> tuple[Float, Float, Float]:
     return x, y, np.sign(np.abs(x) - np.abs(y))
 
 
-KIND = Kind(
+KIND = Gallery(
     title="Dyed cloth",
     lead="The figures of the dye paper, each from its row of the paper's table, and where its text says otherwise, "
     "from the text too.",

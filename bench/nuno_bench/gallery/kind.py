@@ -35,7 +35,7 @@ class Difference(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownScene:
     """A scene that has been run: its pictures, each with what it shows beside the scene's own, what was measured, by
     name and unit, why it failed, if it did, and whether it would not start.
     """
@@ -48,14 +48,14 @@ class Shown:
     refused: bool = False
 
 
-def list_measured(shown: Sequence[Shown]) -> Table:
+def list_measured(shown: Sequence[ShownScene]) -> Table:
     """A row a measure of each scene."""
     rows = [[one.name, what, number(value)] for one in shown for what, value in one.measured.items()]
     return Table(("scene", "measure", "value"), rows)
 
 
 @dataclass(frozen=True)
-class Kind:
+class Gallery:
     """Scenes that are shown on one page.
 
     scenes       their files by name, in the page's order
@@ -71,26 +71,26 @@ class Kind:
     title: str
     lead: str
     scenes: Callable[[], dict[str, Path]]
-    run_scene: Callable[[Path], Shown]
+    run_scene: Callable[[Path], ShownScene]
     differences: Sequence[Difference]
     measures: str
     section: Callable[[str], str] = str
     apart: str = ""
     alike: bool = False
-    table: Callable[[Sequence[Shown]], Table] = list_measured
+    table: Callable[[Sequence[ShownScene]], Table] = list_measured
 
 
 Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapping[str, float]]]
 """Takes a scene, its recording and a folder to work in; gives pictures by label, and what is measured."""
 
 
-def show_scene(path: Path, look: Look, whole: bool = False) -> Shown:
+def show_scene(path: Path, look: Look, whole: bool = False) -> ShownScene:
     """Run a scene's file to its end, or to where it fails, and look at its recording, of a `whole` run alone if asked.
 
     Raises BadInput.
     """
     loaded = scene_file.read(path)
-    shown = Shown(loaded.scene.name, loaded.scene.description)
+    shown = ShownScene(loaded.scene.name, loaded.scene.description)
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         target = Path(folder) / f"{path.stem}.mcap"
         try:
@@ -128,7 +128,7 @@ def embed(picture: Picture) -> str:
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
-def compare(differences: Sequence[Difference], shown: Mapping[str, Shown]) -> list[list[str]]:
+def compare(differences: Sequence[Difference], shown: Mapping[str, ShownScene]) -> list[list[str]]:
     """Rows under DIFFERENCE_HEADINGS, of those differences whose scenes have all been run.
 
     A difference shows where the ratio is EFFECT at least. A first value above 0 is infinitely many times a second one

@@ -16,7 +16,7 @@ from nuno.exports.pictures import Colour, export_picture
 from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import Recording
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, find_scenes, read_picture, show_scene
+from nuno_bench.gallery.kind import Difference, Gallery, find_scenes, read_picture, show_scene
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int
 
@@ -185,7 +185,7 @@ def _cells(knit: Knitted) -> tuple[Float, Float]:
     return np.asarray(area), np.asarray(0.25 * (a + b + c + d)[..., 1])
 
 
-KIND = Kind(
+KIND = Gallery(
     title="Knits",
     lead="The knits that come with nuno: the knit paper's stitches, stretched, and its stocking on a leg, at rest; the "
     "pictures follow its figures.",

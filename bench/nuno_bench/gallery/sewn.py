@@ -18,7 +18,7 @@ from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
-from nuno_bench.gallery.kind import Kind, Shown, find_scenes, read_picture, show_scene
+from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, read_picture, show_scene
 from nuno_bench.piles import Oracle
 from nuno_bench.report.page import Table, number
 from nuno_schemas.dye_picture import Picture
@@ -81,7 +81,7 @@ def _crosses(recording: Recording, loaded: Loaded) -> bool:
     return Oracle(x, np.concatenate([cloth, faces + len(x) - len(body)]).astype(np.int32), len(body)).crossed(x)
 
 
-def table(shown: Sequence[Shown]) -> Table:
+def table(shown: Sequence[ShownScene]) -> Table:
     """A row a scene."""
     rows = [[one.name, *(_told(one.measured[name]) for name in MEASURES)] for one in shown if one.measured]
     return Table(("scene", *MEASURES), rows)
@@ -91,7 +91,7 @@ def _told(value: float) -> str:
     return "-" if math.isnan(value) else number(value)
 
 
-KIND = Kind(
+KIND = Gallery(
     title="Sewn from patterns",
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
     scenes=partial(find_scenes, "sewn"),

@@ -17,7 +17,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Difference, Kind, read_picture, show_scene
+from nuno_bench.gallery.kind import Difference, Gallery, read_picture, show_scene
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Bool, Float, Int, State
 
@@ -174,7 +174,7 @@ def _cut(faces: Int, left: Bool, flat: Float, beside: Float) -> tuple[Float, Flo
     return ends[0], ends[1]
 
 
-KIND = Kind(
+KIND = Gallery(
     title="Wrinkles",
     lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
     scenes=scenes,

@@ -30,7 +30,7 @@ from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number
 from nuno_bench.report.plots import Curve, Panel
-from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor
+from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
 from nuno_cloth.fabrics.drapes import read_drape
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
@@ -65,7 +65,7 @@ folds at all edges, for one number of folds on several meshes tells what the mes
 
 
 @dataclass(frozen=True)
-class Row:
+class SheetRow:
     """A value found in a laboratory's unit, the standard it is by, and what is expected, NaN for nothing: by theory, or
     as it was `measured` of the cloth itself; `spread` the least and the greatest of several.
     """
@@ -98,7 +98,7 @@ class Sheet:
     a laboratory found of a drape, in the rows' units.
     """
 
-    rows: list[Row]
+    rows: list[SheetRow]
     loops: dict[str, loops.Loop]
     drapes: dict[Start, drape.Drape]
     measured: Mapping[str, float] = field(default_factory=dict)
@@ -110,7 +110,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class How:
+class TestOptions:
     """quick: coarser and fewer specimens; executor: where drapes are computed; say: takes what is done, in words"""
 
     quick: bool
@@ -126,7 +126,7 @@ def measures(fabric: object) -> Mapping[str, Any]:
     return found
 
 
-def test(fabric: object, wanted: list[str], how: How, measured: Mapping[str, float]) -> Sheet:
+def test(fabric: object, wanted: list[str], how: TestOptions, measured: Mapping[str, float]) -> Sheet:
     """All tests of these names, in their order, beside what was measured of a drape. Raises BadInput for what is no
     fabric, RunFailed where a test fails.
     """
@@ -137,12 +137,12 @@ def test(fabric: object, wanted: list[str], how: How, measured: Mapping[str, flo
     return sheet
 
 
-def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     found = loops.density(mount("cantilever", fabric))
-    sheet.rows.append(Row("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
+    sheet.rows.append(SheetRow("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
 
 
-def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     """At first: along the bias (C_w + C_f + 2 C_wf) / 4 + G, its shear (C_w + C_f - 2 C_wf) / 4."""
     warp, weft, shear = given["warp"], given["weft"], given["shear"]
     both = min(shear, math.sqrt(warp * weft))
@@ -150,13 +150,13 @@ def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
     slide = {"warp": shear, "bias": 0.25 * (warp + weft - 2.0 * both)}
     for name, expected in stiff.items():
         found = loops.stretch(fabric, DIRECTIONS[name])
-        sheet.rows.append(Row(f"tension, {name}", "KES-FB1, at first, width held", found, "N/m", expected))
+        sheet.rows.append(SheetRow(f"tension, {name}", "KES-FB1, at first, width held", found, "N/m", expected))
     for name, expected in slide.items():
         found = loops.shear(fabric, DIRECTIONS[name])
-        sheet.rows.append(Row(f"shear, {name}", "KES-FB1, at first", found, "N/m", expected))
+        sheet.rows.append(SheetRow(f"shear, {name}", "KES-FB1, at first", found, "N/m", expected))
 
 
-def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     warp, weft, twist = given["bend_warp"], given["bend_weft"], given["bend_twist"]
     both = given["bend_poisson"] * math.sqrt(warp * weft)
     rigid = {"warp": warp, "weft": weft, "bias": 0.25 * (warp + weft + 2.0 * both) + twist}
@@ -165,17 +165,19 @@ def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
     for name, angle in DIRECTIONS.items():
         loop = sheet.loops[name] = loops.bend(fabric, angle)
         by = "KES-FB2, width held"
-        sheet.rows.append(Row(f"rigidity B, {name}", by, 1e6 * loop.rigidity, "uN*m", 1e6 * rigid[name]))
+        sheet.rows.append(SheetRow(f"rigidity B, {name}", by, 1e6 * loop.rigidity, "uN*m", 1e6 * rigid[name]))
         if lost[name]:
             left, taken = min(0.5 * lost[name] / rigid[name], loops.MOST), 2.0 * lost[name] * loops.MOST
             opens = 180.0 * (1.0 - left / loops.MOST)
-            sheet.rows.append(Row(f"hysteresis 2HB, {name}", by, 1e3 * loop.hysteresis, "mN", 1e3 * lost[name]))
-            sheet.rows.append(Row(f"curvature left, {name}", by, loop.left, "1/m", left))
-            sheet.rows.append(Row(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
-            sheet.rows.append(Row(f"recovery angle, {name}", "as ISO 2313, from the loop", loop.recovery, "deg", opens))
+            sheet.rows.append(SheetRow(f"hysteresis 2HB, {name}", by, 1e3 * loop.hysteresis, "mN", 1e3 * lost[name]))
+            sheet.rows.append(SheetRow(f"curvature left, {name}", by, loop.left, "1/m", left))
+            sheet.rows.append(SheetRow(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
+            sheet.rows.append(
+                SheetRow(f"recovery angle, {name}", "as ISO 2313, from the loop", loop.recovery, "deg", opens)
+            )
 
 
-def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     """Peirce's length of cloth without friction: with it strips hang less."""
     free = 1.0 - given["bend_poisson"] ** 2
     strips = {"warp": free * given["bend_warp"], "weft": free * given["bend_weft"], "bias": given["bend_bias"]}
@@ -185,10 +187,10 @@ def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
         length = (rigidity / (given["density"] * G)) ** (1.0 / 3.0)
         edges = STRIP // 2 if how.quick else STRIP
         found = bending_length(overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
-        sheet.rows.append(Row(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))
+        sheet.rows.append(SheetRow(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))
 
 
-def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     """Of the fabric as if it bent alike along warp and weft, and so stiff in its plane that this does not bend first:
     what the closed form is for.
     """
@@ -202,10 +204,10 @@ def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> No
     for layout in ("irregular",) if how.quick else ("aligned", "crossed", "irregular"):
         found = buckling.tips_over(alike, strip, given["density"], LONG, NARROW, SLIM, layout=layout)
         by = f"w L^3 / B, {layout} mesh"
-        sheet.rows.append(Row("lateral buckling, as if isotropic", by, found, "", expected))
+        sheet.rows.append(SheetRow("lateral buckling, as if isotropic", by, found, "", expected))
 
 
-def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
     """Theory has no number, a laboratory may; the spread is over edges with and without folds at the start, and at one
     of the edges over seeds and over starts in folds.
     """
@@ -224,7 +226,7 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> 
     for start, one in how.executor.run(partial(_drape_from, fabric, radius, support), starts):
         if isinstance(one, BadInput):
             raise one
-        if isinstance(one, Lost):
+        if isinstance(one, LostTask):
             raise RunFailed(f"drapemeter: {one}")
         found[start] = one
         how.say(f"drape {len(found)} of {len(starts)} is at rest")
@@ -252,10 +254,10 @@ def _listed(values: Iterable[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def _spread(what: str, standard: str, values: list[float], unit: str, known: float = math.nan) -> Row:
+def _spread(what: str, standard: str, values: list[float], unit: str, known: float = math.nan) -> SheetRow:
     """Their mean, from the least to the greatest, and what is known of it by measurement."""
     spread = min(values), max(values)
-    return Row(what, standard, float(np.mean(values)), unit, known, spread, not math.isnan(known))
+    return SheetRow(what, standard, float(np.mean(values)), unit, known, spread, not math.isnan(known))
 
 
 def hang(fabric: object, length: float, edges: int, angle: float = 0.0, **model: Any) -> tuple[Float, Float]:
@@ -296,7 +298,7 @@ def bending_length(overhang: float) -> float:
     return 0.5 * overhang
 
 
-TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], How], None]] = {
+TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], TestOptions], None]] = {
     "weight": _weigh, "tension": _pull, "bending": _bend, "cantilever": _hang, "buckling": _tip, "drape": _drape,
 }  # fmt: skip
 
@@ -329,9 +331,9 @@ def main(args: argparse.Namespace) -> int:
     page.check_section(args.docs, section)
     if args.html is not None:
         plots.require_matplotlib()
-    others, given = machine.Others(), measures(fabric)
+    others, given = machine.OtherLoad(), measures(fabric)
     with open_executor(args) as where:
-        how = How(args.quick, where, lambda text: print(text, file=sys.stderr, flush=True))
+        how = TestOptions(args.quick, where, lambda text: print(text, file=sys.stderr, flush=True))
         found = test(fabric, wanted, how, measured)
     table = page.Table(HEADS, [cells(row) for row in found.rows], f"{name}: {given['source']}.")
     print(f"{table.caption}\n\n{table.text()}")
@@ -370,7 +372,7 @@ def _find_drape(given: object, path: Path, lines: Mapping[yaml_lines.Path, int])
         raise replace(error, file=str(path), line=line, field=f"measured.{error.field}") from None
 
 
-def cells(row: Row) -> list[str]:
+def cells(row: SheetRow) -> list[str]:
     expected, off = "", ""
     if not math.isnan(row.expected):
         expected = number(row.expected) + (", measured" if row.measured else "")

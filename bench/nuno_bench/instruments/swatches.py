@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if args.page is None:
         return presets.main(args)
-    others, chosen, swatches = machine.Others(), presets.choose(args.command, args.names), list[Swatch]()
+    others, chosen, swatches = machine.OtherLoad(), presets.choose(args.command, args.names), list[Swatch]()
     for i, preset in enumerate(chosen):
         print(f"{preset.name}, {i + 1} of {len(chosen)}", file=sys.stderr, flush=True)
         swatches.append(hang(preset))

@@ -14,7 +14,7 @@ from nuno_bench import machine, options
 from nuno_bench.peers.page import Comparison, SheetComparison, versions
 from nuno_bench.peers.pile import PileComparison, PileSolver, ask, five_sheets, look
 from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
-from nuno_bench.peers.process import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Kind, Point, S, measure
+from nuno_bench.peers.process import PILE_KINDS, SHEET_KINDS, SKIRT_KINDS, Engine, EnginePoint, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
 from nuno_bench.peers.skirt import DURATION, SkirtComparison, converge, hula_skirt
 from nuno_bench.peers.skirt import look as look_at_skirt
@@ -36,9 +36,9 @@ class Scene:
 
     says: str
     section: str
-    kinds: Sequence[Kind]
+    kinds: Sequence[Engine]
     require: Callable[[], None]
-    measure: Callable[[list[Kind], list[str], argparse.Namespace], Comparison[Any]]
+    measure: Callable[[list[Engine], list[str], argparse.Namespace], Comparison[Any]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
     kinds = choose(scene.kinds, args.only)
     left_out = leave_out(kinds, args.only)
     page.check_section(args.docs, scene.section)
-    others = machine.Others()
+    others = machine.OtherLoad()
     found = scene.measure(kinds, left_out, args)
     used = [kind.package for kind in kinds if kind.package and not kind.missing]
     for table in page.nonempty(found.tables()):
@@ -79,9 +79,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def points_of(
-    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], asked: argparse.Namespace,
+    kinds: Sequence[Engine], posed: object, score: Callable[[Float], S], asked: argparse.Namespace,
     seconds: float = SECONDS,
-) -> Iterator[Point[S]]:  # fmt: skip
+) -> Iterator[EnginePoint[S]]:  # fmt: skip
     """Of every kind that is installed, at all of its settings."""
     for kind in kinds:
         for name in () if kind.missing else kind.settings:
@@ -89,7 +89,7 @@ def points_of(
             yield measure(kind, name, posed, score, asked.repeats, asked.limit, seconds)
 
 
-def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> SheetComparison:
+def measure_sheet(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> SheetComparison:
     """Against the converged run of ours."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
@@ -99,7 +99,7 @@ def measure_sheet(kinds: list[Kind], left_out: list[str], asked: argparse.Namesp
     return SheetComparison(kinds, list(points_of(kinds, sheet, score, asked)), left_out, taken)
 
 
-def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> PileComparison:
+def measure_contact(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> PileComparison:
     """By the frames of every engine; and questions about ours."""
     pile = five_sheets()
     points = list(points_of(kinds, pile, partial(look, pile), asked))
@@ -110,7 +110,7 @@ def measure_contact(kinds: list[Kind], left_out: list[str], asked: argparse.Name
     return PileComparison(kinds, points, left_out, answers)
 
 
-def measure_skirt(kinds: list[Kind], left_out: list[str], asked: argparse.Namespace) -> SkirtComparison:
+def measure_skirt(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> SkirtComparison:
     """Against the converged run of ours, beside one that checks it."""
     print("the lead-in and the converged runs ...", file=sys.stderr)
     skirt = hula_skirt(asked.duration, threads=machine.cores())
@@ -123,16 +123,16 @@ def require_oracle() -> None:
     options.require_package("cloth is looked at by", "ipctk")
 
 
-def groups(kinds: Sequence[Kind]) -> dict[str, list[Kind]]:
+def groups(kinds: Sequence[Engine]) -> dict[str, list[Engine]]:
     """What a name of --only may stand for: an engine as a whole, or one way of its."""
-    found: dict[str, list[Kind]] = {}
+    found: dict[str, list[Engine]] = {}
     for kind in kinds:
         if (engine := kind.name.partition("-")[0]) != kind.name:
             found.setdefault(engine, []).append(kind)
     return found | {kind.name: [kind] for kind in kinds}
 
 
-def choose(kinds: Sequence[Kind], only: str | None) -> list[Kind]:
+def choose(kinds: Sequence[Engine], only: str | None) -> list[Engine]:
     """Kinds by their names, or by the engine's. Raises BadInput for any other name."""
     known, names = groups(kinds), options.names_of(only)
     options.require_known(names, known, "peer", "--only")
@@ -140,7 +140,7 @@ def choose(kinds: Sequence[Kind], only: str | None) -> list[Kind]:
     return [kind for kind in kinds if not names or kind in chosen]
 
 
-def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
+def leave_out(kinds: Sequence[Engine], only: str | None) -> list[str]:
     """Which are not installed and how they are, a sentence for each package, said before anything runs.
 
     Raises BadInput where the user asked for one by name.

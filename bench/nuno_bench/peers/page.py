@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Generic
 
 import numpy as np
 
-from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
-from nuno_bench.peers.process import Kind, Point, S
+from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, SheetScore
+from nuno_bench.peers.process import Engine, EnginePoint, S
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 
@@ -41,8 +41,8 @@ class Comparison(Generic[S]):
     A subclass has `title`, `judged`, a text on how points are judged, and the columns `measures` of a point's score.
     """
 
-    kinds: Sequence[Kind]
-    points: Sequence[Point[S]]
+    kinds: Sequence[Engine]
+    points: Sequence[EnginePoint[S]]
     left_out: Sequence[str]
     title: ClassVar[str]
     judged: ClassVar[str]
@@ -74,7 +74,7 @@ class Comparison(Generic[S]):
         """Return what is shown on the screen."""
         return [self.settings()]
 
-    def of(self, kind: Kind) -> list[Point[S]]:
+    def of(self, kind: Engine) -> list[EnginePoint[S]]:
         """Return the points of a kind, from coarse to fine."""
         return [point for point in self.points if point.kind == kind.name]
 
@@ -92,7 +92,7 @@ class Comparison(Generic[S]):
             rows.append([point.kind, point.setting, *cells, start, *judged])
         return Table(heads, rows, self.judged)
 
-    def times_ours(self, point: Point[S]) -> float | None:
+    def times_ours(self, point: EnginePoint[S]) -> float | None:
         """Return how many times as long another engine takes as our fastest whose score is no worse than its.
 
         None for ours, for what has no score, and where none of ours is as good; that one is faster is not said then.
@@ -102,7 +102,7 @@ class Comparison(Generic[S]):
         own = fastest(filter(is_ours, self.points), lambda one: self.no_worse(one, score))
         return point.median / own.median if own is not None else None
 
-    def judge(self, point: Point[S]) -> list[str]:
+    def judge(self, point: EnginePoint[S]) -> list[str]:
         """Return the texts under `judgement` of a point with a score: the bar is to take longer than ours."""
         if is_ours(point) or all(point.kind != kind.name for kind in self.kinds):
             return ["", ""]
@@ -135,17 +135,17 @@ class Comparison(Generic[S]):
         return Report(self.title, lead, sections, about, own, [said, *brief, self.notes(), posed])
 
 
-def fastest(points: Iterable[Point[S]], fits: Callable[[S], bool]) -> Point[S] | None:
+def fastest(points: Iterable[EnginePoint[S]], fits: Callable[[S], bool]) -> EnginePoint[S] | None:
     """Return the fastest of those that have a score, and one that fits."""
     kept = (point for point in points if point.score is not None and fits(point.score))
     return min(kept, key=lambda point: point.median, default=None)
 
 
-def is_ours(point: Point[Any]) -> bool:
+def is_ours(point: EnginePoint[Any]) -> bool:
     return point.kind.startswith("nuno-")
 
 
-def plain(point: Point[Any]) -> dict[str, Any]:
+def plain(point: EnginePoint[Any]) -> dict[str, Any]:
     """A point for JSON."""
     return vars(point) | {"median": point.median if point.seconds else None}
 
@@ -156,7 +156,7 @@ def versions(packages: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True)
-class SheetComparison(Comparison[Score]):
+class SheetComparison(Comparison[SheetScore]):
     """Of the sheet; and the wall time of the converged run [s]."""
 
     exact_seconds: float
@@ -165,14 +165,14 @@ class SheetComparison(Comparison[Score]):
     measures: ClassVar[tuple[str, ...]] = ("off [mm]", "strain", "peak")
     judgement: ClassVar[tuple[str, ...]] = ("verdict",)
 
-    def cells(self, score: Score) -> list[str]:
+    def cells(self, score: SheetScore) -> list[str]:
         return list(map(number, (1e3 * score.centre, round(score.strain, 3), round(score.peak, 4))))
 
-    def best(self, points: Iterable[Point[Score]]) -> Point[Score] | None:
+    def best(self, points: Iterable[EnginePoint[SheetScore]]) -> EnginePoint[SheetScore] | None:
         """Return the fastest that is accurate."""
         return fastest(points, lambda score: score.accurate)
 
-    def judge(self, point: Point[Score]) -> list[str]:
+    def judge(self, point: EnginePoint[SheetScore]) -> list[str]:
         if point.score is None or not point.score.accurate:
             return ["not accurate"]
         own = [one for one in self.points if one.kind == point.kind]

@@ -92,7 +92,7 @@ class Pile:
 
 
 @dataclass(frozen=True)
-class Seen:
+class PileScore:
     """What the published frames of a run show.
 
     frames   how many there are
@@ -114,13 +114,13 @@ def five_sheets(*overrides: str) -> Pile:
     return Pile(fabric.position.copy(), fabric.faces, fabric.mass, np.asarray(simulation.system.gravity, np.float64))
 
 
-def look(pile: Pile, frames: Float) -> Seen:
+def look(pile: Pile, frames: Float) -> PileScore:
     """At the positions (frames, n, 3) [m] that any engine has published. Needs ipctk."""
     oracle, ends = Oracle(pile.x, pile.faces), pile.edges
     crossed = tuple(number for number, x in enumerate(frames, 1) if oracle.crossed(x))
     longest = max(float((_lengths(x, ends) / _lengths(pile.x, ends)).max()) for x in frames)
     height = float(pile.mass @ frames[-1, :, 1] / pile.mass.sum())
-    return Seen(len(frames), crossed, longest - 1.0, height)
+    return PileScore(len(frames), crossed, longest - 1.0, height)
 
 
 def _lengths(x: Float, ends: Int) -> Float:
@@ -218,7 +218,7 @@ QUERIES = ("question", "of ours", "time [ms]", "min - max", "of ipctk", "time [m
 
 
 @dataclass(frozen=True)
-class PileComparison(Comparison[Seen]):
+class PileComparison(Comparison[PileScore]):
     """Of the pile; and what ipctk and ours take to answer questions."""
 
     answers: Sequence[Answer]
@@ -226,10 +226,10 @@ class PileComparison(Comparison[Seen]):
     judged: ClassVar[str] = JUDGED
     measures: ClassVar[tuple[str, ...]] = ("crossed", "stretch [%]", "height [mm]")
 
-    def cells(self, score: Seen) -> list[str]:
+    def cells(self, score: PileScore) -> list[str]:
         return list(map(number, (len(score.crossed), 100 * score.stretch, 1e3 * score.height)))
 
-    def no_worse(self, one: Seen, other: Seen) -> bool:
+    def no_worse(self, one: PileScore, other: PileScore) -> bool:
         return len(one.crossed) <= len(other.crossed)
 
     def tables(self) -> list[Table]:

@@ -64,7 +64,7 @@ class Peer(Protocol):
 
 
 @dataclass(frozen=True)
-class Score:
+class SheetScore:
     """How far an end is from the converged one: the centre of mass [m], the mean strain as a share of the
     converged run's, and the largest strain of any spring.
     """
@@ -83,11 +83,11 @@ class Score:
         return self.centre <= CENTRE and not self.stretched
 
 
-def judge(sheet: Sheet, x: Float, exact: Float) -> Score:
+def judge(sheet: Sheet, x: Float, exact: Float) -> SheetScore:
     """Both (n, 3) [m]."""
     own, other = _strains(sheet, x), _strains(sheet, exact)
     centre = np.linalg.norm(sheet.mass @ (x - exact)) / sheet.mass.sum()
-    return Score(float(centre), float(own.mean() / other.mean()), float(own.max()))
+    return SheetScore(float(centre), float(own.mean() / other.mean()), float(own.max()))
 
 
 def _strains(sheet: Sheet, x: Float) -> Float:

@@ -39,7 +39,7 @@ OWN_SKIRT = f"{SAME_SKIRT}The skirt's own springs, dampers and hinges. "
 
 
 @dataclass(frozen=True)
-class Kind:
+class Engine:
     """One way to step what is posed.
 
     name      as it is shown, and as --only takes it
@@ -61,7 +61,7 @@ class Kind:
         return bool(self.package and options.missing_package(self.package))
 
 
-def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Kind:
+def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Engine:
     """Our `solver`, what it is given beside `dt`, and what that may be: auto, or a number of steps a frame."""
     module, _, made = place.rpartition(".")
     before = "dt " if made == "Nuno" else ""
@@ -69,7 +69,7 @@ def _nuno(place: str, posed: str, solver: str, given: str, *steps: str) -> Kind:
     for step in steps:
         name, dt = ("dt auto", "auto") if step == "auto" else (f"{before}{step} a frame", repr(1 / RATE / int(step)))
         settings[f"{given}{name}"] = {"solver": f"plugin: {solver}, {given}dt: {dt}"}
-    return Kind(f"nuno-{solver}", "", f"nuno_bench.peers.{module}", made, settings, posed)
+    return Engine(f"nuno-{solver}", "", f"nuno_bench.peers.{module}", made, settings, posed)
 
 
 def _at(rate: int, **more: int) -> dict[str, Setting]:
@@ -83,13 +83,13 @@ def _in(steps: int, iterations: int, said: str = "", **more: bool) -> dict[str, 
     return {name: {"substeps": steps, "iterations": iterations, **more}}
 
 
-def _engine(module: str, made: str, settings: Mapping[str, Setting], posed: str) -> Kind:
+def _engine(module: str, made: str, settings: Mapping[str, Setting], posed: str) -> Engine:
     package = module.rpartition("_")[2]
-    return Kind(f"{package}-{made.lower()}", package, f"nuno_bench.peers.{module}", made, settings, posed)
+    return Engine(f"{package}-{made.lower()}", package, f"nuno_bench.peers.{module}", made, settings, posed)
 
 
 SHEET_KINDS = (
-    Kind("nuno-auto", "", "nuno_bench.peers.python", "Nuno",
+    Engine("nuno-auto", "", "nuno_bench.peers.python", "Nuno",
          {f"accuracy {one}": {"solver": "plugin: auto", "accuracy": one} for one in ("preview", "normal")},
          f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."),
     _nuno("python.Nuno", KERNELS, "symplectic_euler", "", "auto", "240"),
@@ -97,9 +97,9 @@ SHEET_KINDS = (
     _nuno("python.Nuno", KERNELS, "dopri5", "tolerance: 1e-6, ", "auto"),
     _nuno("python.Nuno", KERNELS, "tr_bdf2", "residual: 1e-2, ", "1", "2", "4"),
     _nuno("python.Nuno", KERNELS, "implicit_euler", "residual: 1e-2, ", "1", "4"),
-    Kind("numpy", "", "nuno_bench.peers.python", "NumPy", _at(7500) | _at(15000),
+    Engine("numpy", "", "nuno_bench.peers.python", "NumPy", _at(7500) | _at(15000),
          f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
-    Kind("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
+    Engine("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
          {f"{method}, tolerance {rtol:.0e}": {"method": method, "rtol": rtol}
           for method, rtol in (("RK45", 1e-3), ("RK45", 1e-5), ("DOP853", 1e-4))},
          f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their "
@@ -132,7 +132,7 @@ PILE_KINDS = (
             f"{SAME_PILE}Baraff and Witkin's triangles of the cloth's tension and shear, not narrowing; quadratic "
             "bending of their folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm "
             "unless a part of the solver is changed, as it is here but for a row."),
-    Kind("ipctk", "ipctk", "", "", {},
+    Engine("ipctk", "ipctk", "", "", {},
          "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
 )  # fmt: skip
 SKIRT_KINDS = (
@@ -160,7 +160,7 @@ ENOUGH = 1 / 3
 
 
 @dataclass(frozen=True)
-class Point(Generic[S]):
+class EnginePoint(Generic[S]):
     """One engine at one setting, with a score of the kind S.
 
     start     from a fresh process to the first step: imports, the model, compiling [s]
@@ -183,9 +183,9 @@ class Point(Generic[S]):
 
 
 def measure(
-    kind: Kind, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float,
+    kind: Engine, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float,
     simulated: float = SECONDS,
-) -> Point[S]:  # fmt: skip
+) -> EnginePoint[S]:  # fmt: skip
     """Run its setting of this name in a process of its own, ended after `limit` [s].
 
     `posed` is what the engine is made with, and `judge` scores what it advances to in `simulated` [s], or raises
@@ -213,16 +213,16 @@ def measure(
     start = next((line["start"] for line in messages if "start" in line), None)
     done = [line for line in messages if "seconds" in line]
     if not done:
-        return Point(kind.name, name, start, failure=failure)
+        return EnginePoint(kind.name, name, start, failure=failure)
     # What broke while it repeated itself has been measured all the same.
     remark = f"a repeat: {failure}" if failure else done[0]["remark"]
-    point = Point[S](kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
+    point = EnginePoint[S](kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
     if not np.isfinite(x := done[0]["x"]).all():
-        return Point(**vars(point) | {"failure": "positions are no longer finite"})
+        return EnginePoint(**vars(point) | {"failure": "positions are no longer finite"})
     try:
-        return Point(**vars(point) | {"score": judge(x)})
+        return EnginePoint(**vars(point) | {"score": judge(x)})
     except RunFailed as error:
-        return Point(**vars(point) | {"failure": str(error)})
+        return EnginePoint(**vars(point) | {"failure": str(error)})
 
 
 def work(

@@ -25,7 +25,7 @@ from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Comparison, fastest, is_ours, plain
 from nuno_bench.peers.pile import PileSolver
 from nuno_bench.peers.problem import RATE, Sheet
-from nuno_bench.peers.process import Point
+from nuno_bench.peers.process import EnginePoint
 from nuno_bench.peers.python import plain_sheet
 from nuno_bench.piles import Oracle
 from nuno_bench.report.page import Figure, Image, Pictures, Report, Sections, number
@@ -112,7 +112,7 @@ class Skirt(Sheet):
 
 
 @dataclass(frozen=True)
-class Seen:
+class SkirtScore:
     """What the frames of a run show.
 
     frames    (frames, n, 3) [m]
@@ -168,7 +168,7 @@ def hula_skirt(seconds: float, lead: float | None = None, overrides: tuple[str, 
     )  # fmt: skip
 
 
-def look(skirt: Skirt, frames: Float, exact: Float) -> Seen:
+def look(skirt: Skirt, frames: Float, exact: Float) -> SkirtScore:
     """At positions (frames, n, 3) [m] that any engine has published, beside those of the converged run.
 
     Raises RunFailed where they have diverged. Looked at all the same, cloth that is metres long crosses itself at so
@@ -185,7 +185,7 @@ def look(skirt: Skirt, frames: Float, exact: Float) -> Seen:
     hem = frames[:, -skirt.columns :]
     crossed = tuple(number for number, x in enumerate(frames, 1) if len(find_crossings(x, mesh).edges))
     deep = [_in_body(skirt, x, mesh.edges, poses) for x, poses in zip(frames, skirt.poses[1:], strict=True)]
-    return Seen(
+    return SkirtScore(
         frames, tuple(off.tolist()), float(hem[..., 1].mean()),
         float(np.linalg.norm((hem - hem.mean(axis=1, keepdims=True))[..., [0, 2]], axis=2).mean()),
         float(longest.max()) - 1.0, crossed, _by_ipctk(skirt, frames),
@@ -225,18 +225,18 @@ class SkirtSolver(PileSolver):
         self.simulation.present()
 
 
-def converge(skirt: Skirt, seconds: float) -> tuple[Float, list[Point[Seen]]]:
+def converge(skirt: Skirt, seconds: float) -> tuple[Float, list[EnginePoint[SkirtScore]]]:
     """Frames (frames, n, 3) [m] of the converged run; it, and one of half as many steps that checks it, as points.
 
     Errors mean little below what the two are apart. Raises RuntimeError where one breaks down.
     """
-    runs, found = list[Float](), list[Point[Seen]]()
+    runs, found = list[Float](), list[EnginePoint[SkirtScore]]()
     for name, steps in zip(("converged", "check"), FINE, strict=True):
         engine, begin = SkirtSolver(skirt, f"plugin: {CONVERGED}, dt: {1.0 / RATE / steps!r}"), time.perf_counter()
         runs.append(engine.advance(seconds))
         taken = time.perf_counter() - begin
         setting = f"{CONVERGED}, {steps} steps a frame"
-        found.append(Point(name, setting, seconds=(taken,), score=look(skirt, runs[-1], runs[0])))
+        found.append(EnginePoint(name, setting, seconds=(taken,), score=look(skirt, runs[-1], runs[0])))
     return runs[0], found
 
 
@@ -258,7 +258,7 @@ LEGEND = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1],
 
 
 @dataclass(frozen=True)
-class SkirtComparison(Comparison[Seen]):
+class SkirtComparison(Comparison[SkirtScore]):
     """Of the skirt, the points of the converged run and its check first; and what was posed."""
 
     skirt: Skirt
@@ -273,16 +273,16 @@ class SkirtComparison(Comparison[Seen]):
     def seconds(self) -> float:
         return self.skirt.frames / RATE
 
-    def cells(self, score: Seen) -> list[str]:
+    def cells(self, score: SkirtScore) -> list[str]:
         figures = (100 * score.off[-1], 1e3 * score.hem, 1e3 * score.radius, 100 * score.stretch, len(score.crossed))
         inside = [f"{each[-1]}, {max(each)}" for each in (score.edges, score.vertices)]
         by_ipctk = "" if score.ipctk is None else str(score.ipctk)
         return [*map(number, figures), by_ipctk, *inside, number(1e3 * score.depth)]
 
-    def no_worse(self, one: Seen, other: Seen) -> bool:
+    def no_worse(self, one: SkirtScore, other: SkirtScore) -> bool:
         return one.off[-1] <= other.off[-1]
 
-    def nearest(self) -> list[Point[Seen]]:
+    def nearest(self) -> list[EnginePoint[SkirtScore]]:
         """Of the converged run and every kind that has a score, the point that ends nearest to it."""
         names = ["converged", *(kind.name for kind in self.kinds)]
         scored = [[p for p in self.points if p.kind == name and p.score is not None] for name in names]
@@ -338,7 +338,7 @@ class SkirtComparison(Comparison[Seen]):
                             begin_s=skirt.begin)  # fmt: skip
 
 
-def end_of(seen: Seen | None) -> float:
+def end_of(seen: SkirtScore | None) -> float:
     """How far the end is off, as a share of the cloth's size."""
     return seen.off[-1] if seen is not None else np.inf
 

@@ -27,7 +27,7 @@ from nuno.solver_selection.trials import GROWTH
 from nuno_bench import machine, options
 from nuno_bench.piles import random_scene
 from nuno_bench.problem import AnyProblem, DyeProblem, Run, pose
-from nuno_bench.reference import DISTURBANCE, Compared, Horizon, refer
+from nuno_bench.reference import DISTURBANCE, Horizon, ReferenceRuns, refer
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Table
 from nuno_schemas.errors import BadInput
@@ -49,7 +49,7 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class Delivered:
+class DeliveredAccuracy:
     """One scene at one level: promise and error, up to the time that the promise goes, and what it took.
 
     Both are shares of the cloth's size, or of the largest amount of dye. floor is what the reference itself is known
@@ -98,7 +98,7 @@ def main(args: argparse.Namespace) -> int:
     if not levels or (not args.scenes and args.random < 0):
         raise BadInput("nothing to measure", remedy="name a level and a scene")
     page.check_section(args.docs, "accuracy")
-    others, found = machine.Others(), list[Delivered]()
+    others, found = machine.OtherLoad(), list[DeliveredAccuracy]()
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         for path in _paths(args, Path(folder)):
             found += measure_scene(path, args.duration, levels, args.budget, args.solver)
@@ -130,7 +130,7 @@ def _paths(args: argparse.Namespace, folder: Path) -> list[Path]:
 
 def measure_scene(
     path: Path, duration: str, levels: Sequence[str], budget: float, solver: str = "auto"
-) -> list[Delivered]:
+) -> list[DeliveredAccuracy]:
     """All levels of a scene against one reference. Raises BadInput where there is none."""
     dyed = scene_file.read(path).solver is None
     chosen = [f"dye.solver={solver}" if dyed else f"solver={solver}", f"duration={duration}"]
@@ -147,7 +147,9 @@ def promised_frames(horizon: Horizon) -> int:
     return max(2, int(lost[0])) if lost.size else len(horizon.distance)
 
 
-def _level(problem: AnyProblem, reference: Compared, frames: int, path: Path, overrides: Sequence[str]) -> Delivered:
+def _level(
+    problem: AnyProblem, reference: ReferenceRuns, frames: int, path: Path, overrides: Sequence[str]
+) -> DeliveredAccuracy:
     decided = decide(scene_file.read(path, overrides))
     accuracy: Accuracy = next(level for level in PROMISE if f"accuracy={level}" in overrides)
     if decided.dye is not None and isinstance(problem, DyeProblem):
@@ -161,8 +163,10 @@ def _level(problem: AnyProblem, reference: Compared, frames: int, path: Path, ov
     run = problem.run(plugin, config, steps)
     error, floor = (_apart(problem, one, reference.run, frames) for one in (run, reference.check))
     until = (frames - 1) * problem.frame
-    return Delivered(problem.loaded.scene.name, accuracy, name, steps, promise, error, floor, until, run.seconds,
-                     decided.why, within)  # fmt: skip
+    scene, why = problem.loaded.scene.name, decided.why
+    return DeliveredAccuracy(
+        scene, accuracy, name, steps, promise, error, floor, until, run.seconds, why, within
+    )  # fmt: skip
 
 
 def _apart(problem: AnyProblem, run: Run, exact: Run, frames: int) -> float:

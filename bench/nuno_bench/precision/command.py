@@ -21,14 +21,14 @@ from nuno.scene.scene_file import Loaded
 from nuno.solver_selection.cloth import decide
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
-from nuno_bench.precision.settings import Own, add_own, choose_solvers
+from nuno_bench.precision.settings import OwnSettings, add_own, choose_solvers
 from nuno_bench.precision.sweep import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
     Error,
-    Point,
     Runner,
+    SolverPoint,
     Sweep,
     by_solver,
     choice_rows,
@@ -44,7 +44,7 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
 from nuno_bench.sweep.executor import versions
-from nuno_bench.sweep.storage import Kept, require_kept
+from nuno_bench.sweep.storage import SweepFile, require_kept
 from nuno_schemas.errors import BadInput
 
 # What `nuno bench precision` shows: one set of tables and panels for page, screen, documentation and rerun file.
@@ -89,7 +89,7 @@ class Findings:
     horizon: Horizon
     how: str
     about: Mapping[str, str]
-    own: Own
+    own: OwnSettings
     shown: Sequence[str] = ()
 
     @property
@@ -97,7 +97,7 @@ class Findings:
         return str(self.problem.loaded.scene.name)
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[SolverPoint]:
         return self.sweep.points
 
     @property
@@ -116,7 +116,7 @@ class Findings:
         return describe_own(self.own, self.sweep, name, self.floors[name].l2)
 
 
-def describe_own(own: Own, sweep: Sweep, quantity: str, floor: float) -> str:
+def describe_own(own: OwnSettings, sweep: Sweep, quantity: str, floor: float) -> str:
     """What the scene's own step costs and delivers in a quantity, and one twice as large, in one sentence."""
     if not own.setting:
         return f"This scene as it is ({own.solver}) has no point: {own.why}."
@@ -132,7 +132,14 @@ def describe_own(own: Own, sweep: Sweep, quantity: str, floor: float) -> str:
     return said
 
 
-def _result(point: Point | None, setting: str, own: Own, sweep: Sweep, quantity: str, base: Point | None = None) -> str:
+def _result(
+    point: SolverPoint | None,
+    setting: str,
+    own: OwnSettings,
+    sweep: Sweep,
+    quantity: str,
+    base: SolverPoint | None = None,
+) -> str:
     """Error and run time of a point, with what multiples of the base point's they are; or why it has none."""
     if point is None:
         reasons = (one.reason for one in sweep.omitted if one.solver == own.solver and one.setting in ("", setting))
@@ -219,7 +226,7 @@ def every_point(found: Findings) -> Table:
     return Table(["solver", "setting", "outcome", "time [s]", "min - max", *names], rows, ERRORS)
 
 
-def _time(point: Point) -> str:
+def _time(point: SolverPoint) -> str:
     return number(point.median) if point.seconds else ""
 
 
@@ -273,7 +280,7 @@ def tabs(found: Findings) -> dict[str, list[Panel]]:
     return {f"{found.scene}, {name}": both for name, both in panels.items()}
 
 
-def _rows(point: Point) -> list[dict[str, Any]]:
+def _rows(point: SolverPoint) -> list[dict[str, Any]]:
     """A line per quantity, with the step [s] and its share of the stability limit, or the tolerance; one where there is
     none.
     """
@@ -396,9 +403,9 @@ def _own(text: str | None, known: Collection[str]) -> list[str]:
 def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     say = partial(print, f"{loaded.scene.name}:", file=sys.stderr)
-    others, path = machine.Others(), args.out / f"precision-{loaded.scene.name}.jsonl"
+    others, path = machine.OtherLoad(), args.out / f"precision-{loaded.scene.name}.jsonl"
     digest = hashlib.blake2b(json.dumps(loaded.data, sort_keys=True, default=str).encode(), digest_size=16).hexdigest()
-    kept = Kept(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume, say)
+    kept = SweepFile(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume, say)
     say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
          f"from {path}")  # fmt: skip
     problem = pose(loaded)

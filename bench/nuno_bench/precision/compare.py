@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno_bench import machine, options
-from nuno_bench.precision.sweep import ABOVE, POINT, Point
+from nuno_bench.precision.sweep import ABOVE, POINT, SolverPoint
 from nuno_bench.report.page import Report, Table, apart, factor, number
 from nuno_schemas.errors import BadInput
 
@@ -23,17 +23,17 @@ HEADINGS = (
 
 
 @dataclass(frozen=True)
-class Result:
+class SweepResult:
     """A sweep as it was written: its points by solver and setting, its floors by quantity."""
 
     scene: str
-    points: Mapping[tuple[str, str], Point]
+    points: Mapping[tuple[str, str], SolverPoint]
     floors: Mapping[str, float]
     about: Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Change:
+class PointChange:
     """One point in both results: its errors and times in A and in B, where it has any.
 
     quantity  that whose error changed most
@@ -80,13 +80,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def read(path: Path) -> Result:
+def read(path: Path) -> SweepResult:
     """A result that `nuno bench precision` wrote. Raises BadInput for any other file."""
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
         points = [POINT.validate_python(point) for point in data["points"]]
         floors = {name: float(floor["l2"]) for name, floor in data["reference"]["floors"].items()}
-        return Result(str(data["scene"]), {point.key: point for point in points}, floors, dict(data["about"]))
+        return SweepResult(str(data["scene"]), {point.key: point for point in points}, floors, dict(data["about"]))
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -94,13 +94,13 @@ def read(path: Path) -> Result:
         raise BadInput("no result of a precision sweep", str(path), remedy=remedy) from None
 
 
-def compare(first: Result, second: Result) -> list[Change]:
+def compare(first: SweepResult, second: SweepResult) -> list[PointChange]:
     """All points that both have, in the first one's order."""
     floors = {name: max(floor, second.floors.get(name, 0.0)) for name, floor in first.floors.items()}
     return [_change(a, second.points[key], floors) for key, a in first.points.items() if key in second.points]
 
 
-def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
+def _change(a: SolverPoint, b: SolverPoint, floors: Mapping[str, float]) -> PointChange:
     found = {name: (a.errors[name].l2, b.errors[name].l2) for name in a.errors if name in b.errors}
     # An error that both have below the floor is known in neither.
     known = {name: pair for name, pair in found.items() if max(pair) > ABOVE * floors.get(name, 0.0)}
@@ -111,10 +111,10 @@ def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
     if apart(a.seconds, b.seconds):
         changed.append("time")
     times = (a.median, b.median) if a.seconds and b.seconds else None
-    return Change(a.key, quantity, known.get(quantity), times, tuple(changed))
+    return PointChange(a.key, quantity, known.get(quantity), times, tuple(changed))
 
 
-def summary(first: Result, second: Result, changes: Sequence[Change]) -> list[str]:
+def summary(first: SweepResult, second: SweepResult, changes: Sequence[PointChange]) -> list[str]:
     """Sentences: how many points changed in what, the typical time ratio, and what only one has."""
     counts = ", ".join(f"{sum(what in c.changed for c in changes)} in {what}" for what in ("outcome", "error", "time"))
     said = [f"{len(changes)} points in both; changed beyond floor and spread: {counts}."]

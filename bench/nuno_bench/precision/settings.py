@@ -191,7 +191,7 @@ def _oscillation(limit: StepLimit) -> float:
 
 
 @dataclass(frozen=True)
-class Own:
+class OwnSettings:
     """Which points of a sweep are the scene as it is, and the same with a step twice as large.
 
     setting  label of the scene's own point; empty where `why` says that there is none
@@ -211,23 +211,23 @@ class Own:
         return frozenset((self.solver, label) for label in (self.setting, self.coarser) if RESIDUAL in label)
 
 
-def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver], Own]:
+def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver], OwnSettings]:
     """The solvers, the scene's own with its two settings among the others; they are run before all others."""
     name = problem.preset[0]
     found = next((solver for solver in solvers if solver.name == name), None)
     if found is None:
-        return list(solvers), Own(name, why="it is not among the solvers that are swept")
+        return list(solvers), OwnSettings(name, why="it is not among the solvers that are swept")
     try:
         steps = problem.own_steps(found.limit)
     except BadInput as error:
-        return list(solvers), Own(name, why=error.problem)
+        return list(solvers), OwnSettings(name, why=error.problem)
     own, coarser, larger = _tolerances(found, steps) if found.kind == "adaptive" else _steps(problem, found, steps)
     chosen = [replace(one, first=True) for one in (own, coarser) if one is not None]
     labels = {one.label for one in chosen}
     others = [one for one in found.settings if one.label not in labels]
     settings = tuple(sorted([*chosen, *others], key=lambda one: -one.finer))
     swept = [replace(one, settings=settings) if one is found else one for one in solvers]
-    return swept, Own(name, own.label, "", larger, coarser.label if coarser else "")
+    return swept, OwnSettings(name, own.label, "", larger, coarser.label if coarser else "")
 
 
 def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:

@@ -14,9 +14,9 @@ from pydantic import TypeAdapter
 from nuno.formatting import duration, roughly
 from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem import AnyProblem, Run, Series
-from nuno_bench.reference import Compared
+from nuno_bench.reference import ReferenceRuns
 from nuno_bench.report.page import number, reason_of
-from nuno_bench.sweep.storage import Kept
+from nuno_bench.sweep.storage import SweepFile
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 
@@ -50,7 +50,7 @@ class Error:
 
 
 @dataclass(frozen=True)
-class Point:
+class SolverPoint:
     """One setting of one solver, measured.
 
     outcome  "done", "diverged", "unconverged", "ran away", "refused" (by the solver), "failed" (the solver itself),
@@ -93,7 +93,7 @@ class Point:
         return self.errors[quantity].l2 if quantity in self.errors else None
 
 
-POINT = TypeAdapter(Point)
+POINT = TypeAdapter(SolverPoint)
 """Reads the result of dataclasses.asdict, in which a number that is not finite may be text."""
 
 
@@ -149,7 +149,7 @@ class Judgement(NamedTuple):
     verdict: str
 
 
-def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgement]:
+def judge(points: Sequence[SolverPoint], floors: Mapping[str, Error]) -> list[Judgement]:
     """Return one judgement per quantity."""
     judged = []
     for name, floor in floors.items():
@@ -160,7 +160,7 @@ def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgemen
     return judged
 
 
-def fit_order(points: Sequence[Point], quantity: str, floor: float) -> float | None:
+def fit_order(points: Sequence[SolverPoint], quantity: str, floor: float) -> float | None:
     """Return the slope of the logarithm of the error over that of the step or tolerance, of the finest resolved points.
 
     None with fewer than three of them.
@@ -176,15 +176,15 @@ def fit_order(points: Sequence[Point], quantity: str, floor: float) -> float | N
     return float(np.polyfit(steps, errors, 1)[0])
 
 
-def by_solver(points: Sequence[Point]) -> dict[str, list[Point]]:
+def by_solver(points: Sequence[SolverPoint]) -> dict[str, list[SolverPoint]]:
     """Return the points of each solver from coarse to fine, with solvers in the order of their first point."""
-    groups: dict[str, list[Point]] = {}
+    groups: dict[str, list[SolverPoint]] = {}
     for point in points:
         groups.setdefault(point.solver, []).append(point)
     return {name: sorted(group, key=lambda point: -point.finer) for name, group in groups.items()}
 
 
-def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[list[str]]:
+def choice_rows(points: Sequence[SolverPoint], quantity: str, floor: float) -> list[list[str]]:
     """Return the fastest solver for each target that is resolved above the floor, under CHOICE_HEADINGS.
 
     A point that is fastest for several targets is listed at the tightest of them. Points beyond the stability limit
@@ -194,7 +194,7 @@ def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[li
     candidates = [(p, e) for p in points if (e := p.error(quantity)) is not None and p.seconds and not p.beyond]
     tighter: tuple[str, str] | None = None
     for target in sorted(target for target in TARGETS if target >= ABOVE * floor):
-        best: dict[str, Point] = {}
+        best: dict[str, SolverPoint] = {}
         for point in sorted((p for p, error in candidates if error <= target), key=lambda p: p.median):
             best.setdefault(point.solver, point)
         ranked = list(best.values())
@@ -222,7 +222,7 @@ class Sweep:
     run of work 1 [s].
     """
 
-    points: list[Point] = field(default_factory=list)
+    points: list[SolverPoint] = field(default_factory=list)
     omitted: list[Omission] = field(default_factory=list)
     first_calls: dict[str, float] = field(default_factory=dict)
     costs: dict[str, float] = field(default_factory=dict)
@@ -233,17 +233,17 @@ class Runner:
     """Everything that one point needs: errors are shares of `scales`, leading ones over the first `frames`."""
 
     problem: AnyProblem
-    reference: Compared
+    reference: ReferenceRuns
     scales: Mapping[str, float]
     frames: int
     repeats: int
 
-    def measure(self, solver: Solver, setting: Setting, share: float, most_seconds: float) -> Point:
+    def measure(self, solver: Solver, setting: Setting, share: float, most_seconds: float) -> SolverPoint:
         """Run one setting, at most so long; repeats end early where another would exceed its `share` of time [s].
 
         A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
         """
-        point = Point(solver.name, setting.label, solver.kind, solver.order, setting.finer, setting.beyond,
+        point = SolverPoint(solver.name, setting.label, solver.kind, solver.order, setting.finer, setting.beyond,
                       "refused", "", (), {}, {}, share=setting.share)  # fmt: skip
         try:
             config = solver.config(setting)
@@ -299,7 +299,7 @@ def start_sweep(problem: AnyProblem, solvers: list[Solver], say: Callable[[str],
 
 
 def run_sweep(
-    sweep: Sweep, runner: Runner, solvers: list[Solver], kept: Kept, budget: float, say: Callable[[str], None]
+    sweep: Sweep, runner: Runner, solvers: list[Solver], kept: SweepFile, budget: float, say: Callable[[str], None]
 ) -> None:
     """Run the settings of all solvers that could be started: always the one that is estimated cheapest next.
 

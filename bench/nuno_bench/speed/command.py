@@ -140,7 +140,7 @@ def append(path: Path, record: Record) -> None:
 
 
 @dataclass(frozen=True)
-class Change:
+class SpeedChange:
     """A result, and that of the last record that has it, if any."""
 
     now: Result
@@ -165,17 +165,17 @@ class Change:
         return [self.now.case, self.now.what, self.now.unit, then, now, ratio, self.verdict]
 
 
-def compare(records: Sequence[Record], results: Sequence[Result]) -> list[Change]:
+def compare(records: Sequence[Record], results: Sequence[Result]) -> list[SpeedChange]:
     """Each result that has samples beside its last record: runs of some cases leave those of others to earlier ones."""
     last = {_key(one): (one, record) for record in records for one in record.results if one.samples}
-    return [Change(one, *last.get(_key(one), ())) for one in results if one.samples]
+    return [SpeedChange(one, *last.get(_key(one), ())) for one in results if one.samples]
 
 
 def _key(result: Result) -> tuple[str, str, str]:
     return result.case, result.what, result.unit
 
 
-def describe_changes(changes: Sequence[Change], load: float) -> list[Table | str]:
+def describe_changes(changes: Sequence[SpeedChange], load: float) -> list[Table | str]:
     """Their table, how many have changed, the records that they were held against, and what disturbed either."""
     verdicts = [change.verdict for change in changes]
     counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(verdicts))
@@ -237,7 +237,7 @@ def main(args: argparse.Namespace) -> int:
     if save and save.exists():
         read(save)  # so that a line is added to no other file
     lacking = _tell_lacking(args.cases or CASES)
-    others = machine.Others()
+    others = machine.OtherLoad()
     results: list[Result] = []
     for name in args.cases or CASES:
         print(f"{name} ...", file=sys.stderr)

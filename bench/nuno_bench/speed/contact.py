@@ -55,7 +55,7 @@ CALLS = 3
 
 
 @dataclass(frozen=True)
-class Compared:
+class ContactCost:
     """A scene's steps with contact and without [s each], what contact goes into, and what was run."""
 
     on: float
@@ -82,7 +82,7 @@ def contact(repeats: int) -> list[Result]:
     return results + shares(what, [deck]) + queries(repeats)
 
 
-def shares(what: str, found: Sequence[Compared]) -> list[Result]:
+def shares(what: str, found: Sequence[ContactCost]) -> list[Result]:
     """What a step's time goes into: the other forces and the update, each part of contact, and what is left."""
 
     def figure(name: str, values: Iterable[float]) -> Result:
@@ -93,7 +93,7 @@ def shares(what: str, found: Sequence[Compared]) -> list[Result]:
     return [figure("without contact", (one.off for one in found)), *parts, figure("the rest of contact", rest)]
 
 
-def on_over_off(name: str, overrides: Sequence[str], duration: float) -> Compared:
+def on_over_off(name: str, overrides: Sequence[str], duration: float) -> ContactCost:
     """A scene's frames with cloth contact and without. Raises RunFailed where one ends early.
 
     Both take the step that the scene has with contact, and frames in turns, so that a slow machine slows both.
@@ -130,7 +130,7 @@ def on_over_off(name: str, overrides: Sequence[str], duration: float) -> Compare
         "of vertices cut short"
     )
     a_step = [total / (frames * both[0].steps) for total in spent]
-    return Compared(a_step[0], a_step[1], parts.each(), spent[0] / frames, note)
+    return ContactCost(a_step[0], a_step[1], parts.each(), spent[0] / frames, note)
 
 
 def layers(side: int) -> list[Fabric]:

@@ -39,7 +39,7 @@ PATIENCE = 60.0
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostTask:
     """Result of a task whose process was lost in every attempt."""
 
     reason: str
@@ -48,7 +48,7 @@ class Lost:
         return self.reason
 
 
-Done = tuple[Task, Found | BadInput | Lost]
+Done = tuple[Task, Found | BadInput | LostTask]
 """A task and its result."""
 
 
@@ -130,12 +130,12 @@ def as_completed(
             future.cancel()
 
 
-def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | Lost:
+def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | LostTask:
     pool = _start(1)
     try:
         return pool.submit(attempt, call, task).result()
     except BrokenProcessPool:
-        return Lost("its process was lost twice, the second time with no other beside it (out of memory?)")
+        return LostTask("its process was lost twice, the second time with no other beside it (out of memory?)")
     finally:
         _kill(pool)
 
@@ -269,7 +269,10 @@ class Cluster(Executor):
                     yield task, future.result()
                 except KilledWorker as error:
                     times = error.allowed_failures + 1
-                    yield task, Lost(f"its worker ended, {times} times, the last one at {error.last_worker.address}")
+                    yield (
+                        task,
+                        LostTask(f"its worker ended, {times} times, the last one at {error.last_worker.address}"),
+                    )
         except (OSError, CancelledError) as error:
             raise RunFailed(f"the connection to the Dask scheduler at {self.address} was lost") from error
 

@@ -29,8 +29,8 @@ from nuno.scene.validation_errors import GIVEN
 from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.page import number
-from nuno_bench.sweep.executor import Executor, Lost, choose_executor, versions
-from nuno_bench.sweep.storage import Kept, Packed, pack_loaded, unpacked
+from nuno_bench.sweep.executor import Executor, LostTask, choose_executor, versions
+from nuno_bench.sweep.storage import PackedScene, SweepFile, pack_loaded, unpacked
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Point:
+class Combination:
     """One run of a sweep, and its number.
 
     It is of a packed scene with these overrides, drawn at its end from a side ("" for none), on so many threads (0:
@@ -118,7 +118,7 @@ class Point:
     """
 
     number: int
-    packed: Packed
+    packed: PackedScene
     overrides: tuple[str, ...]
     side: str
     threads: int
@@ -139,7 +139,7 @@ class Sweep:
     rows: Sequence[Row]
     folder: Path | None
     where: str
-    others: machine.Others
+    others: machine.OtherLoad
 
     def keep(self) -> None:
         """Write page, JSON and CSV into the folder, if any; after the end of the processes, whose time counts."""
@@ -262,13 +262,13 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
     # As a list: of two sweeps over the same fields in another order, other combinations have the same number.
     fields = [[key, list(map(repr, values))] for key, values in over.items()]
     about = {"scene": packed.digest, "over": fields, "side": side, "versions": versions()}
-    kept = None if place.folder is None else Kept(place.folder / KEPT, about, place.resume, place.say)
+    kept = None if place.folder is None else SweepFile(place.folder / KEPT, about, place.resume, place.say)
     done: dict[int, Row] = {} if kept is None else {line["number"]: line["row"] for line in kept.lines}
-    others, threads = machine.Others(), 1 if place.where.width > 1 else 0
-    left = [Point(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in done]
+    others, threads = machine.OtherLoad(), 1 if place.where.width > 1 else 0
+    left = [Combination(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in done]
     with kept or nullcontext():
         for point, result in place.where.run(measure, left):
-            row = _refused(result) if isinstance(result, BadInput | Lost) else result
+            row = _refused(result) if isinstance(result, BadInput | LostTask) else result
             done[point.number] = {**combinations[point.number], **row}
             if kept is not None:
                 kept.add({"number": point.number, "row": done[point.number]})
@@ -293,7 +293,7 @@ def _values(over: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
     return lists
 
 
-def _check(packed: Packed, combinations: Sequence[Mapping[str, Any]], texts: Sequence[tuple[str, ...]]) -> None:
+def _check(packed: PackedScene, combinations: Sequence[Mapping[str, Any]], texts: Sequence[tuple[str, ...]]) -> None:
     """Raise BadInput for a value with which every combination is refused when it is read."""
     refusals: dict[int, BadInput | None] = {}
 
@@ -312,12 +312,12 @@ def _check(packed: Packed, combinations: Sequence[Mapping[str, Any]], texts: Seq
             raise cast(BadInput, refusal(uses[0]))
 
 
-def _refused(error: BadInput | Lost) -> Row:
+def _refused(error: BadInput | LostTask) -> Row:
     why = "; ".join(" ".join(line.split()) for line in str(error).removeprefix(f"{GIVEN}: ").splitlines())
-    return {STATE: "lost" if isinstance(error, Lost) else "refused", WHY: why}
+    return {STATE: "lost" if isinstance(error, LostTask) else "refused", WHY: why}
 
 
-def measure(point: Point) -> Row:
+def measure(point: Combination) -> Row:
     """Run one combination. Raises BadInput if it is refused."""
     with (
         warnings.catch_warnings(),

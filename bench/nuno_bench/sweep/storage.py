@@ -19,7 +19,7 @@ from nuno_schemas.errors import BadInput
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedScene:
     """A scene's text, the user's overrides, and its files by their names in the scene.
 
     name  name of the scene in errors
@@ -36,12 +36,12 @@ class Packed:
         return hashlib.blake2b(repr((self.text, self.overrides, self.files)).encode(), digest_size=16).hexdigest()
 
 
-def pack(path: Path, overrides: Sequence[str] = ()) -> Packed:
+def pack(path: Path, overrides: Sequence[str] = ()) -> PackedScene:
     """Read a scene and the files that it names. Raises BadInput for a scene that is refused."""
     return pack_loaded(scene_file.read(path, overrides))
 
 
-def pack_loaded(loaded: Loaded) -> Packed:
+def pack_loaded(loaded: Loaded) -> PackedScene:
     """Pack a loaded scene, and read the files that it names. Raises BadInput."""
     files = sorted(assets(loaded).items())
     for name, _ in files:
@@ -49,11 +49,11 @@ def pack_loaded(loaded: Loaded) -> Packed:
             remedy = "name it from the scene's folder on"
             raise BadInput("a file is named by a path of this machine alone", loaded.file, value=name, remedy=remedy)
     content = tuple((name, place.read_bytes()) for name, place in files)
-    return Packed(loaded.file, loaded.path.read_text(encoding="utf-8-sig"), tuple(loaded.overrides), content)
+    return PackedScene(loaded.file, loaded.path.read_text(encoding="utf-8-sig"), tuple(loaded.overrides), content)
 
 
 @contextmanager
-def unpacked(packed: Packed, overrides: Sequence[str] = ()) -> Iterator[Loaded]:
+def unpacked(packed: PackedScene, overrides: Sequence[str] = ()) -> Iterator[Loaded]:
     """Yield the scene, with its files in a temporary folder. Raises BadInput.
 
     A name such as `../mesh.obj` was refused when the scene was packed: no file is written outside the folder.
@@ -73,7 +73,7 @@ def require_kept(paths: Sequence[Path]) -> None:
                        remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
 
 
-class Kept(AbstractContextManager["Kept"]):
+class SweepFile(AbstractContextManager["SweepFile"]):
     """JSON objects, one per line, after a line that identifies their sweep; locked until `with` ends and adds FINISHED.
 
     lines  finished results of an interrupted sweep: empty unless it is resumed

@@ -22,9 +22,9 @@ from nuno_bench.options import require_known
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import Curve, Panel, draw
-from nuno_bench.sweep.executor import Executor, Lost, add_executor_arguments, open_executor
+from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
 from nuno_bench.validation import contacts, dye, nets, oscillator, statics
-from nuno_bench.validation.law import Broken, Case, Outcome, Unsupported
+from nuno_bench.validation.law import BrokenRun, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 # Every law against every installed solver, and what came out.
@@ -88,11 +88,11 @@ def check(case: Case, plugin: Any) -> Outcome:
         outcome = replace(outcome, found=found)
         # NaN compares false with everything: an error that is none has failed.
         if not found.error <= found.allowed:
-            raise Broken(f"error {found.error:.2g}, at most {found.allowed:.2g} is allowed")
+            raise BrokenRun(f"error {found.error:.2g}, at most {found.allowed:.2g} is allowed")
     except Unsupported as reason:
         outcome = replace(outcome, verdict="unsupported", reason=str(reason))
     except Exception as error:
-        why = str(error) if isinstance(error, Broken) else f"{type(error).__name__}: {error}"
+        why = str(error) if isinstance(error, BrokenRun) else f"{type(error).__name__}: {error}"
         outcome = replace(outcome, verdict="failed", reason=why)
     if outcome.verdict == "failed" and name in SLIPS:
         outcome = replace(outcome, verdict="slip", reason=SLIPS[name])
@@ -117,7 +117,7 @@ def check_all(parts: Sequence[Suite], executor: Executor, say: Callable[[str], N
     say(f"{len(every)} checks; the first of them tell how long all take")
     begin, said = time.monotonic(), 0.0
     for key, outcome in executor.run(check_named, drawn):
-        if isinstance(outcome, BadInput | Lost):
+        if isinstance(outcome, BadInput | LostTask):
             outcome = Outcome(*key, "failed", str(outcome))
         found[key] = outcome
         spent, done, left = time.monotonic() - begin, len(found), len(every) - len(found)
@@ -175,7 +175,7 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
     _check_files(args)
-    others = machine.Others()
+    others = machine.OtherLoad()
     with open_executor(args) as where:
         outcomes = check_all(parts, where, lambda text: print(text, file=sys.stderr))
     print("\n\n".join(case_tables(part, outcomes) for part in parts))

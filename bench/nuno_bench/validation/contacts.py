@@ -17,9 +17,9 @@ from nuno_bench.validation.law import (
     ACCURATE,
     EXACT,
     NONE,
-    Found,
     Laws,
-    Run,
+    Measurement,
+    SolverRun,
     Unsupported,
     chain,
     choose_step,
@@ -64,18 +64,18 @@ def on_plane(alpha: float, mu: float, k: float, depth: float) -> System:
 
 
 @laws("penalty depth", "penalty contact")
-def measure_depth(plugin: Any) -> Found:
+def measure_depth(plugin: Any) -> Measurement:
     """A particle at rest, let go at the surface, sinks m g / k."""
     k = 1000.0
     system = on_plane(0.0, 0.0, k, 0.0)
-    run = Run(plugin, System(system.fabric, system.gravity, 60.0, system.terms), ACCURATE)
+    run = SolverRun(plugin, System(system.fabric, system.gravity, 60.0, system.terms), ACCURATE)
     steps, dt = choose_step(run, 0.5, 2e-3)
     run.go(steps, dt, STILL)
     return relative(-float(run.state.x[0, 1]), 0.01 * G / k, 1e-4)
 
 
 @laws({"incline, sticks": {"share": 0.9}, "incline, slides": {"share": 1.2}}, "Coulomb's law")
-def measure_incline(plugin: Any, share: float) -> Found:
+def measure_incline(plugin: Any, share: float) -> Measurement:
     """A particle stays where tan alpha < mu, and else slides by g (sin alpha - mu cos alpha) t^2 / 2.
 
     A particle that sticks gives way once by what its friction spring takes up, mu m g / k; a sliding
@@ -83,7 +83,7 @@ def measure_incline(plugin: Any, share: float) -> Found:
     """
     mu, k = 0.4, 1e5
     alpha = math.atan(share * mu)
-    run = Run(plugin, on_plane(alpha, mu, k, 0.01 * G * math.cos(alpha) / k), ACCURATE)
+    run = SolverRun(plugin, on_plane(alpha, mu, k, 0.01 * G * math.cos(alpha) / k), ACCURATE)
     steps, dt = choose_step(run, 0.5, 1e-3)
     run.go(steps, dt, STILL)
     half, speed = float(run.state.x[0, 0]), float(run.state.v[0, 0])
@@ -91,10 +91,10 @@ def measure_incline(plugin: Any, share: float) -> Found:
     path = float(run.state.x[0, 0])
     if share < 1.0:
         # Between the halves: the first holds the one time that it gives way.
-        return Found(path - half, 0.0, abs(path - half) / (0.5 * G * math.sin(alpha)), 1e-6)
+        return Measurement(path - half, 0.0, abs(path - half) / (0.5 * G * math.sin(alpha)), 1e-6)
     pull = G * (math.sin(alpha) - mu * math.cos(alpha))
     gained = (float(run.state.v[0, 0]) - speed) / 0.5
-    return Found(path, 0.5 * pull, max(abs(path / (0.5 * pull) - 1.0), abs(gained / pull - 1.0)), 1e-2)
+    return Measurement(path, 0.5 * pull, max(abs(path / (0.5 * pull) - 1.0), abs(gained / pull - 1.0)), 1e-2)
 
 
 def belt(mu: float, wrap: float) -> System:
@@ -114,14 +114,14 @@ def belt(mu: float, wrap: float) -> System:
 
 
 @laws("belt", "Euler and Eytelwein")
-def measure_belt(plugin: Any) -> Found:
+def measure_belt(plugin: Any) -> Measurement:
     """T2 / T1 = e^(mu phi) on a cylinder that turns under a belt which slips everywhere.
 
     The angle phi is that between the belt's first and last link; the tensions are theirs, averaged
     over the last half of the frames.
     """
     mu, rate, frame, frames = 0.3, 1.0, 0.02, 60
-    run = Run(plugin, belt(mu, 0.75 * math.pi), ACCURATE)
+    run = SolverRun(plugin, belt(mu, 0.75 * math.pi), ACCURATE)
     steps, dt = choose_step(run, frame, 1e-3, frames)
     ratios, turned = [], 0.0
     for number in range(frames):
@@ -151,7 +151,7 @@ def free(system: System) -> Any:
 
 
 @laws(meshes("sticks", share=0.99) | meshes("slides", share=1.01), "Coulomb's law")
-def measure_cloth_incline(plugin: Any, share: float, irregular: bool) -> Found:
+def measure_cloth_incline(plugin: Any, share: float, irregular: bool) -> Measurement:
     """A sheet on a sheet comes to rest where tan alpha < mu, and else gains speed: 1 % of tan alpha off either way.
 
     It lands from a hundredth of the thickness, slides a millimetre as it bounces, and stops within 0.4 s; from then on
@@ -159,7 +159,7 @@ def measure_cloth_incline(plugin: Any, share: float, irregular: bool) -> Found:
     """
     mu = 0.5
     slope = math.atan(share * mu)
-    run = Run(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
+    run = SolverRun(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
     steps, dt = choose_step(run, 0.4, LONGEST, 2)
     run.go(steps, dt)
     start, before = pace(run)
@@ -169,16 +169,16 @@ def measure_cloth_incline(plugin: Any, share: float, irregular: bool) -> Found:
     pull = G * (math.sin(slope) - mu * math.cos(slope))
     if share < 1.0:
         # What does not stick sooner or later moves by a good part of g sin alpha t^2 / 2.
-        return Found(end - start, 0.0, abs(end - start) / (0.5 * G * math.sin(slope) * 0.2**2), 1e-6)
+        return Measurement(end - start, 0.0, abs(end - start) / (0.5 * G * math.sin(slope) * 0.2**2), 1e-6)
     gained = (after - before) / 0.2
     return relative(gained, pull, 0.1)
 
 
 @laws(meshes("slide rate"), "Coulomb's law")
-def measure_slide(plugin: Any, irregular: bool) -> Found:
+def measure_slide(plugin: Any, irregular: bool) -> Measurement:
     """A sheet slides on a sheet with g (sin alpha - mu cos alpha), from triangle to triangle."""
     mu, slope = 0.2, math.radians(30.0)
-    run = Run(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
+    run = SolverRun(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
     steps, dt = choose_step(run, 0.06, LONGEST)
     run.go(steps, dt)
     before = pace(run)[1]
@@ -188,17 +188,17 @@ def measure_slide(plugin: Any, irregular: bool) -> Found:
     return relative(gained, G * (math.sin(slope) - mu * math.cos(slope)), 1e-2)
 
 
-def pace(run: Run) -> tuple[float, float]:
+def pace(run: SolverRun) -> tuple[float, float]:
     """Mean place [m] and velocity [m/s] along x of the free vertices."""
     state, own = run.state, free(run.system)
     return float(state.x[own, 0].mean()), float(state.v[own, 0].mean())
 
 
 @laws(meshes("pile"), "Newton's third law")
-def measure_pile(plugin: Any, irregular: bool) -> Found:
+def measure_pile(plugin: Any, irregular: bool) -> Measurement:
     """Four sheets at rest on a held one press on it with 4 m g."""
     system = piles.pile(*piles.stack(irregular), damping=1.0)
-    run = Run(plugin, system, ACCURATE)
+    run = SolverRun(plugin, system, ACCURATE)
     steps, dt = choose_step(run, 0.02, LONGEST, 8)
     for _ in range(8):
         run.go(steps, dt)
@@ -209,12 +209,12 @@ def measure_pile(plugin: Any, irregular: bool) -> Found:
 
 
 @laws(meshes("momentum"), "Newton's third law")
-def measure_momentum(plugin: Any, irregular: bool) -> Found:
+def measure_momentum(plugin: Any, irregular: bool) -> Measurement:
     """Two sheets that collide keep their momentum to rounding, and its moment by solvers of kicks and drifts.
 
     As a share of the sum of their parts'.
     """
-    run = Run(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0))
+    run = SolverRun(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0))
     mass = run.system.fabric.mass[:, None]
 
     def parts() -> Float:
@@ -225,20 +225,20 @@ def measure_momentum(plugin: Any, irregular: bool) -> Found:
     touched = collide(run, 20, 5e-5)
     change = np.abs((parts() - before).sum(axis=1)).max(axis=1) / np.abs(before).sum(axis=(1, 2))
     largest = float(change[:kinds].max())
-    return Found(largest, 0.0, largest if touched else math.nan, ROUNDING)
+    return Measurement(largest, 0.0, largest if touched else math.nan, ROUNDING)
 
 
 @laws(meshes("bounce"), "no work without force")
-def measure_energy(plugin: Any, irregular: bool) -> Found:
+def measure_energy(plugin: Any, irregular: bool) -> Measurement:
     """Two sheets that bounce off each other without damping have no more energy afterwards, as a share of it."""
-    run = Run(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0, damping=0.0), ACCURATE)
+    run = SolverRun(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0, damping=0.0), ACCURATE)
     before = run.energy()
     touched = collide(run, *choose_step(run, 1e-3, 5e-5, LOOKS))
     after = run.energy()
-    return Found(after, before, max(0.0, after / before - 1.0) if touched else math.nan, 1e-3)
+    return Measurement(after, before, max(0.0, after / before - 1.0) if touched else math.nan, 1e-3)
 
 
-def collide(run: Run, steps: int, dt: float) -> bool:
+def collide(run: SolverRun, steps: int, dt: float) -> bool:
     """Let two sheets meet and part, looking at them every so many steps; whether they have."""
     most, now = 0, 0
     for _ in range(LOOKS):
@@ -248,35 +248,37 @@ def collide(run: Run, steps: int, dt: float) -> bool:
 
 
 @laws(meshes("apart"), "what never meets feels nothing")
-def measure_apart(plugin: Any, irregular: bool) -> Found:
+def measure_apart(plugin: Any, irregular: bool) -> Measurement:
     """Two sheets that swing far from each other end in the bits that they have without cloth contact."""
     if getattr(plugin, "adaptive", False):
         raise Unsupported("an adaptive method begins each step from new slopes where anything may hold vertices")
     # Kicks as often without contact as with it, of a method that chooses how often by what forces there are.
     settings = {**EXACT, "every": 2}
-    both = [Run(plugin, piles.pile(*piles.swinging(irregular), contact=on), settings) for on in (True, False)]
+    both = [SolverRun(plugin, piles.pile(*piles.swinging(irregular), contact=on), settings) for on in (True, False)]
     for run in both:
         run.go(300, 5e-5)
         run.go(300, 5e-5)
     one, other = (run.both() for run in both)
-    return Found(float(np.abs(one - other).max()), 0.0, float((one.view(np.int64) != other.view(np.int64)).sum()), 0.0)
+    return Measurement(
+        float(np.abs(one - other).max()), 0.0, float((one.view(np.int64) != other.view(np.int64)).sum()), 0.0
+    )
 
 
 @laws(meshes("heap"), "no edge goes through a triangle")
-def measure_heap(plugin: Any, irregular: bool) -> Found:
+def measure_heap(plugin: Any, irregular: bool) -> Measurement:
     """Of three sheets that fly at each other at up to 16 m/s none passes through another, which without contact do.
 
     Counted are the looks at which one does, at steps that take it farther than its thickness.
     """
     looks = [heap_looks(plugin, piles.heap(1, irregular), contact) for contact in (True, False)]
     held, let = looks
-    return Found(float(held), 0.0, float(held) if let > 0 else math.nan, 0.0)
+    return Measurement(float(held), 0.0, float(held) if let > 0 else math.nan, 0.0)
 
 
 def heap_looks(plugin: Any, pieces: list[Fabric], contact: bool) -> int:
     """At how many of LOOKS a piece of the heap passes through another."""
     system, crossed = piles.pile(*pieces, contact=contact), 0
-    run, mesh = Run(plugin, system, ACCURATE), mesh_of(system.fabric.faces)
+    run, mesh = SolverRun(plugin, system, ACCURATE), mesh_of(system.fabric.faces)
     steps, dt = choose_step(run, 2e-3, LONGEST, LOOKS)
     for _ in range(LOOKS):
         run.go(steps, dt)

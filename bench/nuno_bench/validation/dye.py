@@ -11,9 +11,9 @@ from pydantic import ValidationError
 
 from nuno_bench.validation.law import (
     ACCURATE,
-    Broken,
-    Found,
+    BrokenRun,
     Laws,
+    Measurement,
     Unsupported,
     bisect,
     fit_order,
@@ -103,7 +103,9 @@ class DyeRun:
             # A solver may know no isotherm, or no diffusion that falls with dye; what else it refuses all must pose.
             (one,) = self.system.dyes
             if one.isotherm is None and one.weisz_zollinger is None:
-                raise Broken(f"refuses a system of neither isotherm nor law of diffusion: {refused.problem}") from None
+                raise BrokenRun(
+                    f"refuses a system of neither isotherm nor law of diffusion: {refused.problem}"
+                ) from None
             raise Unsupported(refused.problem) from None
         self.limit = float(plugin.limit(self.config, self.system))
         self.supplied, self.steps = 0.0, 0
@@ -114,7 +116,7 @@ class DyeRun:
         with np.errstate(all="ignore"):
             report: DyeReport = self.plugin.advance(self.system, self.state, self.memory, steps, dt)
         if report.status != "ok":
-            raise Broken(f"{report.status}: {report.message}")
+            raise BrokenRun(f"{report.status}: {report.message}")
         self.supplied += math.fsum(report.supplied)
         self.steps += steps
         return report
@@ -166,7 +168,7 @@ def _drop(plugin: Any, ratio: float) -> tuple[Float, tuple[Float, Float], tuple[
 
 
 @laws({f"point source, {name}": given for name, given in RATIOS.items()}, SOURCE)
-def measure_source(plugin: Any, ratio: float) -> Found:
+def measure_source(plugin: Any, ratio: float) -> Measurement:
     """Dye from one cell spreads as a Gaussian, to a hundredth of its peak.
 
     Cells of size d leave d^2 / (8 D t) of the peak along either axis, 1 % of it at 2 D t = 25 d^2.
@@ -174,11 +176,11 @@ def measure_source(plugin: Any, ratio: float) -> Found:
     phi, (x, y), (wide, high) = _drop(plugin, ratio)
     peak = POROSITY / (2.0 * math.pi * math.sqrt(wide * high))
     exact = peak * np.exp(-(x**2) / (2.0 * wide) - y**2 / (2.0 * high))
-    return Found(float(phi.max()) / peak, 1.0, float(np.abs(phi - exact).max()) / peak, 1e-2)
+    return Measurement(float(phi.max()) / peak, 1.0, float(np.abs(phi - exact).max()) / peak, 1e-2)
 
 
 @laws({f"variance, {name}": given for name, given in RATIOS.items()}, SOURCE)
-def measure_variance(plugin: Any, ratio: float) -> Found:
+def measure_variance(plugin: Any, ratio: float) -> Measurement:
     """The second moment of a drop grows by 2 D t along either axis.
 
     That holds on cells and for any step alike: one step of weights w to the next cells adds 2 w to it.
@@ -186,7 +188,7 @@ def measure_variance(plugin: Any, ratio: float) -> Found:
     phi, places, spread = _drop(plugin, ratio)
     along, across = (float((phi * place**2).sum() / phi.sum()) for place in places)
     error = max(abs(along / spread[0] - 1.0), abs(across / spread[1] - 1.0))
-    return Found(along / across, ratio, error, 1e-4)
+    return Measurement(along / across, ratio, error, 1e-4)
 
 
 def make_wave(n: int, mean: float, height: float, times: int) -> tuple[Float, Callable[[float], float]]:
@@ -201,7 +203,7 @@ def make_wave(n: int, mean: float, height: float, times: int) -> tuple[Float, Ca
 
 
 @laws("order, dye", "eigenvectors of differences")
-def measure_order(plugin: Any) -> Found:
+def measure_order(plugin: Any) -> Measurement:
     """The error of a wave's decay falls with the order over five steps, halved: at least 1 where none is stated."""
     n = 16
     start, decay = make_wave(n, 0.25, 0.1, 2)
@@ -220,17 +222,17 @@ def measure_order(plugin: Any) -> Found:
 
 
 @laws("two layers", "closed form")
-def measure_exchange(plugin: Any) -> Found:
+def measure_exchange(plugin: Any) -> Measurement:
     """The difference of two layers, one of them dyed, decays as exp(-2 w t), w = D0 P T / d^2."""
     phi, duration = np.zeros((2, 4, 4)), 1.0 / RATE
     phi[0] = 0.4
     run = DyeRun(plugin, make_cells(4, 4, layers=0.5), phi).go(duration, duration / 2000.0)
     measured = float((run.phi[0] - run.phi[1]).mean()) / 0.4
-    return Found(measured, math.exp(-1.0), abs(measured - math.exp(-1.0)), 1e-3)
+    return Measurement(measured, math.exp(-1.0), abs(measured - math.exp(-1.0)), 1e-3)
 
 
 @laws("bath", "Crank 1975, equation 4.18")
-def measure_bath(plugin: Any) -> Found:
+def measure_bath(plugin: Any) -> Measurement:
     """A sheet in a fixed bath takes up M_t / M_inf = 1 - sum of 8 / (m^2 pi^2) exp(-D m^2 pi^2 t / 4 l^2), m odd.
 
     The bath keeps the first column full. From its middle to the wall, where nothing passes, is half of the
@@ -268,14 +270,14 @@ def _spread_sources(plugin: Any, n: int, steps: int, down: bool) -> tuple[float,
 
 
 @laws({"fast diffusion, along": {"down": False}, "fast diffusion, across": {"down": True}}, KERNEL)
-def measure_sources(plugin: Any, down: bool) -> Found:
+def measure_sources(plugin: Any, down: bool) -> Measurement:
     """With D = D0 phi0 / phi sources spread as Barenblatt's do, along the weft and across it, on 32 cells."""
     measured, error = _spread_sources(plugin, 32, 100, down)
-    return Found(measured, 1.0, error, 3e-3)
+    return Measurement(measured, 1.0, error, 3e-3)
 
 
 @laws("fast diffusion, order", KERNEL)
-def measure_cells(plugin: Any) -> Found:
+def measure_cells(plugin: Any) -> Measurement:
     """The distance of sources to their closed form falls with the square of the cells' size, in steps that fall too."""
     numbers = np.array([12, 16, 24, 32])
     errors = [_spread_sources(plugin, int(n), int(4 * n), False)[1] for n in numbers]
@@ -286,7 +288,7 @@ def measure_cells(plugin: Any) -> Found:
     {"fast diffusion, wave": {"phi0": 0.1, "cap": 10.0}, "fast diffusion, cap": {"phi0": 5.0, "cap": 4.0}},
     "linearised u_t = div(grad u / u)",
 )
-def measure_wave(plugin: Any, phi0: float, cap: float) -> Found:
+def measure_wave(plugin: Any, phi0: float, cap: float) -> Measurement:
     """A small wave on even dye u decays with D0 phi0 / u, and with D0 cap where that is above the cap."""
     n, mean = 16, 0.25
     factor = min(cap, phi0 / mean)
@@ -309,7 +311,7 @@ def _uneven() -> tuple[Cells, Float]:
 
 
 @laws("balance", "fluxes cancel in pairs")
-def measure_balance(plugin: Any) -> Found:
+def measure_balance(plugin: Any) -> Measurement:
     """mobile + fixed - supplied stays as it is, but for rounding: 1e-13 of it, times sqrt(steps)."""
     cells, phi = _uneven()
     supply = np.zeros_like(phi)
@@ -319,7 +321,7 @@ def measure_balance(plugin: Any) -> Found:
 
 
 @laws({"bounds": {"length": 0.2}, "bounds, longest steps": {"length": 20.0}}, "dye paper, equations 6 and 9")
-def measure_bounds(plugin: Any, length: float) -> Found:
+def measure_bounds(plugin: Any, length: float) -> Measurement:
     """0 <= phi <= V_u and 0 <= A <= V_d, at steps of at most 0.2 or 20 SIZE^2 / D0, or as long as it allows."""
     cells, phi = _uneven()
     run, worst = DyeRun(plugin, cells, phi, ADSORBED), 0.0
@@ -327,18 +329,18 @@ def measure_bounds(plugin: Any, length: float) -> Found:
         run.go(4.0 * length * SIZE**2 / D0, length * SIZE**2 / D0)
         over = max(float((run.phi - cells.mobile_room).max()), float((run.fixed - cells.fixed_room).max()))
         worst = max(worst, over, -float(run.phi.min()), -float(run.fixed.min()))
-    return Found(worst, 0.0, worst, 1e-14)
+    return Measurement(worst, 0.0, worst, 1e-14)
 
 
 @laws("resist line", "V_u = 0 there")
-def measure_resist(plugin: Any) -> Found:
+def measure_resist(plugin: Any) -> Measurement:
     """Nothing comes through a line of B = 1 across the cloth: not a molecule in it or behind it."""
     resist, phi = np.zeros((2, 12, 20)), np.zeros((2, 12, 20))
     resist[:, :, 10:12] = 1.0
     phi[:, :, :10] = POROSITY
     run = DyeRun(plugin, make_cells(12, 20, layers=0.5, resist=resist), phi, ADSORBED, phi).go(2000.0, 5.0)
     behind = float(np.abs(run.phi[:, :, 10:]).max() + np.abs(run.fixed[:, :, 10:]).max())
-    return Found(behind, 0.0, behind, 0.0)
+    return Measurement(behind, 0.0, behind, 0.0)
 
 
 def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> float:
@@ -348,7 +350,7 @@ def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> flo
 
 
 @laws("uptake", "closed form")
-def measure_uptake(plugin: Any) -> Found:
+def measure_uptake(plugin: Any) -> Measurement:
     """Even dye M, of which fibre may take all it meets, is taken as A = M / 2 (1 - exp(-2 r t)), r = D_ab / d^2.
 
     It is the solution of dA/dt = r (phi - A).
@@ -358,7 +360,7 @@ def measure_uptake(plugin: Any) -> Found:
 
 
 @laws({f"rest, {name}": {"isotherm": of, "limit": a} for name, (of, a) in LAWS.items()}, "A = A_d(M - A)")
-def measure_rest(plugin: Any, isotherm: Isotherm, limit: Callable[[float], float]) -> Found:
+def measure_rest(plugin: Any, isotherm: Isotherm, limit: Callable[[float], float]) -> Measurement:
     """Even dye M that adsorbs until nothing changes leaves A on the fibre as the isotherm A_d says.
 
     Fibre takes at least r (phi - A) until it holds what it may: that is done before 5 / r.
@@ -368,7 +370,7 @@ def measure_rest(plugin: Any, isotherm: Isotherm, limit: Callable[[float], float
 
 
 @laws("dye's stated limit", "D0 dt / d^2 times the sum of P T is 1")
-def measure_limit(plugin: Any) -> Found:
+def measure_limit(plugin: Any) -> Measurement:
     """The finest pattern fades at 0.999 of the stated limit, if any, and grows at 1.05 of it, in 60 steps.
 
     Who states none must let it fade at LONG explicit steps, too.
@@ -384,6 +386,6 @@ def measure_limit(plugin: Any) -> Found:
 
     if not math.isfinite(DyeRun(plugin, make_cells(n, n), phi).limit):
         fading = growth(1.0, 6)
-        return Found(fading, 0.0, max(0.0, fading - 1.0), 1e-9)
+        return Measurement(fading, 0.0, max(0.0, fading - 1.0), 1e-9)
     below, above = growth(0.999, 60), growth(1.05, 60)
-    return Found(above, below, max(0.0, below - 1.0) + max(0.0, 1.0 - above), 1e-9)
+    return Measurement(above, below, max(0.0, below - 1.0) + max(0.0, 1.0 - above), 1e-9)

@@ -28,12 +28,12 @@ class Unsupported(Exception):
     """A case that a solver cannot pose, with the reason."""
 
 
-class Broken(Exception):
+class BrokenRun(Exception):
     """A run that ended without a result, with what the solver said."""
 
 
 @dataclass(frozen=True)
-class Found:
+class Measurement:
     """A measured quantity and what the law says of it.
 
     error    distance between the two, in the case's own measure; allowed: the most it may be
@@ -57,7 +57,7 @@ class Case:
     name: str
     law: str
     source: str
-    measure: Callable[[Any], Found]
+    measure: Callable[[Any], Measurement]
     group: str = "nuno.integrators"
 
 
@@ -69,10 +69,10 @@ class Laws(list[Case]):
 
     def __call__(
         self, name: str | Mapping[str, Mapping[str, Any]], source: str
-    ) -> Callable[[Callable[..., Found]], Callable[..., Found]]:
+    ) -> Callable[[Callable[..., Measurement]], Callable[..., Measurement]]:
         """A case of this name; or cases by name, each with what else `measure` is given."""
 
-        def add(measure: Callable[..., Found]) -> Callable[..., Found]:
+        def add(measure: Callable[..., Measurement]) -> Callable[..., Measurement]:
             law = (getdoc(measure) or "").partition("\n\n")[0].replace("\n", " ").rstrip(".")
             for one, given in ({name: {}} if isinstance(name, str) else name).items():
                 self.append(Case(one, law, source, partial(measure, **given), self.group))
@@ -89,11 +89,11 @@ class Outcome:
     solver: str
     verdict: Literal["passed", "failed", "unsupported", "slip"]
     reason: str = ""
-    found: Found | None = None
+    found: Measurement | None = None
     seconds: float = 0.0
 
 
-class Run:
+class SolverRun:
     """A solver on one system, from the fabric's start."""
 
     def __init__(self, plugin: Any, system: System, settings: Mapping[str, float] = EXACT) -> None:
@@ -108,7 +108,7 @@ class Run:
         with np.errstate(all="ignore"):
             report: StepReport = self.plugin.advance(self.system, self.state, self.memory, poses, steps, dt)
         if report.status != "ok":
-            raise Broken(f"{report.status}: {report.message}")
+            raise BrokenRun(f"{report.status}: {report.message}")
         return report
 
     def energy(self) -> float:
@@ -120,7 +120,7 @@ class Run:
         return np.stack([self.state.x, self.state.v])
 
 
-def choose_step(run: Run, duration: float, longest: float, intervals: int = 1) -> tuple[int, float]:
+def choose_step(run: SolverRun, duration: float, longest: float, intervals: int = 1) -> tuple[int, float]:
     """Steps and step [s] for each of so many intervals of `duration`: 0.7 of the limit, what it resolves, `longest`.
 
     Raises Unsupported for a solver that has no stable step here, or needs too many in all.
@@ -161,9 +161,9 @@ def chain(n: int, k: Float | float, rest: Float | float, c: float = 0.0) -> Spri
     return Springs.from_pairs(np.stack([first, first + 1], axis=1), one * k, one * rest, one * c)
 
 
-def relative(measured: float, expected: float, allowed: float) -> Found:
+def relative(measured: float, expected: float, allowed: float) -> Measurement:
     """Found, its error as a share of what is expected."""
-    return Found(measured, expected, abs(measured / expected - 1.0), allowed)
+    return Measurement(measured, expected, abs(measured / expected - 1.0), allowed)
 
 
 def bisect(low: float, high: float, above: Callable[[float], bool], times: int = 60) -> float:
@@ -174,7 +174,9 @@ def bisect(low: float, high: float, above: Callable[[float], bool], times: int =
     return high
 
 
-def fit_order(steps: Float, errors: Float, expected: float, *, least: bool = False, kept: Bool | None = None) -> Found:
+def fit_order(
+    steps: Float, errors: Float, expected: float, *, least: bool = False, kept: Bool | None = None
+) -> Measurement:
     """The slope of log error over log step against the order that is expected, or is the `least` that is.
 
     It is fitted to the errors that are `kept`, all by default; NaN, which fails, where one of them is 0 or not finite.
@@ -185,4 +187,4 @@ def fit_order(steps: Float, errors: Float, expected: float, *, least: bool = Fal
     order = float(np.polyfit(np.log(steps[kept]), np.log(errors[kept]), 1)[0]) if sound else math.nan
     off = expected - order if least else abs(order - expected)
     series = {"dt": tuple(map(float, steps)), "error": tuple(map(float, errors))}
-    return Found(order, expected, max(0.0, off) if sound else math.nan, 0.1 if expected < 5 else 0.3, series)
+    return Measurement(order, expected, max(0.0, off) if sound else math.nan, 0.1 if expected < 5 else 0.3, series)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_bench.piles import DOWN, G, build_model
-from nuno_bench.validation.law import NONE, Found, Laws, Run, fit_order, make_fabric
+from nuno_bench.validation.law import NONE, Laws, Measurement, SolverRun, fit_order, make_fabric
 from nuno_bench.validation.oscillator import KEEPS_ANGULAR_MOMENTUM, order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.system import System
@@ -50,33 +50,33 @@ def _swung() -> Float:
 
 
 @laws("order, net", "forces by their definition, extrapolated to order 12")
-def measure_order(plugin: Any) -> Found:
+def measure_order(plugin: Any) -> Measurement:
     """The error on a swinging net after 0.2 s, against an independent solution, falls with the nominal order."""
     first, ratio = {1: (400, 2.0), 2: (50, 2.0), 4: (20, 2.0), 5: (20, 1.5)}.get(plugin.order, (100, 2.0))
     if plugin.order > 5:
         first, ratio = 14, 1.17
     counts, errors = np.round(first * ratio ** np.arange(4)), []
     for count in counts:
-        run = Run(plugin, swinging_net())
+        run = SolverRun(plugin, swinging_net())
         run.go(int(count), DURATION / count)
         errors.append(float(np.abs(run.both() - _swung()).max()))
     return order_found(plugin, counts, DURATION, np.array(errors), float(np.abs(_swung()).max()))
 
 
 @laws("projectile", "closed form")
-def measure_projectile(plugin: Any) -> Found:
+def measure_projectile(plugin: Any) -> Measurement:
     """A particle flies as x = x0 + v t + g t^2 / 2, v = v0 + g t.
 
     From order 2 on exactly; a first-order method is off by g t dt / 2 at most.
     """
     count, dt = 100, 0.01
     velocity = np.tile([1.0, 2.0, 0.0], (3, 1))
-    run = Run(plugin, System(make_fabric(np.zeros((3, 3)), velocity=velocity), DOWN))
+    run = SolverRun(plugin, System(make_fabric(np.zeros((3, 3)), velocity=velocity), DOWN))
     run.go(count, dt)
     exact = np.array([1.0, 2.0 - 0.5 * G, 0.0])
     allowed = 1e-11 if plugin.order > 1 else 0.5 * G * dt * (1.0 + 1e-9)
     error = max(np.abs(run.state.x - exact).max(), np.abs(run.state.v - [1.0, 2.0 - G, 0.0]).max())
-    return Found(float(run.state.x[0, 1]), float(exact[1]), float(error), allowed)
+    return Measurement(float(run.state.x[0, 1]), float(exact[1]), float(error), allowed)
 
 
 def free_net(turn: Float | None = None) -> System:
@@ -89,49 +89,49 @@ def free_net(turn: Float | None = None) -> System:
 
 
 @laws("sideways drift", "momentum")
-def measure_drift(plugin: Any) -> Found:
+def measure_drift(plugin: Any) -> Measurement:
     """The centre of mass of a net that vibrates and falls does not move sideways."""
     fabric = free_net().fabric
     weight = fabric.mass[:, None] / fabric.mass.sum()
     still = fabric.velocity - (weight * fabric.velocity).sum(axis=0)
-    run = Run(plugin, System(replace(fabric, velocity=still), DOWN))
+    run = SolverRun(plugin, System(replace(fabric, velocity=still), DOWN))
     run.go(400, 1e-3)
     moved = (weight * (run.state.x - fabric.position)).sum(axis=0)
     fell = abs(float(moved[1])) or np.nan
     aside = float(np.abs(moved[[0, 2]]).max())
-    return Found(aside, 0.0, aside / fell, ROUNDING)
+    return Measurement(aside, 0.0, aside / fell, ROUNDING)
 
 
 @laws("momentum", "Newton's third law")
-def measure_momentum(plugin: Any) -> Found:
+def measure_momentum(plugin: Any) -> Measurement:
     """A free net keeps its momentum to rounding, as a share of the sum of its parts' momenta."""
-    run = Run(plugin, free_net())
+    run = SolverRun(plugin, free_net())
     parts = run.system.fabric.mass[:, None] * run.system.fabric.velocity
     run.go(400, 1e-3)
     change = run.system.fabric.mass[:, None] * run.state.v - parts
     largest = float(np.abs(change.sum(axis=0)).max())
-    return Found(largest, 0.0, largest / float(np.abs(parts).sum()), ROUNDING)
+    return Measurement(largest, 0.0, largest / float(np.abs(parts).sum()), ROUNDING)
 
 
 @laws("angular momentum", "central forces")
-def measure_angular(plugin: Any) -> Found:
+def measure_angular(plugin: Any) -> Measurement:
     """A free net keeps its angular momentum: to rounding by kicks and drifts, else to the nominal order at least."""
     if plugin.name in KEEPS_ANGULAR_MOMENTUM:
         change = _turned(plugin, 400, 0.4)
-        return Found(change, 0.0, change, ROUNDING)
+        return Measurement(change, 0.0, change, ROUNDING)
     first, ratio = {1: (400, 2.0), 2: (60, 2.0), 4: (30, 2.0)}.get(plugin.order, (20, 1.5))
     if plugin.order > 5:
         first, ratio = 10, 1.3
     counts = np.round(first * ratio ** np.arange(4))
     changes = np.array([_turned(plugin, int(count), 0.2) for count in counts])
     if changes.max() < ROUNDING:
-        return Found(float(changes[0]), 0.0, float(changes[0]), ROUNDING)
+        return Measurement(float(changes[0]), 0.0, float(changes[0]), ROUNDING)
     return fit_order(0.2 / counts, changes, plugin.order, least=True)
 
 
 def _turned(plugin: Any, count: int, duration: float) -> float:
     """Change of the free net's angular momentum over so many steps, as a share of the sum of its parts'."""
-    run = Run(plugin, free_net())
+    run = SolverRun(plugin, free_net())
     weight = run.system.fabric.mass[:, None]
     before = weight * np.cross(run.state.x, run.state.v)
     run.go(count, duration / count)
@@ -140,16 +140,16 @@ def _turned(plugin: Any, count: int, duration: float) -> float:
 
 
 @laws("rotation", "isotropy of space")
-def measure_rotation(plugin: Any) -> Found:
+def measure_rotation(plugin: Any) -> Measurement:
     """A turned net moves as the net does, turned."""
     q, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((3, 3)))
     ends = []
     for turn in (np.eye(3), q):
-        run = Run(plugin, free_net(turn))
+        run = SolverRun(plugin, free_net(turn))
         run.go(100, 1e-3)
         ends.append(run.state.x @ turn)
     apart = float(np.abs(ends[0] - ends[1]).max())
-    return Found(apart, 0.0, apart, ROUNDING)
+    return Measurement(apart, 0.0, apart, ROUNDING)
 
 
 @cache
@@ -162,14 +162,14 @@ def _crumpled() -> Fabric:
 
 
 @laws("force, energy", "central differences")
-def measure_gradient(plugin: Any) -> Found:
+def measure_gradient(plugin: Any) -> Measurement:
     """force = -grad energy, of springs and hinges: from a short step out of rest, and of the reported energy."""
-    run = Run(plugin, System(_crumpled(), DOWN))
+    run = SolverRun(plugin, System(_crumpled(), DOWN))
     fabric = run.system.fabric
     dt, reach = 1e-4 / float(plugin.limit(run.config, run.system, run.state).omega), 1e-7
     run.go(1, dt)
     force = fabric.mass[:, None] * run.state.v / dt
-    probe = Run(plugin, run.system)
+    probe = SolverRun(plugin, run.system)
     slope = np.zeros_like(force)
     for place in np.ndindex(*force.shape):
         energies = []
@@ -179,7 +179,7 @@ def measure_gradient(plugin: Any) -> Found:
             energies.append(probe.energy())
         slope[place] = (energies[0] - energies[1]) / (2.0 * reach)
     scale = float(np.abs(force).max())
-    return Found(scale, float(np.abs(slope).max()), float(np.abs(force + slope).max() / scale), 1e-5)
+    return Measurement(scale, float(np.abs(slope).max()), float(np.abs(force + slope).max() / scale), 1e-5)
 
 
 def slopes(system: System, y: Long) -> Long:

@@ -10,10 +10,10 @@ import numpy as np
 
 from nuno_bench.validation.law import (
     NONE,
-    Broken,
-    Found,
+    BrokenRun,
     Laws,
-    Run,
+    Measurement,
+    SolverRun,
     Unsupported,
     bisect,
     fit_order,
@@ -50,25 +50,25 @@ def oscillator(omega: float = OMEGA, damping: float = DAMPING) -> System:
 
 
 @laws("one step", "textbook matrices")
-def measure_step(plugin: Any) -> Found:
+def measure_step(plugin: Any) -> Measurement:
     """One step on a damped oscillator is the method's matrix."""
-    run, dt = Run(plugin, oscillator()), 0.13
+    run, dt = SolverRun(plugin, oscillator()), 0.13
     start, matrix = run.both(), amplification(plugin)(OMEGA, DAMPING, dt)
     run.go(1, dt)
     expected = np.tensordot(matrix, start, 1)
     error = np.abs(run.both() - expected).max()
-    return Found(run.state.x[1, 0], float(expected[0, 1, 0]), float(error), 1e-12)
+    return Measurement(run.state.x[1, 0], float(expected[0, 1, 0]), float(error), 1e-12)
 
 
 @laws("oscillator energy", "Euler 1 + h^2, implicit Euler 1/(1 + h^2) a step; leapfrog within 1/(1 - h^2/4)")
-def measure_energy(plugin: Any) -> Found:
+def measure_energy(plugin: Any) -> Measurement:
     """After 200 undamped steps at omega dt = 0.5 the energy is what the matrix's power says.
 
     Euler's grows by 1 + h^2 a step, implicit Euler's falls by as much; leapfrog's stays within
     1/(1 - h^2/4), symplectic Euler's within (1 + h/2)/(1 - h/2).
     """
     count, dt = 200, 0.5 / OMEGA
-    run = Run(plugin, oscillator(damping=0.0))
+    run = SolverRun(plugin, oscillator(damping=0.0))
     start, before = run.both(), run.energy()
     run.go(count, dt)
     end = np.tensordot(np.linalg.matrix_power(amplification(plugin)(OMEGA, 0.0, dt), count), start, 1)
@@ -77,7 +77,7 @@ def measure_energy(plugin: Any) -> Found:
 
 
 @laws("order, oscillator", "damped oscillator")
-def measure_order(plugin: Any) -> Found:
+def measure_order(plugin: Any) -> Measurement:
     """The error against the closed form after 1 s falls with the nominal order."""
     first, ratio = {1: (1600, 2.0), 2: (80, 2.0), 3: (60, 2.0)}.get(plugin.order, (40, 2.0))
     if plugin.order > 5:
@@ -87,13 +87,13 @@ def measure_order(plugin: Any) -> Found:
     half, rate = 0.5 * DAMPING, math.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
     exact = math.exp(-half) * (x * math.cos(rate) + (v + half * x) / rate * math.sin(rate))
     for count in counts:
-        run = Run(plugin, system)
+        run = SolverRun(plugin, system)
         run.go(int(count), 1.0 / count)
         errors.append(float(np.abs(run.state.x - exact).max()))
     return order_found(plugin, counts, 1.0, np.array(errors), float(np.abs(x).max()))
 
 
-def order_found(plugin: Any, counts: Float, duration: float, errors: Float, size: float) -> Found:
+def order_found(plugin: Any, counts: Float, duration: float, errors: Float, size: float) -> Measurement:
     """The fitted order against the nominal one, of the errors that are not the rounding of quantities of `size`.
 
     A step rounds by half an epsilon at most, and n steps by about sqrt(n) of that: ten times as much is left out. A
@@ -128,7 +128,7 @@ def pinned_net(n: int, damping: float) -> tuple[System, float, Float]:
 
 
 @laws("critical step", MODES)
-def measure_critical(plugin: Any) -> Found:
+def measure_critical(plugin: Any) -> Measurement:
     """The fastest mode of a lightly damped net is bounded at 0.999 of the critical step and grows at 1.001."""
     if not plugin.explicit:
         raise Unsupported("implicit: every step is stable")
@@ -141,29 +141,29 @@ def measure_critical(plugin: Any) -> Found:
     count = max(1000, math.ceil(2.0 / math.log(radius(matrix(omega, SHARE * omega, 1.001 * expected)))))
 
     def grows(dt: float) -> bool:
-        run = Run(plugin, system)
+        run = SolverRun(plugin, system)
         try:
             run.go(count, dt)
-        except Broken:
+        except BrokenRun:
             return True
         end = np.hypot(run.state.x[:, 2] @ mode, run.state.v[:, 2] @ mode / omega)
         return bool(end > system.fabric.position[:, 2] @ mode)
 
     if not grows(0.999 * expected) and grows(1.001 * expected):
-        return Found(expected * omega, expected * omega, 1e-3, 1e-3)
+        return Measurement(expected * omega, expected * omega, 1e-3, 1e-3)
     return relative(bisect(0.0, 4.0 * expected, grows, 12) * omega, expected * omega, 1e-3)
 
 
 @laws("stated limit", MODES)
-def measure_limit(plugin: Any) -> Found:
+def measure_limit(plugin: Any) -> Measurement:
     """The stated limit of a lightly damped net is at most the true one, and at least 0.8 of it."""
     if not plugin.explicit or plugin.adaptive:
         raise Unsupported("states no limit: " + ("implicit" if not plugin.explicit else "chooses its own steps"))
     system, omega, _ = pinned_net(5, SHARE)
-    run = Run(plugin, system)
+    run = SolverRun(plugin, system)
     stated = float(plugin.limit(run.config, system, run.state).dt)
     over = stated / critical_step(amplification(plugin), omega, SHARE * omega)
-    return Found(over, 1.0, 1.0 - over if over <= 1.0 + 1e-9 else math.inf, 0.2)
+    return Measurement(over, 1.0, 1.0 - over if over <= 1.0 + 1e-9 else math.inf, 0.2)
 
 
 def _function(of: Callable[[Float], Float]) -> Matrix:

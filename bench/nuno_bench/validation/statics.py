@@ -13,9 +13,9 @@ from nuno_bench.piles import DOWN, G, build_model
 from nuno_bench.validation.law import (
     ACCURATE,
     NONE,
-    Found,
     Laws,
-    Run,
+    Measurement,
+    SolverRun,
     Unsupported,
     bisect,
     chain,
@@ -34,7 +34,7 @@ LOOKS = 12
 POISSON = {"0": 0.0, "0.3": 0.3, "-1/3": -1.0 / 3.0}
 
 
-def settle(run: Run, duration: float, longest: float, measure: Callable[[Float], float], slack: float) -> float:
+def settle(run: SolverRun, duration: float, longest: float, measure: Callable[[Float], float], slack: float) -> float:
     """Run on until `measure` of the positions rests, and return it: two looks that change it by less than `slack`.
 
     There are LOOKS looks in `duration`. Speeds would not do: an adaptive method keeps those of its
@@ -61,18 +61,18 @@ def hung(n: int, k: float, rest: Float | float, last: float = 1.0) -> Fabric:
 
 
 @laws("elongation", "closed form")
-def measure_elongation(plugin: Any) -> Found:
+def measure_elongation(plugin: Any) -> Measurement:
     """A hanging chain of lumped masses, half a mass at its end, stretches by w L^2 / (2 E A) exactly."""
     n, stiffness = 16, 100.0 * G
     # The slowest mode has omega = pi/2 sqrt(E A g / (w L)) = 49 1/s; twice that is its critical damping.
-    run = Run(plugin, System(hung(n, stiffness * n, 1.0 / n, 0.5), DOWN, 60.0), ACCURATE)
+    run = SolverRun(plugin, System(hung(n, stiffness * n, 1.0 / n, 0.5), DOWN, 60.0), ACCURATE)
     expected = G / (2.0 * stiffness)
     measured = settle(run, 2.0, 5e-3, lambda x: float(-1.0 - x[-1, 1]), 1e-5 * expected)
     return relative(measured, expected, 1e-4)
 
 
 @laws("catenary", "closed form")
-def measure_catenary(plugin: Any) -> Found:
+def measure_catenary(plugin: Any) -> Measurement:
     """A chain of 40 links, 1.5 spans long, hangs as y = a cosh(x / a): it sags by a (cosh(d / 2a) - 1)."""
     n, span, length, strain = 40, 1.0, 1.5, 1e-4
     a = bisect(0.05 * span, 50.0 * span, lambda a: 2.0 * a * math.sinh(span / (2.0 * a)) <= length, 80)
@@ -81,14 +81,14 @@ def measure_catenary(plugin: Any) -> Found:
     x[:, 0], x[:, 1] = s * span, -0.6 * (1.0 - (2.0 * s) ** 2)
     springs = chain(n + 1, tension / strain * n / length, length / n, 0.02)
     fabric = make_fabric(x, springs, np.full(n + 1, 1.0 / n), np.abs(s) == 0.5)
-    run = Run(plugin, System(fabric, DOWN, 8.0), ACCURATE)
+    run = SolverRun(plugin, System(fabric, DOWN, 8.0), ACCURATE)
     expected = a * (math.cosh(span / (2.0 * a)) - 1.0)
     measured = settle(run, 6.0, 5e-3, lambda x: float(-x[:, 1].min()), 1e-4 * expected)
     return relative(measured, expected, 2e-3)
 
 
 @laws({f"chain frequency {mode + 1}": {"mode": mode} for mode in range(3)}, "zeros of the Laguerre polynomial L_24")
-def measure_frequency(plugin: Any, mode: int) -> Found:
+def measure_frequency(plugin: Any, mode: int) -> Measurement:
     """A hanging chain of n = 24 masses swings with its own omega sqrt(L / g).
 
     The squares of the frequencies are (n g / L) times the zeros of the Laguerre polynomial L_n, which tend to
@@ -102,7 +102,7 @@ def measure_frequency(plugin: Any, mode: int) -> Found:
     shape = np.array([np.polynomial.laguerre.lagval(roots[mode], [0.0] * i + [1.0]) for i in range(n, -1, -1)])
     fabric = hung(n, k, (1.0 - G * np.arange(n, 0, -1) / k) / n)
     fabric.position[:, 0] = 1e-5 * shape
-    run = Run(plugin, System(fabric, DOWN), ACCURATE)
+    run = SolverRun(plugin, System(fabric, DOWN), ACCURATE)
     steps, dt = choose_step(run, 0.25 * math.pi / omega, 5e-3 / omega)
     angles = [0.0]
     for _ in range(8):
@@ -141,7 +141,7 @@ def swatch(**fields: Any) -> Fabric:
 
 
 @laws("mesh cantilever", "theta'' = -Gamma (1 - s) cos theta")
-def measure_mesh_cantilever(plugin: Any) -> Found:
+def measure_mesh_cantilever(plugin: Any) -> Measurement:
     """A heavy strip of irregular triangles, 24 edges long, drops as the elastica does at w L^3 / B = 10, settled."""
     gamma, length, density, edges = 10.0, 0.2, 0.2, 24
     edge, rigidity = length / edges, density * G * length**3 / gamma
@@ -149,13 +149,13 @@ def measure_mesh_cantilever(plugin: Any) -> Found:
     cloth = swatch(size=size, hold=3.0 * edge, edge=edge, fabric=stiff(density, rigidity))
     end = cloth.position[:, 0] > length - 1e-9
     damping = 1.4 * math.hypot(3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length))
-    run, expected = Run(plugin, System(cloth, DOWN, damping), ACCURATE), DROP[10]
+    run, expected = SolverRun(plugin, System(cloth, DOWN, damping), ACCURATE), DROP[10]
     measured = settle(run, 48.0 / damping, 0.02, lambda x: float(-x[end, 1].mean()) / length, 1e-3 * expected)
     return relative(measured, expected, 2e-2)
 
 
 @laws("crease", "B kappa = HB")
-def measure_crease(plugin: Any) -> Found:
+def measure_crease(plugin: Any) -> Measurement:
     """A piece of irregular triangles that was rolled up, and is let go of, keeps the curvature 2HB / 2B."""
     side, edge, most, rigidity, width = 0.01, 1e-3, 100.0, 1e-5, 6e-4
     fabric = stiff(0.2, rigidity, hysteresis_warp=width, hysteresis_weft=width)
@@ -166,7 +166,7 @@ def measure_crease(plugin: Any) -> Found:
     cloth.position[:, 1] = (1.0 - np.cos(most * (flat[:, 0] - 0.5 * side))) / most
     # Its slowest mode of bending, critically damped: it opens without swinging.
     slowest = 22.4 * math.sqrt(rigidity / (0.2 * side**4))
-    run = Run(plugin, System(cloth, NONE, 2.0 * slowest), ACCURATE)
+    run = SolverRun(plugin, System(cloth, NONE, 2.0 * slowest), ACCURATE)
 
     def curvature(x: Float) -> float:
         """Of the circle that fits the middle half best."""
@@ -181,16 +181,16 @@ def measure_crease(plugin: Any) -> Found:
 
 
 @laws({f"cantilever {gamma}": {"gamma": gamma} for gamma in DROP}, "theta'' = -Gamma (1 - s) cos theta")
-def measure_cantilever(plugin: Any, gamma: int) -> Found:
+def measure_cantilever(plugin: Any, gamma: int) -> Measurement:
     """A heavy strip of 64 elements drops as the elastica does at w L^3 / B = Gamma, over its length, settled."""
     (system, length), expected = strip(gamma, 64), DROP[gamma]
-    run = Run(plugin, system, ACCURATE)
+    run = SolverRun(plugin, system, ACCURATE)
     measured = settle(run, 48.0 / system.damping, 0.02, lambda x: float(-x[-2:, 1].mean()) / length, 1e-3 * expected)
     return relative(measured, expected, 1e-2)
 
 
 @laws({f"lateral buckling {name}": {"poisson": value} for name, value in POISSON.items()}, "zero of Bessel's J -1/6")
-def measure_buckling(plugin: Any, poisson: float, layout: str = "irregular") -> Found:
+def measure_buckling(plugin: Any, poisson: float, layout: str = "irregular") -> Measurement:
     """A narrow strip on its side loses all stiffness against tipping over at w L^3 / B = 12.85 sqrt(2 / (1 + nu)).
 
     By the forces that the solver reports. The strip is 120 edges long and 2 wide.
@@ -217,11 +217,11 @@ def sunk(plugin: Any, size: float, weight: float) -> float:
     out = (np.hypot(x[:, 0], x[:, 2]) / radius - 0.6) / 0.4
     x[free, 1] = (0.06 * radius * out * np.cos(4.0 * np.arctan2(x[:, 2], x[:, 0])))[free]
     swing = math.sqrt(G / radius)
-    run = Run(plugin, System(cloth, DOWN, 2.0 * swing), ACCURATE)
+    run = SolverRun(plugin, System(cloth, DOWN, 2.0 * swing), ACCURATE)
     return settle(run, 60.0 / swing, 0.1 / swing, lambda x: float(-x[free, 1].mean()) / radius, 1e-5)
 
 
 @laws("drape", "dimensions")
-def measure_drape(plugin: Any) -> Found:
+def measure_drape(plugin: Any) -> Measurement:
     """A disc of twice the size and three times the weight with the same w a^3 / B drapes alike, from a start alike."""
     return relative(sunk(plugin, 2.0, 3.0), sunk(plugin, 1.0, 1.0), 1e-3)
