@@ -51,16 +51,16 @@ def sheet(
 ) -> Fabric:
     """A level square of cloth, its middle at a place, moving at v: of quads, or of triangles in no order."""
     level = {"size": [size, size], "resolution": [side, side], "plane": "xz", "fabric": CLOTH}
-    fabric = _irregular(side, size) if irregular else build_model("sheet", level)
+    if irregular:
+        with TemporaryDirectory(prefix="nuno-") as folder:
+            write_obj(Path(folder) / "sheet.obj", *irregular_square(side, size, side))
+            mesh = {"file": "sheet.obj", "warp": [1, 0, 0], "fabric": CLOTH}
+            fabric = build_model("mesh", mesh, Path(folder))
+    else:
+        fabric = build_model("sheet", level)
     x = fabric.position - fabric.position.mean(axis=0) + (np.zeros(3) if at is None else at)
     moving = np.zeros_like(x) + (np.zeros(3) if v is None else v)
     return replace(fabric, name=name, position=x, velocity=moving, pinned=np.full(len(x), pinned))
-
-
-def _irregular(side: int, size: float) -> Fabric:
-    with TemporaryDirectory(prefix="nuno-") as folder:
-        write_obj(Path(folder) / "sheet.obj", *irregular_square(side, size, side))
-        return build_model("mesh", {"file": "sheet.obj", "warp": [1, 0, 0], "fabric": CLOTH}, Path(folder))
 
 
 def pile(

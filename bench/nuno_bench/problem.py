@@ -391,7 +391,10 @@ class DyeProblem:
             return found.report, found.seconds
 
         ended = advance_all(self, advance, lambda report: rows.append(self._observe(dyeing.state)), most_seconds)
-        return Run(self._series(rows), *ended)
+        x, mobile, fixed, spread = (np.array(column) for column in zip(*rows, strict=True))
+        values = {"mobile": mobile, "fixed": fixed, "spread": spread}
+        t = self.frame * np.arange(len(rows), dtype=np.float64)
+        return Run(Series(t, x, values, np.zeros((len(rows), 0)), AMOUNTS), *ended)
 
     def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
         """Seconds that a solver's first call takes, then `taken` of its steps. Raises BadInput where it refuses."""
@@ -418,12 +421,6 @@ class DyeProblem:
         amounts = np.stack([state.phi.reshape(-1), state.fixed.reshape(-1)], axis=1)
         mobile, fixed = (values.reshape(len(moments), -1).sum(axis=1) for values in (state.phi, state.fixed))
         return amounts, mobile, fixed, np.array(moments)
-
-    def _series(self, rows: list[tuple[Float, Float, Float, Float]]) -> Series:
-        x, mobile, fixed, spread = (np.array(column) for column in zip(*rows, strict=True))
-        values = {"mobile": mobile, "fixed": fixed, "spread": spread}
-        t = self.frame * np.arange(len(rows))
-        return Series(t.astype(np.float64), x, values, np.zeros((len(rows), 0)), AMOUNTS)
 
 
 def make_dye_problem(loaded: Loaded, threads: int = 0) -> DyeProblem:

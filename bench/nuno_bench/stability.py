@@ -19,7 +19,6 @@ import numpy as np
 from nuno import registry
 from nuno.formatting import duration
 from nuno.scene import scene_file, shipped
-from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
 from nuno_bench.problem import Problem, Run, Series, lengths_at_rest, make_problem, simulate
 from nuno_bench.reference import PRIMARY, tight
@@ -362,8 +361,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Map each scene, print the counts, write page, CSV and JSON. A run that diverges is a result."""
-    plots.require_matplotlib()
-    require_viewer(None, args.rrd, "--rrd")
+    plots.require_drawing(args.rrd)
     tabs = dict[str, list[plots.Panel]]()
     paths: list[Path] = [shipped.find(name) for name in args.scenes]
     for path in paths:
@@ -378,10 +376,7 @@ def main(args: argparse.Namespace) -> int:
     with open_executor(args) as where:
         for path in paths:
             tabs |= panels_by_tab(_map(args, path, names or installed, where))
-    if args.rrd is not None:
-        from nuno_bench.report import rerun
-
-        rerun.write(args.rrd, "nuno bench stability", tabs)
+    plots.write_rrd(args.rrd, "stability", tabs)
     return 0
 
 

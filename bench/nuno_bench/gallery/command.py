@@ -53,7 +53,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def show(kind: Gallery, args: argparse.Namespace, section: str) -> int:
-    """See main."""
+    """Run the scenes that are wanted of a kind, and write their page; return the exit code."""
     others = machine.OtherLoad()
     paths = choose(kind, args.scenes)
     number, shown, pace = len(paths), list[ShownScene](), RuntimeEstimate({path.stem: 1.0 for path in paths})

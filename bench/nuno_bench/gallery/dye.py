@@ -10,7 +10,6 @@ import numpy as np
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
-from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.kind import Difference, Gallery, ShownScene
 from nuno_bench.machine import cores
 from nuno_schemas.dye import Cells
@@ -78,7 +77,9 @@ def run_scene(path: Path) -> ShownScene:
             pictures.append(("" if moments == (frames,) else f"after {run.time / 3600:g} h", _draw(painter, run)))
     if name in SEEN_FIXED:
         pictures.append((FIXED, _draw(painter, run, "fixed")))
-    dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
+    yarn = loaded.dye.cloth.config.model_dump().get("warp", {}) if loaded.dye is not None else {}
+    pitch = int(yarn.get("width", 1)) + int(yarn.get("gap", 0))  # of the warp; 1 where a cloth has no such number
+    dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], pitch)
     return ShownScene(name, loaded.scene.description, pictures, {BALANCE: balance} | _measure(name, dyed), failed)
 
 
@@ -88,25 +89,15 @@ def _measure(name: str, dyed: Dyed) -> dict[str, float]:
     asked = dict.fromkeys(m for each in DIFFERENCES for scene, m in (each.high, each.low) if scene == name)
     found = {measure: own[measure](dyed) for measure in asked if measure in own}
     if name in WEAVES:
-        found |= {FOLLOWS.format(weave): follows(dyed, cells_of(scenes()[weave])) for weave in WEAVES}
+        undyed = {weave: DyeRun(scene_file.read(scenes()[weave]), 1).cells for weave in WEAVES}
+        found |= {FOLLOWS.format(weave): follows(dyed, cells) for weave, cells in undyed.items()}
     return found
-
-
-def cells_of(path: Path) -> Cells:
-    """The cloth of a scene before it is dyed."""
-    return DyeRun(scene_file.read(path), 1).cells
 
 
 def _draw(painter: DyePainter, run: DyeRun, view: DyeView = "all") -> Picture:
     amounts = amount_seen(run.state.phi, run.state.fixed, view) * (DARKER if view == "fixed" else 1.0)
     picture: Picture = painter.chosen.plugin.draw(painter.prepared, amounts)
     return picture
-
-
-def _pitch(loaded: Loaded) -> int:
-    """Of the warp [cells], 1 where a cloth has no such number."""
-    yarn = loaded.dye.cloth.config.model_dump().get("warp", {}) if loaded.dye is not None else {}
-    return int(yarn.get("width", 1)) + int(yarn.get("gap", 0))
 
 
 class Dyed(NamedTuple):

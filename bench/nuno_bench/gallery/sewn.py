@@ -83,12 +83,11 @@ def _crosses(recording: Recording, loaded: Loaded) -> bool:
 
 def table(shown: Sequence[ShownScene]) -> Table:
     """A row a scene."""
-    rows = [[one.name, *(_told(one.measured[name]) for name in MEASURES)] for one in shown if one.measured]
+    rows = [
+        [one.name, *("-" if math.isnan(one.measured[name]) else number(one.measured[name]) for name in MEASURES)]
+        for one in shown if one.measured
+    ]  # fmt: skip
     return Table(("scene", *MEASURES), rows)
-
-
-def _told(value: float) -> str:
-    return "-" if math.isnan(value) else number(value)
 
 
 KIND = Gallery(

@@ -81,7 +81,10 @@ def bend(fabric: object, angle: float, **model: Any) -> Loop:
     curvature, moment = 0.5 * (path[1:] + path[:-1]), np.array(moments)
     # Of the closed loop, from the first return to level on: down to -MOST, and up to MOST.
     down, up = np.arange(STEPS, 3 * STEPS), np.arange(3 * STEPS, 5 * STEPS)
-    slopes = [_slope(curvature[part], moment[part], sign) for part in (down, up) for sign in (1.0, -1.0)]
+    slopes = []
+    for part, sign in itertools.product((down, up), (1.0, -1.0)):
+        some = part[(sign * curvature[part] > LOW) & (sign * curvature[part] < HIGH)]
+        slopes.append(np.polyfit(curvature[some], moment[some], 1)[0])
     width = _at(curvature[up], moment[up], AT) - _at(curvature[down], moment[down], AT)
     left = float(np.interp(0.0, moment[down][::-1], curvature[down][::-1]))
     work = float((moment[down].sum() * -1.0 + moment[up].sum()) * MOST / STEPS)
@@ -95,11 +98,6 @@ def roll(flat: Float, curvature: float) -> Float:
         x[:, 0] = np.sin(curvature * flat[:, 0]) / curvature
         x[:, 1] = flat[:, 1] + (1.0 - np.cos(curvature * flat[:, 0])) / curvature
     return x
-
-
-def _slope(curvature: Float, moment: Float, sign: float) -> float:
-    some = (sign * curvature > LOW) & (sign * curvature < HIGH)
-    return float(np.polyfit(curvature[some], moment[some], 1)[0])
 
 
 def _at(curvature: Float, moment: Float, where: float) -> float:

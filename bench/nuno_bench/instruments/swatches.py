@@ -83,18 +83,13 @@ def sections(swatches: list[Swatch]) -> page.Sections:
         for one in swatches
     ]  # fmt: skip
     measured = page.Table(("fabric", *named, "drape coefficient [%]", "nodes"), rows, MEASURES)
-    heads, origins = ("fabric", "source", *presets.KINDS), [_origins(one.preset) for one in swatches]
+    heads, origins = ("fabric", "source", *presets.KINDS), list[list[str]]()
+    for one in swatches:
+        lines = [line.partition(": ") for line in presets.origins(one.preset.how)]
+        by_kind = ("; ".join(text for kind, _, text in lines if kind == each) for each in presets.KINDS)
+        origins.append([one.preset.name, one.preset.source, *by_kind])
     return [
         ("", [page.Pictures(images)]),
         ("Measures", [measured]),
         ("Where they come from", [page.Table(heads, origins, prose=True)]),
-    ]
-
-
-def _origins(preset: Preset) -> list[str]:
-    lines = [line.partition(": ") for line in presets.origins(preset.how)]
-    return [
-        preset.name,
-        preset.source,
-        *("; ".join(text for kind, _, text in lines if kind == each) for each in presets.KINDS),
     ]

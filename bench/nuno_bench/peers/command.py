@@ -119,10 +119,6 @@ def measure_skirt(kinds: list[Engine], left_out: list[str], asked: argparse.Name
     return SkirtComparison(kinds, points, left_out, skirt)
 
 
-def require_oracle() -> None:
-    options.require_package("cloth is looked at by", "ipctk")
-
-
 def groups(kinds: Sequence[Engine]) -> dict[str, list[Engine]]:
     """What a name of --only may stand for: an engine as a whole, or one way of its."""
     found: dict[str, list[Engine]] = {}
@@ -160,7 +156,7 @@ SCENES = {
     "sheet": Scene("the stiff sheet, its error beside time", "peers", SHEET_KINDS, plots.require_matplotlib,
                    measure_sheet),
     "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", PILE_KINDS,
-                     require_oracle, measure_contact),
+                     partial(options.require_package, "cloth is looked at by", "ipctk"), measure_contact),
     "skirt": Scene("a skirt on a dancer, its error and crossings beside time", "peers skirt", SKIRT_KINDS,
                    plots.require_matplotlib, measure_skirt),
 }  # fmt: skip

@@ -159,7 +159,8 @@ def _of_edges(skirt: Skirt, builder: Any, panels: Float) -> Float:
         stiffness[tuple(sorted(quad))] = stiffness.get(tuple(sorted(quad)), 0.0) + k
     one, two = panels[:, 1] - panels[:, 0], panels[:, 2] - panels[:, 0]
     of_edge: dict[tuple[int, ...], float] = {}
-    for face, size in zip(skirt.faces.tolist(), (0.5 * np.abs(_cross(one, two))).tolist(), strict=True):
+    areas = 0.5 * np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    for face, size in zip(skirt.faces.tolist(), areas.tolist(), strict=True):
         for i in range(3):
             side = tuple(sorted((face[i], face[i - 1])))
             of_edge[side] = of_edge.get(side, 0.0) + size
@@ -169,10 +170,6 @@ def _of_edges(skirt: Skirt, builder: Any, panels: Float) -> Float:
         square = float(((skirt.flat[i] - skirt.flat[j]) ** 2).sum())
         found.append(k * of_edge[tuple(sorted((i, j)))] / (3.0 * square) if min(opposite) >= 0 else 0.0)
     return np.array(found)
-
-
-def _cross(a: Float, b: Float) -> Float:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def _from_z(direction: Float) -> Float:

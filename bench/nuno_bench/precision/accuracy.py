@@ -26,6 +26,7 @@ from nuno.solver_selection.selection import PROMISE
 from nuno.solver_selection.trials import GROWTH
 from nuno_bench import machine, options
 from nuno_bench.piles import random_scene
+from nuno_bench.precision.sweep import measure_errors
 from nuno_bench.problem import AnyProblem, DyeProblem, Run, pose
 from nuno_bench.reference import DISTURBANCE, Horizon, ReferenceRuns, refer
 from nuno_bench.report import page
@@ -173,7 +174,7 @@ def _apart(problem: AnyProblem, run: Run, exact: Run, frames: int) -> float:
     """The error after the start, as CAPTION says; nan of a run that failed."""
     if run.status != "ok":
         return math.nan
-    difference, x = run.series.x[1:frames] - exact.series.x[1:frames], exact.series.x
     if isinstance(problem, DyeProblem):
-        return float(np.abs(difference).max() / np.abs(x[1:]).max())
-    return float(np.sqrt((difference**2).sum(axis=2).mean())) / problem.size
+        difference = run.series.x[1:frames] - exact.series.x[1:frames]
+        return float(np.abs(difference).max() / np.abs(exact.series.x[1:]).max())
+    return measure_errors(run.series, exact.series, problem.scales(exact.series), frames)[problem.leading].l2

@@ -19,7 +19,6 @@ from nuno.formatting import duration
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.solver_selection.cloth import decide
-from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
 from nuno_bench.precision.settings import OwnSettings, add_own, choose_solvers
 from nuno_bench.precision.sweep import (
@@ -361,17 +360,13 @@ def main(args: argparse.Namespace) -> int:
         if all(judgement.verdict in ("failed", "no point") for judgement in judge(found.points, found.floors)):
             print(f"{name}: the reference judges no point", file=sys.stderr)
             failed = True
-    if args.rrd is not None:
-        from nuno_bench.report import rerun
-
-        rerun.write(args.rrd, "nuno bench precision", panels)
+    plots.write_rrd(args.rrd, "precision", panels)
     return int(failed)
 
 
 def _check(args: argparse.Namespace) -> list[Loaded]:
     """The scenes. Raises BadInput before anything runs."""
-    plots.require_matplotlib()
-    require_viewer(None, args.rrd, "--rrd")
+    plots.require_drawing(args.rrd)
     overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else []), "allow_unstable=true"]
     loaded = [decide(scene_file.read(shipped.find(name), overrides)) for name in args.scenes]
     kinds = {DyeProblem if one.solver is None else Problem for one in loaded}

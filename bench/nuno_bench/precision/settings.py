@@ -177,17 +177,13 @@ def _settings(frame: float, solver: Solver) -> list[Setting]:
     if len(counts) < 3:
         counts |= set(FEW)
     # Where no step at all is stable, all of them are beyond the limit already.
-    beyond = max(BEYOND * limit.dt, _oscillation(limit))
+    # The fastest oscillation bears about this step in most methods: where the limit is far below it, as that of
+    # explicit Euler, failure is cheaper to show there.
+    oscillation = 1.8 / limit.omega if limit.omega > 0.0 and limit.dt * limit.omega < 0.2 else 0.0
+    beyond = max(BEYOND * limit.dt, oscillation)
     if limit.dt > 0.0 and math.isfinite(beyond) and frame >= beyond:
         counts.add(math.floor(frame / beyond))
     return [at_steps(frame, solver, count) for count in sorted(counts)]
-
-
-def _oscillation(limit: StepLimit) -> float:
-    """A step that the fastest oscillation bears in most methods [s]: where the limit is far below it, as that
-    of explicit Euler, failure is cheaper to show there.
-    """
-    return 1.8 / limit.omega if limit.omega > 0.0 and limit.dt * limit.omega < 0.2 else 0.0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import io
 import math
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.viewer.require import require as require_viewer
 from nuno_bench import options
 
 COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
@@ -71,6 +72,20 @@ class Panel:
 def require_matplotlib() -> None:
     """Raise BadInput if figures cannot be drawn."""
     options.require_package("pages with figures need", "matplotlib")
+
+
+def require_drawing(rrd: Path | None) -> None:
+    """Raise BadInput if figures cannot be drawn, or if a rerun file is asked for that cannot be written."""
+    require_matplotlib()
+    require_viewer(None, rrd, "--rrd")
+
+
+def write_rrd(path: Path | None, kind: str, tabs: Mapping[str, Sequence[Panel]]) -> None:
+    """Write the panels of `nuno bench KIND` by tab into the rerun file that is asked for, if any."""
+    if path is not None:
+        from nuno_bench.report import rerun  # imports this module
+
+        rerun.write(path, f"nuno bench {kind}", tabs)
 
 
 def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:

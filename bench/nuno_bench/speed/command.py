@@ -65,25 +65,17 @@ class Record:
     def line(self) -> str:
         """As JSON; one that others disturbed is marked."""
         data = {"date": self.date, "commit": self.commit, **vars(self), "load": round(self.load, 3)}
-        data |= {"results": [_saved(result) for result in self.results]}
+        data["results"] = [
+            {"case": one.case, "what": one.what, "unit": one.unit, "median": one.median, "least": min(one.samples),
+             "greatest": max(one.samples), "samples": one.samples}
+            for one in self.results
+        ]  # fmt: skip
         if self.load > machine.DISTURBED:
             data["disturbed"] = True
         return json.dumps({name: value for name, value in data.items() if value != ""})
 
 
 RECORD = TypeAdapter(Record)
-
-
-def _saved(one: Result) -> dict[str, object]:
-    spread = {"median": one.median, "least": min(one.samples), "greatest": max(one.samples)}
-    return {"case": one.case, "what": one.what, "unit": one.unit, **spread, "samples": one.samples}
-
-
-def own_file(field: str) -> Path:
-    """The repository's record. Raises BadInput where nuno runs from none."""
-    if not (ROOT / ".git").exists():
-        raise BadInput("this nuno is in no repository that has a record", field=field, remedy="name a file")
-    return ROOT / "docs" / "measured" / "speed.jsonl"
 
 
 def commit() -> str:
@@ -264,9 +256,11 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _record(given: Path | Literal[True] | None, field: str) -> Path | None:
-    """The file of an option: the repository's where none is named."""
+    """Return the file of an option: the repository's where none is named. Raises BadInput where there is none."""
     if given is True:
-        return own_file(field)
+        if not (ROOT / ".git").exists():
+            raise BadInput("this nuno is in no repository that has a record", field=field, remedy="name a file")
+        return ROOT / "docs" / "measured" / "speed.jsonl"
     if given and str(given) in CASES:
         raise BadInput("this is a case, and no file", field=field, value=str(given), remedy=f"name it before {field}")
     return given

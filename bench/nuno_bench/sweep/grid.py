@@ -225,14 +225,10 @@ def sweep(
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
         with closing(choose_executor(jobs if dask is None else None, dask)) as where:
-            place = Place(where, None if out is None else Path(out), resume, progress or _ignore)
+            place = Place(where, None if out is None else Path(out), resume, progress or (lambda text: None))
             made = run_all(found, over, place, side)
         made.keep()
         return made
-
-
-def _ignore(text: str) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -329,14 +325,11 @@ def measure(point: Combination) -> Row:
             result = run_loaded(scene, Path(folder) / "run.mcap", point.threads)
         except RunFailed as error:
             return {STATE: "failed", WHY: str(error).partition("; recording kept in")[0]}
-        return {STATE: result.state} | _figures(result) | {DIGEST: result.digest} | _picture(result, point.side)
-
-
-def _figures(result: Result) -> Row:
-    with result.recording as recording:
-        series = recording.series()
-    ends = {name: values[-1].item() for name, values in series.items() if name not in OF_A_FRAME}
-    return {name: result.report[name] for name in FIGURES} | ends
+        with result.recording as recording:
+            series = recording.series()
+        figures = {name: result.report[name] for name in FIGURES}
+        figures |= {name: values[-1].item() for name, values in series.items() if name not in OF_A_FRAME}
+        return {STATE: result.state} | figures | {DIGEST: result.digest} | _picture(result, point.side)
 
 
 def _picture(result: Result, side: str) -> Row:
