@@ -1,4 +1,4 @@
-"""`nuno bench contact`: random scenes of cloth that meets cloth, every frame looked at by ipctk and by us."""
+"""`nuno bench contact`: random scenes of cloth that meets cloth; ipctk and our own code check every frame."""
 
 from __future__ import annotations
 

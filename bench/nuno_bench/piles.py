@@ -1,4 +1,4 @@
-"""Pieces of cloth that meet under cloth contact, made by hand: what tests and laws of cloth contact are measured on."""
+"""Pieces of cloth that meet: made by hand for tests and laws, or at random by a seed; and ipctk's check of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DOWN = np.array([0.0, -G, 0.0])
 """Gravity [m/s^2], as scenes have it."""
 CLOTH = "jacket"
 THICKNESS = 1e-3
-"""Of the contact, unless it is given another [m]."""
+"""Thickness of the contact by default [m]."""
 REST = 1.01 * THICKNESS
 """How far apart pieces begin that are to lie on each other [m]."""
 STRAY = 0.3

@@ -1,4 +1,4 @@
-"""Runs of a scene by any solver, without services, with observables at every frame.
+"""A scene as a problem for solvers: cloth or dye, run without services and observed at every frame.
 
 The cloth, its forces and the bodies' poses are built once for a scene and shared by all its runs;
 a solver's memory, such as friction anchors, belongs to one run.
@@ -362,15 +362,15 @@ class DyeProblem:
         return (dye.solver.plugin, dye.solver.config) if dye else ("", {})
 
     def describe(self) -> str:
-        """How large it is, in words."""
+        """Describe the size of the problem."""
         return f"{self.start.cells.fibre.size:,} cells, {len(self.start.names)} of dye"
 
     def limit(self, plugin: Any, config: BaseModel) -> StepLimit:
-        """A solver's limit; dye does not swing. Raises BadInput where it refuses the scene."""
+        """Return a solver's limit; dye has no frequencies. Raises BadInput if the solver refuses the scene."""
         return StepLimit(float(plugin.limit(config, self.start.system)), 0.0, 0.0)
 
     def own_steps(self, limit: StepLimit) -> int:
-        """Steps a frame that the scene itself says, of its own solver. Raises BadInput where it says one too long."""
+        """Return the steps per frame of the scene's own solver. Raises BadInput for a step that is too long."""
         return DyeRun(self.loaded, self.threads).steps
 
     def begin(self, plugin: Any, config: BaseModel, steps: int) -> DyeRun:
@@ -397,7 +397,7 @@ class DyeProblem:
         return Run(Series(t, x, values, np.zeros((len(rows), 0)), AMOUNTS), *ended)
 
     def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
-        """Seconds that a solver's first call takes, then `taken` of its steps. Raises BadInput where it refuses."""
+        """Return the wall times of a solver's first call and of `taken` steps [s]. Raises BadInput if it refuses."""
         begin = time.perf_counter()
         dyeing = self.begin(plugin, config, steps)
         moments, state = [begin, time.perf_counter()], dyeing.state
@@ -408,7 +408,7 @@ class DyeProblem:
         return moments[2] - moments[0], moments[3] - moments[2]
 
     def scales(self, reference: Series) -> dict[str, float]:
-        """What errors are divided by: the largest root mean square of the amounts, all dye, the largest spread."""
+        """Return the scales of errors: the largest root mean square of the amounts, all dye, the largest spread."""
         amounts = float(np.sqrt((reference.x**2).sum(axis=2).mean(axis=1)).max()) or 1.0
         total = float((reference.values["mobile"] + reference.values["fixed"]).max()) or 1.0
         spread = float(reference.values["spread"].max()) or 1.0

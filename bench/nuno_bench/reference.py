@@ -188,7 +188,7 @@ def disturb(problem: Problem) -> Float:
 
 
 def refer(problem: AnyProblem, budget: float, say: Callable[[str], None]) -> tuple[ReferenceRuns, Horizon]:
-    """The reference, each run of which may take `budget` [s], and how long it can be predicted. Raises BadInput."""
+    """Return the reference and its horizon; each run of the reference may take `budget` [s]. Raises BadInput."""
     if isinstance(problem, DyeProblem):
         of_dye = make_dye_reference(problem, budget, say)
         t = of_dye.run.series.t

@@ -33,9 +33,9 @@ from nuno_schemas.fabric import Fabric, Float
 # A scene at a stiffness or mesh, by any solver at any step: the class of what comes out, and the sweep over all.
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
-"""Of the scene's stiffness."""
+"""Multiples of the scene's stiffness."""
 MESHES = (0.25, 0.5, 1.5)
-"""Of the scene's numbers of vertices along each side; 1 is the stiffness map's middle."""
+"""Multiples of the scene's numbers of vertices along each side; 1 is the stiffness map's middle."""
 
 MOST_HALVINGS = 11
 """Of a frame, to the shortest step."""

@@ -122,7 +122,7 @@ def report(kind: Gallery, shown: Sequence[ShownScene], found: list[list[str]], a
 
 
 def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
-    """Those of one section, those that stand apart last; what a scene is stands below its first picture alone."""
+    """Return the pictures of one section, those that stand apart last; a scene's first caption describes it."""
     found = []
     for one in shown:
         for i, (label, picture) in enumerate(one.pictures):
@@ -132,7 +132,7 @@ def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
 
 
 def add_pattern_arguments(parser: argparse.ArgumentParser) -> None:
-    """Those of which patterns on which body."""
+    """Add the options for patterns and the body that wears them."""
     own = parser.add_argument_group("sewn: patterns of one's own, instead of those that come with nuno")
     own.add_argument("--patterns", nargs="+", type=Path, default=[], metavar="PATTERN", help="as for nuno sew")
     add_flags(own, {

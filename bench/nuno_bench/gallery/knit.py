@@ -29,7 +29,7 @@ SIZE = (480, 640)
 WALES = 75
 """Of a knit on a body whose lines are a pixel wide: of more they are thinner."""
 RADIUS = 2.5e-4
-"""Of the yarns of a knit of so many wales on a body [m]."""
+"""Radius of the yarns of a knit with WALES wales on a body [m]."""
 PANEL: tuple[tuple[str, Colour], ...] = (
     ("each yarn in its colour", "cloth"),
     ("its links by their stretch", "stretch"),

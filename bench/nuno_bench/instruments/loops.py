@@ -18,7 +18,7 @@ MOST, STEPS = 250.0, 200
 LOW, HIGH, AT = 50.0, 150.0, 100.0
 """B is the slope between these curvatures [1/m], 2HB the width of the loop here, as KES reads them."""
 SIDE, EDGE = 5e-3, 2.5e-4
-"""Of the specimen that is bent [m]."""
+"""Side of the bent specimen, and length of its edges [m]."""
 
 
 @dataclass(frozen=True)

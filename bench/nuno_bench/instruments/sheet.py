@@ -104,7 +104,7 @@ class Sheet:
     measured: Mapping[str, float] = field(default_factory=dict)
 
     def radii(self) -> tuple[float, float]:
-        """Of the disc and its support [m]: those of the measured drape, if any."""
+        """Return the radii of disc and support [m]: those of the measured drape, if any."""
         given = {"specimen": 200.0 * drape.RADIUS, "support": 200.0 * drape.SUPPORT} | dict(self.measured)
         return given["specimen"] / 200.0, given["support"] / 200.0
 

@@ -1,1 +1,1 @@
-"""`nuno bench peers`: the stiff sheet in other engines and in ours, each in a process of its own."""
+"""`nuno bench peers`: one cloth in other engines and in ours, each in a process of its own."""

@@ -82,7 +82,7 @@ def points_of(
     kinds: Sequence[Engine], posed: object, score: Callable[[Float], S], asked: argparse.Namespace,
     seconds: float = SECONDS,
 ) -> Iterator[EnginePoint[S]]:  # fmt: skip
-    """Of every kind that is installed, at all of its settings."""
+    """Yield the points of every installed engine at all of its settings."""
     for kind in kinds:
         for name in () if kind.missing else kind.settings:
             print(f"{kind.name}, {name} ...", file=sys.stderr)
@@ -90,7 +90,7 @@ def points_of(
 
 
 def measure_sheet(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> SheetComparison:
-    """Against the converged run of ours."""
+    """Compare engines on the stiff sheet with our converged run."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
     converged, begin = Nuno(sheet, REFERENCE), time.perf_counter()
@@ -100,7 +100,7 @@ def measure_sheet(kinds: list[Engine], left_out: list[str], asked: argparse.Name
 
 
 def measure_contact(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> PileComparison:
-    """By the frames of every engine; and questions about ours."""
+    """Judge every engine's frames of the pile, and ask ipctk questions about ours."""
     pile = five_sheets()
     points = list(points_of(kinds, pile, partial(look, pile), asked))
     answers = []
@@ -111,7 +111,7 @@ def measure_contact(kinds: list[Engine], left_out: list[str], asked: argparse.Na
 
 
 def measure_skirt(kinds: list[Engine], left_out: list[str], asked: argparse.Namespace) -> SkirtComparison:
-    """Against the converged run of ours, beside one that checks it."""
+    """Compare engines on the skirt with our converged run; another run checks that one."""
     print("the lead-in and the converged runs ...", file=sys.stderr)
     skirt = hula_skirt(asked.duration, threads=machine.cores())
     exact, points = converge(skirt, asked.duration)
@@ -120,7 +120,7 @@ def measure_skirt(kinds: list[Engine], left_out: list[str], asked: argparse.Name
 
 
 def groups(kinds: Sequence[Engine]) -> dict[str, list[Engine]]:
-    """What a name of --only may stand for: an engine as a whole, or one way of its."""
+    """Return the engines that each name of --only stands for: all solvers of an engine, or one."""
     found: dict[str, list[Engine]] = {}
     for kind in kinds:
         if (engine := kind.name.partition("-")[0]) != kind.name:

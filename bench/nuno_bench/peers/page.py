@@ -157,7 +157,7 @@ def versions(packages: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class SheetComparison(Comparison[SheetScore]):
-    """Of the sheet; and the wall time of the converged run [s]."""
+    """The comparison on the stiff sheet; exact_seconds: wall time of the converged run [s]."""
 
     exact_seconds: float
     title: ClassVar[str] = "The stiff sheet in other engines"

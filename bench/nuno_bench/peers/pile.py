@@ -31,14 +31,14 @@ SCENE = "contact/five-sheets"
 SIDES = (20, 19, 18, 17, 16)
 """Vertices along each side of the squares, which come finer and of jersey in the scene."""
 DENSITY, STRETCH, SHEAR, BEND = 0.2, 300.0, 100.0, 1e-5
-"""Of the cloth [kg/m^2, N/m with the width held, N/m, N m]. A sheet of springs is isotropic where it is three times as
-stiff in tension as in shear; its two Lame constants are then its shear stiffness, which an engine that knows only
-isotropic cloth can be given.
+"""Constants of the cloth [kg/m^2, N/m with the width held, N/m, N m]. A sheet of springs is isotropic where it is
+three times as stiff in tension as in shear; both its Lame constants are then its shear stiffness, which an engine that
+knows only isotropic cloth can be given.
 """
 THICKNESS, FRICTION = 2e-3, 0.3
 """Distance from which on cloth pushes cloth away [m], and Coulomb's coefficient of cloth on cloth."""
 CENTRE, RADIUS, RUB = (0.0, 0.5, 0.0), 0.2, 0.4
-"""Of the ball [m], and Coulomb's coefficient of cloth on it."""
+"""Centre and radius of the ball [m], and Coulomb's coefficient of cloth on it."""
 FABRIC = (
     f"{{density: {DENSITY}, warp: {STRETCH} N/m, weft: {STRETCH} N/m, shear: {SHEAR} N/m, bend_warp: {BEND!r} N*m, "
     f"bend_weft: {BEND!r} N*m}}"
@@ -152,7 +152,7 @@ def ask(pile: Pile, frames: Float, repeats: int) -> list[Answer]:
 
 
 def own_answers(pile: Pile) -> Mapping[str, Question]:
-    """Those of the solvers' cloth contact, which lists what it needs for many steps, and of the collision service."""
+    """Return our answers: by the solvers' cloth contact, whose lists serve many steps, and by the collision service."""
     simulation = Simulation.with_bodies(scene_file.read(shipped.find(SCENE), OVERRIDES), cores())
     term = next(term for term in simulation.system.terms if term.name == "cloth_contact")
     assert isinstance(term.data, tuple)
@@ -175,7 +175,7 @@ def own_answers(pile: Pile) -> Mapping[str, Question]:
 
 
 def their_answers(pile: Pile) -> Mapping[str, Question]:
-    """Those of ipctk, with its own defaults."""
+    """Return the answers of ipctk, with its own defaults."""
     import ipctk
 
     mesh = ipctk.CollisionMesh(pile.x, pile.edges, pile.faces)
@@ -219,7 +219,7 @@ QUERIES = ("question", "of ours", "time [ms]", "min - max", "of ipctk", "time [m
 
 @dataclass(frozen=True)
 class PileComparison(Comparison[PileScore]):
-    """Of the pile; and what ipctk and ours take to answer questions."""
+    """The comparison on the pile; answers: what ipctk and our code take to answer questions."""
 
     answers: Sequence[Answer]
     title: ClassVar[str] = "Cloth that meets cloth in other engines"

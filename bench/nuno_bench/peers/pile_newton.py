@@ -17,7 +17,7 @@ from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
 
 DIAGONAL = 0.5
-"""Of the stiffness of folds along rows, so that triangles whose diagonals alternate bend alike in all directions."""
+"""Stiffness of folds along diagonals over that of folds along rows: alternating diagonals then bend isotropically."""
 
 
 class _Pile(Cloth):
@@ -96,7 +96,7 @@ class Style3D(_Pile):
 
 
 def folds(builder: Any) -> tuple[Float, Float, Float]:
-    """Of each edge its length [m], the area of its two triangles [m^2], and its part in bending, none at a border.
+    """Return each edge's length [m], the area of its two triangles [m^2], and its share in bending, 0 at a border.
 
     The stiffness of a fold is that part of BEND length^2 / area, as nuno_cloth.fabrics.constants has it for triangles.
     """

@@ -1,4 +1,4 @@
-"""Each engine in a process of its own: what crashes, hangs or warns there is a mark, not the end."""
+"""Engines and their settings, each run in a process of its own: a crash there is a finding, not the end."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def measure(
     kind: Engine, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float,
     simulated: float = SECONDS,
 ) -> EnginePoint[S]:  # fmt: skip
-    """Run its setting of this name in a process of its own, ended after `limit` [s].
+    """Run an engine's setting of this name in a process of its own, which is ended after `limit` [s].
 
     `posed` is what the engine is made with, and `judge` scores what it advances to in `simulated` [s], or raises
     RunFailed where that is no cloth any more.

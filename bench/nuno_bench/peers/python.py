@@ -54,7 +54,7 @@ class Nuno:
         return self.simulation.state.x
 
     def frames(self, seconds: float) -> Iterator[Float]:
-        """Positions (n, 3) [m] after each frame of this time, of which the next takes the place."""
+        """Yield the positions (n, 3) [m] after each frame of this time; the next frame overwrites them."""
         simulation = self.simulation
         end = simulation.t + seconds
         while simulation.t < end - 1e-9:

@@ -49,7 +49,7 @@ what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, 
 DIVERGED = 10.0
 """How many times as long as at rest a spring is in what is no cloth any more."""
 DURATION = 0.25
-"""What is simulated by default [s]: 15 frames, of which the first begin alike in every engine."""
+"""Simulated time by default [s]: 15 frames; the first of them are alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 """Places along an edge that are looked at."""
 CONVERGED, FINE = "leapfrog", (640, 320)
@@ -259,7 +259,7 @@ LEGEND = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1],
 
 @dataclass(frozen=True)
 class SkirtComparison(Comparison[SkirtScore]):
-    """Of the skirt, the points of the converged run and its check first; and what was posed."""
+    """The comparison on the skirt; its first points are the converged run and its check."""
 
     skirt: Skirt
     title: ClassVar[str] = "A skirt on a dancer in other engines"
@@ -283,7 +283,7 @@ class SkirtComparison(Comparison[SkirtScore]):
         return one.off[-1] <= other.off[-1]
 
     def nearest(self) -> list[EnginePoint[SkirtScore]]:
-        """Of the converged run and every kind that has a score, the point that ends nearest to it."""
+        """Return the point that ends nearest to the converged run: of that run, and of every engine with a score."""
         names = ["converged", *(kind.name for kind in self.kinds)]
         scored = [[p for p in self.points if p.kind == name and p.score is not None] for name in names]
         return [min(own, key=lambda point: end_of(point.score)) for own in scored if own]
@@ -344,7 +344,7 @@ def end_of(seen: SkirtScore | None) -> float:
 
 
 def draw_ends(skirt: Skirt, ends: Mapping[str, Float]) -> Pictures:
-    """Places (n, 3) [m] at the end by what they are, the first of which the camera is fitted to."""
+    """Draw positions (n, 3) [m] at the end, by their captions; the camera is fitted to the first."""
     renderer = registry.load("nuno.renderers", RENDERER)
     pairs = skirt.pairs.astype(np.int32)
     piece = ShownPiece("skirt", 0, len(skirt.mass), skirt.faces, pairs, skirt.rest, None, None, None)

@@ -17,7 +17,7 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepLimit
 
 SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
-"""Of the stability limit."""
+"""Steps, as shares of the stability limit."""
 BEYOND = 1.5
 """Multiple of the limit at which failure is shown: the limit may be up to 1.2 times below the true one."""
 ROUNDING = 1e-12

@@ -32,7 +32,7 @@ HEADINGS = ("case", "what", "unit", "then", "now", "now / then", "verdict")
 
 @dataclass(frozen=True)
 class Record:
-    """A run: when, of which commit ("" outside of a repository), on what machine, and what it gave.
+    """Results of one run of the benchmark, with its date, commit ("" outside of a repository) and machine.
 
     load  share of the machine that other processes took meanwhile, 0 to 1
     """
@@ -114,7 +114,7 @@ def read(path: Path) -> list[Record]:
 
 
 def read_of_machine(path: Path) -> list[Record]:
-    """Those of this machine. Raises BadInput where there is none, with the machines that there are."""
+    """Return the records of this machine. Raises BadInput, which lists the other machines, if there is none."""
     records, here = read(path), (processor(), machine.cores())
     if not (found := [record for record in records if record.place == here]):
         named = [f"{name}, {cores} cores" for name, cores in (here, *dict.fromkeys(record.place for record in records))]

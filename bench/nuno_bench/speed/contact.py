@@ -40,7 +40,7 @@ SCENES: dict[str, tuple[str, tuple[str, ...], float, float, float | None]] = {
 SIDES = (36, 51, 71, 101, 142)
 """Vertices a side of each of two layers: about 5,000 to 80,000 triangles together."""
 EDGE, GAP, WAVE, HIGH, ROUGH = 0.01, 1.3e-3, 0.5, 0.05, 1e-5
-"""Of the layers: length of an edge, distance along y, length of a wave and its height, and how uneven they are: cloth
+"""Layers: length of an edge, distance along y, length and height of a wave, and their unevenness: cloth
 that moves is not flat to the last digit [m]."""
 STEEPEST = 1.15
 """The bar of the exponent."""

@@ -21,9 +21,9 @@ UNIT = "G cell updates/s"
 WORK = 300_000_000
 """Cell updates of a sample: a few tenths of a second."""
 BYTES = 36
-"""Of a cell's step from memory: its amount read and written, two weights and half of a third."""
+"""Bytes that a cell's step moves from and to memory: its amount read and written, two weights and half of a third."""
 SHARE = 0.9
-"""Of the stable step."""
+"""Share of the stable step that is taken."""
 LAWS = {
     "partition": Isotherm("partition", 0.5),
     "freundlich": Isotherm("freundlich", 0.5, 0.4),

@@ -84,7 +84,7 @@ def measure() -> dict[str, float]:
 
 
 def send_poses(run: str, endpoint: str, connection: Connection) -> None:
-    """Send poses, of which each one's height says its number, and then when they were sent [s]."""
+    """Send poses whose heights encode their numbers, and then the times at which they were sent [s]."""
     with nuno.drive(run, BODY, connect=endpoint) as body:
         body.send((0.0, 0.0, 0.0))
         connection.send("sending")
@@ -103,7 +103,7 @@ def height_of(number: int) -> float:
 
 
 class _Arrivals(threading.Thread):
-    """When which state of a run came, and of which pose it is."""
+    """Records the arrival times of a run's states, and the number of the pose that each follows."""
 
     def __init__(self, run: str, endpoint: str) -> None:
         super().__init__(daemon=True)

@@ -1,4 +1,4 @@
-"""Steps of cloth by themselves, without services: explicit ones, stiff ones, and what stiffness costs implicit ones."""
+"""Cases that time steps of cloth without services: explicit and stiff ones, and the cost of stiffness; their cloth."""
 
 from __future__ import annotations
 

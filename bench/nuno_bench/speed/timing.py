@@ -1,4 +1,4 @@
-"""How a case is timed, and the best that this machine could do, measured in the same run.
+"""Timing of a case, and the limits of this machine, measured in the same run.
 
 A spring costs one reciprocal square root (its length and the direction), and no rearrangement
 avoids it: that throughput over the springs of a vertex is the arithmetic limit of an explicit

@@ -101,10 +101,10 @@ def values_of(item: str) -> tuple[str, list[Any]]:
 
 KEPT = "sweep.jsonl"
 FIGURES = ("simulated_seconds", "wall_seconds", "real_time_factor", "dt", "dt_limit")
-"""Of a run's report; and of its series the last value of each, but for these:"""
+"""Columns from a run's report. The last value of each of its series is a column, too, except for these:"""
 OF_A_FRAME = ("frame", "t", "time", "step_seconds", "dye_step_seconds")
 STATE, WHY, DIGEST, PICTURE = "state", "why", "digest", "picture"
-"""Columns beside them: done, stopped, failed, refused or lost; the reason where it is neither of the first two."""
+"""Further columns. The state is done, stopped, failed, refused or lost; all but the first two have a reason."""
 SIZE = 320, 240
 Row = dict[str, Any]
 

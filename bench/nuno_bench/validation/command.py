@@ -107,7 +107,7 @@ def check_named(task: tuple[str, str]) -> Outcome:
 
 
 def check_all(parts: Sequence[Suite], executor: Executor, say: Callable[[str], None]) -> list[Outcome]:
-    """Every case with every solver of its part, in this order.
+    """Return the outcome of every case with every solver of its suite, in this order.
 
     They are taken in an order drawn at random: the mean of those that are done is then that of those that are left,
     whatever each takes, which is how long they will take on this machine.

@@ -31,7 +31,7 @@ SIZE, D0, POROSITY = 5e-5, 5e-10, 0.5
 RATE = D0 * POROSITY / SIZE**2
 """D0 P / size^2 [1/s]: what passes a face of tortuosity 1 in a second, as a share of the difference."""
 SHARE = 0.9
-"""Of the stable step, at most."""
+"""Largest share of the stable step that is taken."""
 laws = Laws(GROUP)
 TAKEN = 0.02
 """D_ab / D0 of what adsorbs."""

@@ -21,7 +21,7 @@ ROUNDING = 1e-10
 DURATION = 0.2
 Long = NDArray[np.floating[Any]]
 COLUMNS = 6
-"""Of the extrapolation table: order 12. More would cost digits: the scheme's weights alternate and grow."""
+"""Columns of the extrapolation table: order 12. More would cost digits: the scheme's weights alternate and grow."""
 
 
 def random_net(n: int, springs: int, seed: int, c: float = 0.0) -> tuple[Float, Springs]:

@@ -169,7 +169,7 @@ def measure_crease(plugin: Any) -> Measurement:
     run = SolverRun(plugin, System(cloth, NONE, 2.0 * slowest), ACCURATE)
 
     def curvature(x: Float) -> float:
-        """Of the circle that fits the middle half best."""
+        """Return the curvature of the circle that fits the middle half best [1/m]."""
         plane = x[middle][:, :2] - x[middle][:, :2].mean(axis=0)
         sums = np.column_stack([2.0 * plane, np.ones(len(plane))])
         centre = np.linalg.lstsq(sums, np.square(plane).sum(axis=1), rcond=None)[0]
