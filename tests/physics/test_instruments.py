@@ -11,7 +11,9 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import drape, loops, sheet
+from nuno_bench.instruments import rig as drape
+from nuno_bench.instruments import rig as loops
+from nuno_bench.instruments import sheet
 from nuno_bench.instruments.rig import mount
 from nuno_bench.instruments.sheet import find_fabric
 from nuno_bench.sweep.executor import Executor, Processes

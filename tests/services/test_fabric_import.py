@@ -13,7 +13,8 @@ from PIL import Image
 from nuno import registry
 from nuno.cli import main
 from nuno.templates.laboratory_sheet import import_sheet, read_values
-from nuno_bench.instruments import drape, sheet
+from nuno_bench.instruments import rig as drape
+from nuno_bench.instruments import sheet
 from nuno_bench.instruments.sheet import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
 from nuno_schemas.errors import BadInput

@@ -23,9 +23,10 @@ from nuno.scene import yaml_lines
 from nuno.scene.files import read_text
 from nuno_bench import machine, options
 from nuno_bench.gallery.kind import embed, read_picture
-from nuno_bench.instruments import buckling, drape, loops
-from nuno_bench.instruments.drape import DOT
-from nuno_bench.instruments.rig import mount
+from nuno_bench.instruments import rig as buckling
+from nuno_bench.instruments import rig as drape
+from nuno_bench.instruments import rig as loops
+from nuno_bench.instruments.rig import DOT, mount
 from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number

@@ -17,16 +17,21 @@ from nuno.cloth.build import Piece
 from nuno.cloth.numbering import find_numbers, renumber
 from nuno.cloth.yarns import structural_edges
 from nuno.scene import scene_file, shipped
+from nuno.scene.files import SceneFiles
 from nuno.simulation.renumbered_solver import RenumberedSolver
+from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
 from nuno_bench.piles import DOWN, build_model, irregular_square, write_obj
 from nuno_bench.problem import run_own
 from nuno_bench.report.page import Result
-from nuno_bench.speed.timing import inverse_roots, measure, seconds, watch_compiler
+from nuno_bench.speed.timing import bandwidth, inverse_roots, measure, seconds, watch_compiler
+from nuno_bench.validation.dye import D0, SIZE, make_cells
+from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.operation import Outcome
 from nuno_schemas.system import System
 
 # The cloth that is timed: a sheet, and the same as a net of arrays.
@@ -297,3 +302,130 @@ def stiffness(repeats: int) -> list[Result]:
         over = f"{what}, {STIFFNESS[-1]:.0e} N/m over {STIFFNESS[0]:.0e} N/m"
         results += [*costs, Result("stiffness", over, "times", growth, bar=GROWTH, at_most=True)]
     return results
+
+
+# Lines drawn on cloth of 20,000 triangles while it moves: no longer than a frame is shown, and nothing compiled.
+
+HUNG = "hung-cloth-wrinkle"
+A_FRAME = 1000.0 / 60.0
+"""A frame at 60 Hz [ms]."""
+SMALL, LONG = "[[0.45, 0.55], [0.55, 0.6]]", "[[0.2, 0.3], [0.8, 0.35]]"
+DRAWN = {
+    "a line over a tenth of it": (SMALL, "false"),
+    "a line over most of it": (LONG, "false"),
+    "one that is kept": (SMALL, "true"),
+}
+"""Where each lies on the cloth, and whether it is kept."""
+
+
+def wrinkle(repeats: int) -> list[Result]:
+    """The mesh work of a line [ms], and functions compiled from its first frame on, without and with `keep`."""
+    results = []
+    for name, (texture, keep) in DRAWN.items():
+        line = f"{{height: 1 cm, texture: {texture}}}"
+        drawn = f"operations=[{{plugin: wrinkle, at: 50 ms, lines: [{line}], keep: {keep}}}]"
+        # Split triangles are finer than the scene's cloth is thick.
+        thin = "cloth_contact.thickness=0.5 mm"
+        overrides = ("objects[0].model.resolution=[101, 101]", drawn, thin, "until=duration")
+        simulation = Simulation(scene_file.read(shipped.find(HUNG), overrides), None, None, cores())
+        simulation.measure(None)
+        simulation.rehearse()
+        with watch_compiler() as compiled:
+            while simulation.applied == 0:
+                chosen, fabric, state = simulation.loaded.operations[0], simulation.fabric, simulation.state
+                before = state.copy()
+                simulation.advance(None, None)
+        draw = partial(_draw, chosen, fabric, before)
+        size = f"{len(fabric.faces):,} triangles, {draw().facts['vertices']:.0f} of them split"
+        times, number = tuple(1e3 * seconds(draw) for _ in range(repeats)), (float(compiled.number),)
+        results += [
+            Result("wrinkle", f"{name}: mesh work", "ms", times, bar=A_FRAME, at_most=True, note=size),
+            Result("wrinkle", f"{name}: compiled during the run", "functions", number, bar=0.0, at_most=True),
+        ]
+    return results
+
+
+def _draw(chosen: Any, fabric: Fabric, state: State) -> Outcome:
+    """The line on a copy of the cloth as it is before it."""
+    made: Outcome = chosen.plugin.apply(chosen.config, fabric, replace(state), None)
+    return made
+
+
+# Cases that time steps of dye: diffusion alone, the whole model, the dye paper's figure 9.
+
+DYE_UNIT = "G cell updates/s"
+"""Billion cells times steps a second."""
+DYE_WORK = 300_000_000
+"""Cell updates of a sample: a few tenths of a second."""
+DYE_BYTES = 36
+"""Bytes that a cell's step moves from and to memory: its amount read and written, two weights and half of a third."""
+DYE_SHARE = 0.9
+"""Share of the stable step that is taken."""
+LAWS = {
+    "partition": Isotherm("partition", 0.5),
+    "freundlich": Isotherm("freundlich", 0.5, 0.4),
+    "langmuir": Isotherm("langmuir", 2.0),
+}
+
+
+def free_diffusion(ny: int, nx: int) -> tuple[DyeSystem, DyeState]:
+    """Cells whose weights are all different, and amounts that no limit can bind."""
+    rng = np.random.default_rng(2)
+    cells = make_cells(ny, nx, layers=0.5, beside=0.3, porosity=rng.uniform(0.3, 0.6, (2, ny, nx)))
+    phi = rng.uniform(0.0, 0.3, (1, 2, ny, nx))
+    return DyeSystem(cells, (Dye("dye", D0),), cores()), DyeState(phi, np.zeros_like(phi))
+
+
+def whole_model(ny: int, nx: int) -> tuple[DyeSystem, DyeState]:
+    """The same with adsorption, cells that limits bind and resist over a tenth of them."""
+    system, _ = free_diffusion(ny, nx)
+    rng = np.random.default_rng(3)
+    resist = rng.random((2, ny, nx)) * (rng.random((2, ny, nx)) < 0.1)
+    cells = replace(system.cells, resist=resist)
+    phi = (cells.mobile_room * (rng.random((2, ny, nx)) < 0.5))[None]
+    dye = Dye("dye", D0, 0.01, LAWS["langmuir"])
+    return replace(system, cells=cells, dyes=(dye,)), DyeState(phi, np.zeros_like(phi))
+
+
+def figure_9(law: str) -> tuple[DyeSystem, DyeState]:
+    """The dye paper's cloth of figure 9: plain weave, yarns of 8 cells and gaps of 2, a drop that is kept up."""
+    plugin = registry.load("nuno.dye_cloths", "woven")
+    yarn = {"width": 8, "gap": 2, "porosity": 0.5}
+    config = plugin.Config.model_validate(
+        {"cells": [200, 200], "cell_size": SIZE, "tau2": 0.47, "weft": yarn, "warp": yarn,
+         "tau3": {"I": 1.0, "II": 1.0, "III": 1.0, "IV": 1.0, "V": 1.0}}
+    )  # fmt: skip
+    cells, state = plugin.build(config, SceneFiles(Path(), ()), 0, ["dye"])
+    y, x = np.ogrid[:200, :200]
+    drop = np.hypot(y - 99.5, x - 99.5) < 15.0
+    state.phi[0] = cells.mobile_room * drop
+    return DyeSystem(cells, (Dye("dye", D0, 0.01, LAWS[law]),), cores(), state.phi.copy()), state
+
+
+def time_dye(
+    what: str, system: DyeSystem, state: DyeState, repeats: int, bar: float | None = None, aim: float | None = None
+) -> Result:
+    """Rate of the explicit solver. Raises RunFailed if amounts do not stay finite."""
+    plugin = registry.load("nuno.dye_solvers", "explicit")
+    config, cells = plugin.Config(), system.cells.fibre.size
+    memory, dt = plugin.prepare(config, system, state), DYE_SHARE * plugin.limit(config, system)
+    steps = max(1, DYE_WORK // cells)
+
+    def advance() -> None:
+        report = plugin.advance(system, state, memory, steps, dt)
+        if report.status != "ok":
+            raise RunFailed(f"{what}: {report.message}")
+
+    note, limit = f"{cells:,} cells; {plugin.about(system)}", 1e-9 * bandwidth() / DYE_BYTES
+    return measure(
+        "dye", what, DYE_UNIT, advance, repeats, 1e-9 * cells * steps, bar=bar, aim=aim, limit=limit, note=note
+    )
+
+
+def dye(repeats: int) -> list[Result]:
+    """All cases."""
+    results = [
+        time_dye("diffusion, 800x600x2, every face its own weight", *free_diffusion(600, 800), repeats),
+        time_dye("the whole model, 800x600x2", *whole_model(600, 800), repeats, 0.8, 1.2),
+    ]
+    return results + [time_dye(f"figure 9, 200x200x2, {law}", *figure_9(law), repeats, 0.44, 1.1) for law in LAWS]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.instruments import buckling
+from nuno_bench.instruments import rig as buckling
 from nuno_bench.piles import DOWN, G, build_model
 from nuno_bench.validation.law import (
     ACCURATE,
