@@ -11,11 +11,9 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.instruments import rig as drape
-from nuno_bench.instruments import rig as loops
-from nuno_bench.instruments import sheet
-from nuno_bench.instruments.rig import mount
+from nuno_bench.instruments import sheet, specimens
 from nuno_bench.instruments.sheet import find_fabric
+from nuno_bench.instruments.specimens import mount
 from nuno_bench.sweep.executor import Executor, Processes
 from nuno_bench.validation import statics
 from nuno_schemas.errors import BadInput, RunFailed
@@ -101,13 +99,13 @@ def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout
 @pytest.mark.full
 def test_the_loop_of_kes_gives_the_sheet_back() -> None:
     """Within 2 %; what is left and lost within 1 %."""
-    loop = loops.bend(FABRIC | {"hysteresis_warp": 6e-4, "hysteresis_weft": 6e-4}, 0.25 * math.pi)
+    loop = specimens.bend(FABRIC | {"hysteresis_warp": 6e-4, "hysteresis_weft": 6e-4}, 0.25 * math.pi)
     assert loop.rigidity == pytest.approx(RIGIDITY, rel=0.02)
     assert loop.hysteresis == pytest.approx(6e-4, rel=0.02)
     assert loop.left == pytest.approx(6e-4 / (2.0 * RIGIDITY), rel=0.01)
-    assert loop.work == pytest.approx(4.0 * 3e-4 * loops.MOST, rel=0.01)
-    assert loop.recovery == pytest.approx(180.0 * (1.0 - 30.0 / loops.MOST), abs=0.2)
-    elastic = loops.bend(FABRIC, 0.25 * math.pi)
+    assert loop.work == pytest.approx(4.0 * 3e-4 * specimens.MOST, rel=0.01)
+    assert loop.recovery == pytest.approx(180.0 * (1.0 - 30.0 / specimens.MOST), abs=0.2)
+    elastic = specimens.bend(FABRIC, 0.25 * math.pi)
     assert abs(elastic.hysteresis) < 1e-3 * 6e-4 and abs(elastic.left) < 1e-3
 
 
@@ -118,8 +116,8 @@ def test_tension_and_shear_are_those_of_orthotropic_cloth(angle: float) -> None:
     warp, weft, shear = 500.0, 2000.0, 200.0
     stretch = warp * c * c + weft * s * s + 2.0 * shear * s * c + 4.0 * shear * s * c
     slide = shear * (c - s) ** 2 + (warp + weft - 2.0 * shear) * s * c
-    assert loops.stretch(fabric, turn) == pytest.approx(stretch, rel=1e-3)
-    assert loops.shear(fabric, turn) == pytest.approx(slide, rel=1e-3)
+    assert specimens.stretch(fabric, turn) == pytest.approx(stretch, rel=1e-3)
+    assert specimens.shear(fabric, turn) == pytest.approx(slide, rel=1e-3)
 
 
 def test_a_shadow_is_the_area_and_the_folds_of_its_outline() -> None:
@@ -129,9 +127,9 @@ def test_a_shadow_is_the_area_and_the_folds_of_its_outline() -> None:
     rim = np.column_stack([radius * np.cos(angles), np.zeros(720), radius * np.sin(angles)])
     x = np.concatenate([rim, np.zeros((1, 3))])
     faces = np.column_stack([np.arange(720), np.roll(np.arange(720), -1), np.full(720, 720)]).astype(np.int32)
-    shadow = drape.cast_shadow(x, faces)
-    assert shadow.sum() * drape.DOT**2 == pytest.approx(np.pi * (0.12**2 + 0.5 * 0.01**2), rel=5e-3)
-    assert drape.count_nodes(shadow) == 6
+    shadow = specimens.cast_shadow(x, faces)
+    assert shadow.sum() * specimens.DOT**2 == pytest.approx(np.pi * (0.12**2 + 0.5 * 0.01**2), rel=5e-3)
+    assert specimens.count_nodes(shadow) == 6
 
 
 def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curvature_squared() -> None:
@@ -139,7 +137,7 @@ def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curva
     x, weight = rig.fabric.position, 9.81 * rig.fabric.mass
     rig.state.x[:, 1] = lift
     assert rig.energy() == pytest.approx(lift * weight.sum(), rel=1e-9)
-    rig.state.x[...] = loops.roll(x, curvature)
+    rig.state.x[...] = specimens.roll(x, curvature)
     bent = 0.5 * RIGIDITY * curvature**2 * 0.05**2
     assert rig.energy() - weight @ rig.state.x[:, 1] == pytest.approx(bent, rel=0.02)
 
@@ -147,7 +145,7 @@ def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curva
 @pytest.mark.full
 def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
     """Cloth as stiff as this drapes in 4, 5 or 6 folds: as different shadows, and almost the same energy."""
-    found = [drape.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]
+    found = [specimens.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]
     assert [one.nodes for one in found] == [4, 5, 6]
     energies = [one.energy for one in found]
     assert max(energies) < 0.0 and np.ptp(energies) < 0.1 * -min(energies)

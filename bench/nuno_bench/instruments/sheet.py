@@ -23,10 +23,8 @@ from nuno.scene import yaml_lines
 from nuno.scene.files import read_text
 from nuno_bench import machine, options
 from nuno_bench.gallery.kind import embed, read_picture
-from nuno_bench.instruments import rig as buckling
-from nuno_bench.instruments import rig as drape
-from nuno_bench.instruments import rig as loops
-from nuno_bench.instruments.rig import DOT, mount
+from nuno_bench.instruments import specimens
+from nuno_bench.instruments.specimens import DOT, mount
 from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number
@@ -100,13 +98,13 @@ class Sheet:
     """
 
     rows: list[SheetRow]
-    loops: dict[str, loops.Loop]
-    drapes: dict[Start, drape.Drape]
+    loops: dict[str, specimens.Loop]
+    drapes: dict[Start, specimens.Drape]
     measured: Mapping[str, float] = field(default_factory=dict)
 
     def radii(self) -> tuple[float, float]:
         """Return the radii of disc and support [m]: those of the measured drape, if any."""
-        given = {"specimen": 200.0 * drape.RADIUS, "support": 200.0 * drape.SUPPORT} | dict(self.measured)
+        given = {"specimen": 200.0 * specimens.RADIUS, "support": 200.0 * specimens.SUPPORT} | dict(self.measured)
         return given["specimen"] / 200.0, given["support"] / 200.0
 
 
@@ -139,7 +137,7 @@ def test(fabric: object, wanted: list[str], how: TestOptions, measured: Mapping[
 
 
 def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptions) -> None:
-    found = loops.density(mount("cantilever", fabric))
+    found = specimens.density(mount("cantilever", fabric))
     sheet.rows.append(SheetRow("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
 
 
@@ -150,10 +148,10 @@ def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptio
     stiff = {"warp": warp, "weft": weft, "bias": 0.25 * (warp + weft + 2.0 * both) + shear}
     slide = {"warp": shear, "bias": 0.25 * (warp + weft - 2.0 * both)}
     for name, expected in stiff.items():
-        found = loops.stretch(fabric, DIRECTIONS[name])
+        found = specimens.stretch(fabric, DIRECTIONS[name])
         sheet.rows.append(SheetRow(f"tension, {name}", "KES-FB1, at first, width held", found, "N/m", expected))
     for name, expected in slide.items():
-        found = loops.shear(fabric, DIRECTIONS[name])
+        found = specimens.shear(fabric, DIRECTIONS[name])
         sheet.rows.append(SheetRow(f"shear, {name}", "KES-FB1, at first", found, "N/m", expected))
 
 
@@ -164,12 +162,12 @@ def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOptio
     h_warp, h_weft = given["hysteresis_warp"], given["hysteresis_weft"]
     lost = {"warp": h_warp, "weft": h_weft, "bias": 0.25 * (math.sqrt(h_warp) + math.sqrt(h_weft)) ** 2}
     for name, angle in DIRECTIONS.items():
-        loop = sheet.loops[name] = loops.bend(fabric, angle)
+        loop = sheet.loops[name] = specimens.bend(fabric, angle)
         by = "KES-FB2, width held"
         sheet.rows.append(SheetRow(f"rigidity B, {name}", by, 1e6 * loop.rigidity, "uN*m", 1e6 * rigid[name]))
         if lost[name]:
-            left, taken = min(0.5 * lost[name] / rigid[name], loops.MOST), 2.0 * lost[name] * loops.MOST
-            opens = 180.0 * (1.0 - left / loops.MOST)
+            left, taken = min(0.5 * lost[name] / rigid[name], specimens.MOST), 2.0 * lost[name] * specimens.MOST
+            opens = 180.0 * (1.0 - left / specimens.MOST)
             sheet.rows.append(SheetRow(f"hysteresis 2HB, {name}", by, 1e3 * loop.hysteresis, "mN", 1e3 * lost[name]))
             sheet.rows.append(SheetRow(f"curvature left, {name}", by, loop.left, "1/m", left))
             sheet.rows.append(SheetRow(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
@@ -201,9 +199,9 @@ def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOption
     stiff = STIFF * rigidity / (LONG * SLIM / NARROW) ** 2
     alike = {name: given[name] for name in ("density", "damping_ratio", "bend_poisson")}
     alike |= {"bend_warp": rigidity, "bend_weft": rigidity, "warp": stiff, "weft": stiff, "shear": 0.1 * stiff}
-    strip, expected = rigidity * (1.0 - poisson**2), buckling.critical(poisson)
+    strip, expected = rigidity * (1.0 - poisson**2), specimens.critical(poisson)
     for layout in ("irregular",) if how.quick else ("aligned", "crossed", "irregular"):
-        found = buckling.tips_over(alike, strip, given["density"], LONG, NARROW, SLIM, layout=layout)
+        found = specimens.tips_over(alike, strip, given["density"], LONG, NARROW, SLIM, layout=layout)
         by = f"w L^3 / B, {layout} mesh"
         sheet.rows.append(SheetRow("lateral buckling, as if isotropic", by, found, "", expected))
 
@@ -223,7 +221,7 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOpti
         f"started in {FOLDS[1]} folds, {over_edges}": [Start(edge, seeds[0], k) for edge in edges for k in folds[1:2]],
     }
     # Those that take longest are begun first.
-    starts, found = sorted({start for each in over.values() for start in each}), dict[Start, drape.Drape]()
+    starts, found = sorted({start for each in over.values() for start in each}), dict[Start, specimens.Drape]()
     for start, one in how.executor.run(partial(_drape_from, fabric, radius, support), starts):
         if isinstance(one, BadInput):
             raise one
@@ -247,8 +245,8 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOpti
     sheet.rows.append(_spread(f"energy at rest over the least, all with {at}", by, above, "%"))
 
 
-def _drape_from(fabric: object, radius: float, support: float, start: Start) -> drape.Drape:
-    return drape.drape(fabric, *start, radius, support)
+def _drape_from(fabric: object, radius: float, support: float, start: Start) -> specimens.Drape:
+    return specimens.drape(fabric, *start, radius, support)
 
 
 def _listed(values: Iterable[float]) -> str:

@@ -1,4 +1,4 @@
-"""Cases that time steps of cloth without services: explicit and stiff ones, and the cost of stiffness; their cloth."""
+"""Cases that time single steps without services: of cloth, explicit and stiff, of dye, and of lines drawn on cloth."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.instruments import rig as buckling
+from nuno_bench.instruments import specimens
 from nuno_bench.piles import DOWN, G, build_model
 from nuno_bench.validation.law import (
     ACCURATE,
@@ -199,8 +199,8 @@ def measure_buckling(plugin: Any, poisson: float, layout: str = "irregular") -> 
     fabric = {"density": density, "warp": 4e3, "weft": 4e3, "shear": 4e2, "bend_poisson": poisson}
     fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
     narrow = rigidity * (1.0 - poisson**2)
-    found = buckling.tips_over(fabric, narrow, density, 0.2, 120, 2, solver=plugin.name, layout=layout)
-    return relative(found, buckling.critical(poisson), 3e-2)
+    found = specimens.tips_over(fabric, narrow, density, 0.2, 120, 2, solver=plugin.name, layout=layout)
+    return relative(found, specimens.critical(poisson), 3e-2)
 
 
 def sunk(plugin: Any, size: float, weight: float) -> float:

@@ -1,4 +1,4 @@
-"""A specimen of a fabric in the scene of an instrument, and the scene's own solver that brings it to rest."""
+"""Specimens of a fabric in the scenes of instruments: KES, a strip that tips over, Cusick's drapemeter."""
 
 from __future__ import annotations
 
