@@ -228,17 +228,15 @@ def counts_of(group: Sequence[PileOutcome]) -> list[str]:
     ]  # fmt: skip
 
 
-def count_table(found: Sequence[PileOutcome], by: str, caption: str = "") -> Table:
-    """A row for each of a kind, most scenes first, and one of all."""
-    named = BY[by]
-    names = sorted({name for one in found for name in named(one)})
-    groups = {name: [one for one in found if name in named(one)] for name in names}
-    rows = [[name, *counts_of(group)] for name, group in groups.items()]
-    return Table((by, *HEADINGS), [*rows, ["all", *counts_of(found)]], caption)
-
-
 def count_tables(found: Sequence[PileOutcome]) -> list[Table]:
-    return [count_table(found, by, CAPTION if i == 0 else "") for i, by in enumerate(BY)]
+    """Return a table by solver, body, cloth and fabric: a row for each, and one of all scenes."""
+    tables = []
+    for by, named in BY.items():
+        names = sorted({name for one in found for name in named(one)})
+        rows = [[name, *counts_of([one for one in found if name in named(one)])] for name in names]
+        rows.append(["all", *counts_of(found)])
+        tables.append(Table((by, *HEADINGS), rows, "" if tables else CAPTION))
+    return tables
 
 
 def describe(one: PileOutcome) -> str:

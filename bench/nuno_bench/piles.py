@@ -300,7 +300,11 @@ def _body(rng: np.random.Generator, kind: str, folder: Path) -> dict[str, Any]:
     }
     made["collider"] = {"plugin": kind} | colliders[kind]
     if kind in ("mesh", "sdf"):
-        write_obj(folder / "stone.obj", *_stone(reach))
+        import trimesh
+
+        # An icosahedron whose faces are cut in four twice, a little flat.
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=reach)
+        write_obj(folder / "stone.obj", np.asarray(ball.vertices) * [1.0, 0.7, 1.0], np.asarray(ball.faces))
     if kind == "mesh":
         made["contact"] = {"plugin": "sliding"}
     if kind == "skeleton":
@@ -313,11 +317,3 @@ def _body(rng: np.random.Generator, kind: str, folder: Path) -> dict[str, Any]:
     made["motion"] = {"plugin": "keyframes", "times": [0.0, MOTION], "positions": _round([start, start + way * MOTION])}
     made["motion"]["rotations"] = [["0 deg"] * 3, [f"{angle:.3f} deg" for angle in turn]]
     return made
-
-
-def _stone(radius: float) -> tuple[Any, Any]:
-    """An icosahedron whose faces are cut in four twice, a little flat."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
-    return np.asarray(ball.vertices) * [1.0, 0.7, 1.0], np.asarray(ball.faces)

@@ -90,13 +90,6 @@ class Skirt(Sheet):
     def frames(self) -> int:
         return len(self.poses) - 1
 
-    def go_on(self, simulation: Simulation) -> None:
-        """Put a simulation of the scene at the start to where and how the skirt is."""
-        simulation.state.x[:], simulation.state.v[:] = self.x, self.v
-        simulation.frame = round(self.begin * RATE)
-        simulation.state.t = simulation.t
-        simulation.poses = simulation.find_poses(simulation.frame)
-
     def places(self, frame: int, share: float) -> tuple[Float, Float]:
         """Rotations (f, 4) and places (f, 3) [m] of the body's frames at a share of the way through a frame."""
         one, two = self.poses[frame], self.poses[frame + 1]
@@ -184,21 +177,16 @@ def look(skirt: Skirt, frames: Float, exact: Float) -> SkirtScore:
     off = np.linalg.norm(frames - exact, axis=2).mean(axis=1) / skirt.size
     hem = frames[:, -skirt.columns :]
     crossed = tuple(number for number, x in enumerate(frames, 1) if len(find_crossings(x, mesh).edges))
+    oracle = Oracle(skirt.x, skirt.faces) if importlib.util.find_spec("ipctk") is not None else None
+    by_ipctk = sum(oracle.crossed(x) for x in frames) if oracle is not None else None
     deep = [_in_body(skirt, x, mesh.edges, poses) for x, poses in zip(frames, skirt.poses[1:], strict=True)]
     return SkirtScore(
         frames, tuple(off.tolist()), float(hem[..., 1].mean()),
         float(np.linalg.norm((hem - hem.mean(axis=1, keepdims=True))[..., [0, 2]], axis=2).mean()),
-        float(longest.max()) - 1.0, crossed, _by_ipctk(skirt, frames),
+        float(longest.max()) - 1.0, crossed, by_ipctk,
         tuple(edges for edges, _, _ in deep), tuple(n for _, n, _ in deep),
         max(depth for _, _, depth in deep),
     )  # fmt: skip
-
-
-def _by_ipctk(skirt: Skirt, frames: Float) -> int | None:
-    if importlib.util.find_spec("ipctk") is None:
-        return None
-    oracle = Oracle(skirt.x, skirt.faces)
-    return sum(oracle.crossed(x) for x in frames)
 
 
 def _in_body(skirt: Skirt, x: Float, edges: Int, poses: Poses) -> tuple[int, int, float]:
@@ -221,7 +209,11 @@ class SkirtSolver(PileSolver):
 
     def reset(self) -> None:
         super().reset()
-        self.skirt.go_on(self.simulation)
+        simulation, skirt = self.simulation, self.skirt
+        simulation.state.x[:], simulation.state.v[:] = skirt.x, skirt.v
+        simulation.frame = round(skirt.begin * RATE)
+        simulation.state.t = simulation.t
+        simulation.poses = simulation.find_poses(simulation.frame)
         self.simulation.present()
 
 
