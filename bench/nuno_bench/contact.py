@@ -230,7 +230,7 @@ def counts_of(group: Sequence[PileOutcome]) -> list[str]:
 
 def count_tables(found: Sequence[PileOutcome]) -> list[Table]:
     """Return a table by solver, body, cloth and fabric: a row for each, and one of all scenes."""
-    tables = []
+    tables = list[Table]()
     for by, named in BY.items():
         names = sorted({name for one in found for name in named(one)})
         rows = [[name, *counts_of([one for one in found if name in named(one)])] for name in names]
