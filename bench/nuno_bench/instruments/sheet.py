@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 import tempfile
@@ -47,6 +48,7 @@ ENOUGH = 1e-4
 FIRST = 0.01
 """Share of the guess by which another length is tried at least."""
 STILL = 1e-5
+"""Largest way of a vertex in a frame at rest, as a share of the longest way so far."""
 HELD = 4
 """Edges of the strip that the clamp holds."""
 WIDE = 4
@@ -396,10 +398,6 @@ def figures(found: Sheet) -> list[page.Part]:
 
 def pictures(fabric: object, found: Sheet) -> list[page.Part]:
     """The specimen on its support, and the shadows."""
-    import json
-
-    import numpy as np
-
     images = []
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         target = Path(folder) / "drape.mcap"
