@@ -376,7 +376,10 @@ def main(args: argparse.Namespace) -> int:
     with open_executor(args) as where:
         for path in paths:
             tabs |= panels_by_tab(_map(args, path, names or installed, where))
-    plots.write_rrd(args.rrd, "stability", tabs)
+    if args.rrd is not None:
+        from nuno_bench.report import rerun
+
+        rerun.write(args.rrd, "nuno bench stability", tabs)
     return 0
 
 

@@ -360,7 +360,10 @@ def main(args: argparse.Namespace) -> int:
         if all(judgement.verdict in ("failed", "no point") for judgement in judge(found.points, found.floors)):
             print(f"{name}: the reference judges no point", file=sys.stderr)
             failed = True
-    plots.write_rrd(args.rrd, "precision", panels)
+    if args.rrd is not None:
+        from nuno_bench.report import rerun
+
+        rerun.write(args.rrd, "nuno bench precision", panels)
     return int(failed)
 
 

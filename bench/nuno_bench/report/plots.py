@@ -9,7 +9,7 @@ import io
 import math
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,14 +78,6 @@ def require_drawing(rrd: Path | None) -> None:
     """Raise BadInput if figures cannot be drawn, or if a rerun file is asked for that cannot be written."""
     require_matplotlib()
     require_viewer(None, rrd, "--rrd")
-
-
-def write_rrd(path: Path | None, kind: str, tabs: Mapping[str, Sequence[Panel]]) -> None:
-    """Write the panels of `nuno bench KIND` by tab into the rerun file that is asked for, if any."""
-    if path is not None:
-        from nuno_bench.report import rerun  # imports this module
-
-        rerun.write(path, f"nuno bench {kind}", tabs)
 
 
 def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:
