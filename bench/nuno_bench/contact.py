@@ -33,7 +33,7 @@ Verdict = Literal["clean", "crossed", "disagrees", "failed", "refused", "crashed
 
 @dataclass(frozen=True)
 class PileOutcome:
-    """What came of a scene.
+    """Outcome of a random scene.
 
     fabrics, cloths  of its pieces: presets or `springs`; quads, triangles, irregular triangles or a skirt
     frames           that were stepped and looked at, the start left out
@@ -96,7 +96,7 @@ def run_pile(task: tuple[int, float]) -> PileOutcome:
 
 
 def made_of(seed: int, scene: dict[str, Any]) -> PileOutcome:
-    """What a scene is made of, by its data."""
+    """Describe the parts of a scene, from its data."""
     models = [part["model"] for part in scene["objects"]]
     bodies = scene.get("bodies", [])
     worn = any("attach" in model for model in models)
@@ -187,7 +187,7 @@ def main(args: argparse.Namespace) -> int:
 def run_all(
     seeds: Sequence[int], duration: float, kept: SweepFile, where: Executor, say: Callable[[str], None]
 ) -> list[PileOutcome]:
-    """What came of the scenes of all seeds, in their order; those that are kept are not run again."""
+    """Return the outcomes of all seeds, in their order; those in the sweep's file are not run again."""
     found = {one.seed: one for one in (PileOutcome(**line) for line in kept.lines)}
     left = [(seed, duration) for seed in dict.fromkeys(seeds) if seed not in found]
     for (seed, _), one in where.run(run_pile, left):
@@ -240,7 +240,7 @@ def count_tables(found: Sequence[PileOutcome]) -> list[Table]:
 
 
 def describe(one: PileOutcome) -> str:
-    """What is to be said of a scene that was not clean; empty of one that was."""
+    """Describe what went wrong in a scene; return "" for a clean one."""
     if one.verdict == "clean":
         return ""
     frames = (

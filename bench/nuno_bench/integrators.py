@@ -69,7 +69,7 @@ class Trace:
 
     @property
     def runaway(self) -> float | None:
-        """When the energy had first grown by RUNAWAY times the lift [s]; None if it never had.
+        """Time at which the energy has first grown by RUNAWAY times the lift [s]; None if it never does.
 
         Without gravity a run has only run away where it is no longer finite.
         """
@@ -109,7 +109,7 @@ class Trace:
 
     @property
     def derived(self) -> dict[str, Any]:
-        """What follows from the fields."""
+        """Return the quantities that follow from the fields."""
         peaks = {name: self.peak(name) for name in ("penetration", "distance", "stretch")}
         found = {name: getattr(self, name) for name in ("outcome", "runaway", "microseconds", "energies")}
         return found | {"peaks": peaks}
@@ -142,7 +142,7 @@ def run_experiment(
 
 
 def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
-    """One run to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
+    """Run a variant to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
     problem, chosen, bodies = make_problem(loaded), loaded.integrator, build_bodies(loaded)
     limit = problem.limit(chosen.plugin, chosen.config)
     steps = problem.own_steps(limit)

@@ -28,7 +28,7 @@ CLOTH = "jacket"
 THICKNESS = 1e-3
 """Thickness of the contact by default [m]."""
 REST = 1.01 * THICKNESS
-"""How far apart pieces begin that are to lie on each other [m]."""
+"""Distance at the start of pieces that lie on each other [m]."""
 STRAY = 0.3
 """Vertices inside are this part of a spacing off the grid at most, along each axis."""
 
@@ -167,13 +167,13 @@ PINS: tuple[list[str], ...] = (["top-corners"], ["top-row"], ["top-left"], ["lef
 SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 """One of each kind."""
 BODIES = ("none", "sphere", "box", "capsule", "plane", "mesh", "sdf", "skeleton", "wearer")
-"""What the cloth falls on; a wearer is a capsule that one of the pieces, a skirt, is attached to."""
+"""Bodies that the cloth falls on; a wearer is a capsule that one of the pieces, a skirt, is attached to."""
 CLOTHS = ("quads", "triangles", "irregular")
 PILE_PINS: tuple[list[str], ...] = ([], [], [], ["top-corners"], ["top-row"], ["top-left"], ["corners"])
 RATES = (30, 60, 240)
 """Frames a second: how long a step of an implicit solver may be."""
 HIGH = 1.4
-"""Where the lowest piece is [m]: a dancer is as high."""
+"""Height of the lowest piece [m], which is that of a dancer."""
 MOTION = 1.0
 """Bodies move for so long [s]; how much of it is seen is up to the duration."""
 

@@ -1,4 +1,4 @@
-"""What errors are measured against: two independent solvers at tight tolerance, or at small steps.
+"""The reference that errors are measured against: two independent solvers at tight tolerance, or at small steps.
 
 How far the two are apart is the floor: an error near it says nothing. Two solvers of one family
 could share a mistake only in the force, which `nuno validate` checks by closed forms.

@@ -68,7 +68,7 @@ LONGEST = 0.1
 
 @dataclass(frozen=True)
 class Variant:
-    """What a row of points shares: a scene at a stiffness factor or a mesh of some size."""
+    """A scene at a stiffness factor or a mesh size, which a row of points shares."""
 
     scene: PackedScene
     overrides: tuple[str, ...]
@@ -275,7 +275,7 @@ def measure_all(
 
 
 def compile_all(setting: Variant, solvers: Sequence[str]) -> None:
-    """One call of every solver: processes of this machine then load what this one compiled."""
+    """Call every solver once: processes of this machine then load the kernels that this one compiled."""
     problem = pose(setting)
     for plugin in (registry.load(Problem.group, name) for name in (PRIMARY, *solvers)):
         with contextlib.suppress(BadInput):
@@ -389,7 +389,7 @@ def _rows(args: argparse.Namespace, path: Path) -> Path:
 
 
 def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Executor) -> StabilityMap:
-    """One scene."""
+    """Map one scene and write its page."""
     say = partial(print, f"{path.stem}:", file=sys.stderr)
     others, base = machine.OtherLoad(), args.out / f"stability-{path.stem}"
     settings, omissions = settings_of(path, args.overrides)
@@ -416,7 +416,7 @@ def summary(found: StabilityMap) -> str:
 
 
 def counts(points: Sequence[MapPoint]) -> Table:
-    """How many points fell into each class, by map and solver."""
+    """Return a table of the number of points in each class, by map and solver."""
     tally = Counter((point.axis, point.solver, point.outcome) for point in points)
     keys = sorted({key[:2] for key in tally})
     rows = [[axis, solver, *(str(tally[axis, solver, name]) for name in CLASSES)] for axis, solver in keys]
@@ -424,7 +424,7 @@ def counts(points: Sequence[MapPoint]) -> Table:
 
 
 def beyond(points: Sequence[MapPoint]) -> Table:
-    """How the stated limits compare with the maps: points that were lost below, and above, out of all."""
+    """Return a table of stated limits against the maps: points lost below them, and above, out of all."""
     known = [p for p in points if p.limited and p.outcome not in ("left out", "refused")]
     tally = Counter((p.solver, p.dt > p.limit, p.outcome == "diverged") for p in known)
     rows = [
@@ -456,7 +456,7 @@ def maps(points: Sequence[MapPoint], axis: str) -> list[Panel]:
 
 
 def _place(point: MapPoint) -> float:
-    """Where it stands: its factor, or the shortest spring [mm]."""
+    """Return a point's place on its axis: the factor, or the shortest spring [mm]."""
     return 1e3 * point.edge if point.axis == "mesh" else point.value
 
 

@@ -26,7 +26,7 @@ SEEN_FIXED = ("fig9a", "fig9b", "fig9c")
 MOMENTS = {"fig12": (0, 1, 2, 4, 8, 16, 24, 32)}
 """Frames that are shown of a scene; of others the last one is."""
 FIXED, DARKER = "fixed dye alone, twice as dark", 2.0
-"""What a picture of it is called, and by how much it is darker: it is never more than a half of all."""
+"""Label of a picture of fixed dye, and by how much it is darker: fixed dye is at most half of all."""
 WEAVES = ("fig10a", "fig10b", "fig10c")
 """Each of them must follow its own weave more than the others do."""
 RADIUS, FIXED_RADIUS = "spread of all dye [m]", "radius of fixed dye [m]"
@@ -84,7 +84,7 @@ def run_scene(path: Path) -> ShownScene:
 
 
 def _measure(name: str, dyed: Dyed) -> dict[str, float]:
-    """What the differences ask of a scene."""
+    """Measure what the differences need of a scene."""
     own = {RADIUS: spread_radius, FIXED_RADIUS: fixed_radius, MOTTLE: mottle, STREAKS: streaks}
     asked = dict.fromkeys(m for each in DIFFERENCES for scene, m in (each.high, each.low) if scene == name)
     found = {measure: own[measure](dyed) for measure in asked if measure in own}

@@ -1,4 +1,4 @@
-"""What `nuno gallery` needs to know of a kind of scenes: which they are, how one is run, and what they must show."""
+"""A kind of scenes for `nuno gallery`: their files, how one is run and measured, and the differences they must show."""
 
 from __future__ import annotations
 

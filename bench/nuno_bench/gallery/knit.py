@@ -47,7 +47,7 @@ CLOSE = {"stocking-leg": ("view.target=[0,0.33,0.03]", "view.distance=0.16", "vi
 COURSE, WALE, COMPRESSION = "stitch-stretch-course", "stitch-stretch-wale", "stocking-compression"
 ZIGZAG, OPENING = "zigzag of wales", "most open course over the least"
 STRETCH, DENSITY, PRESSURE = "stretch of {}", "stitches at the {} [1/m2]", "pressure at the {} [Pa]"
-"""What was measured, of a yarn's links, or at a place with a name."""
+"""Measures of a yarn's links, or at a named place."""
 
 
 def _between(says: str, scene: str, measure: str, high: str, low: str) -> Difference:

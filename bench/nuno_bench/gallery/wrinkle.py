@@ -22,7 +22,7 @@ from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Bool, Float, Int, State
 
 NEAR = 0.06
-"""What lies so near to a line when it is drawn belongs to its wrinkle [m]."""
+"""Largest distance to a drawn line of the cloth that belongs to its wrinkle [m]."""
 NAMES = ("hung-cloth-wrinkle", "bloom-skirt", "shirt-wrinkles")
 """Figures 4, 5 and 6, and 7 and 8."""
 SIZE = (640, 480)
@@ -56,7 +56,7 @@ def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple
 
 
 def _operations(loaded: Loaded) -> list[dict[str, Any]]:
-    """What the scene does to its cloth: the time of each and its own fields."""
+    """Return the time and the fields of each wrinkle operation."""
     return [{"at": float(one.at), **one.config} for one in loaded.scene.operations if one.plugin == "wrinkle"]
 
 

@@ -120,7 +120,7 @@ class TestOptions:
 
 
 def measures(fabric: object) -> Mapping[str, Any]:
-    """What a fabric is described by, in SI. Raises BadInput."""
+    """Return a fabric's measures in SI units. Raises BadInput."""
     plugin = registry.load("nuno.models", "swatch")
     loaded = mount("cantilever", fabric).problem.loaded
     found: Mapping[str, Any] = plugin.measures(loaded.models[0].config)

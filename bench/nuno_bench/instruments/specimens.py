@@ -78,7 +78,7 @@ class Rig:
         return self.state.x
 
     def _go(self) -> None:
-        """One frame."""
+        """Advance by one frame."""
         report = self._advance(self.steps, self.problem.frame / self.steps)
         if report.status != "ok":
             raise RunFailed(f"{self.problem.loaded.scene.name}: {report.status}: {report.message}")
@@ -355,5 +355,5 @@ def cast_shadow(x: Float, faces: Int, radius: float = RADIUS) -> NDArray[np.bool
 
 
 def count_nodes(shadow: NDArray[np.bool_]) -> int:
-    """How many folds stand out of its outline."""
+    """Return the number of folds in a shadow's outline."""
     return shadows.count_nodes(shadow, DOT, (0.5 * len(shadow), 0.5 * len(shadow)))

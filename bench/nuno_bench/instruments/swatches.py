@@ -26,7 +26,7 @@ LEAD = (
 )
 MEASURES = "What each is made of, and what was found of the drape that is shown."
 LOOK = {"duration": "4 s", "objects.0.colour": "cadetblue", "view.elevation": "30 deg", "view.size": [480, 320]}
-"""What is changed of the scene of the drapemeter."""
+"""Changes of the drapemeter's scene."""
 
 
 class Swatch(NamedTuple):

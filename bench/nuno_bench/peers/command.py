@@ -25,7 +25,7 @@ from nuno_schemas.fabric import Float
 
 @dataclass(frozen=True)
 class Scene:
-    """What engines are compared on.
+    """A problem that engines are compared on.
 
     says     what is compared
     section  of the documentation
@@ -137,7 +137,7 @@ def choose(kinds: Sequence[Engine], only: str | None) -> list[Engine]:
 
 
 def leave_out(kinds: Sequence[Engine], only: str | None) -> list[str]:
-    """Which are not installed and how they are, a sentence for each package, said before anything runs.
+    """Return a sentence for each package that is not installed, with the way to install it; print it first.
 
     Raises BadInput where the user asked for one by name.
     """

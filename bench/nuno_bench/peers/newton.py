@@ -20,7 +20,7 @@ RADIUS = 1e-4
 PUSH, DAMP = 1e3, 0.1
 """Stiffness [N/m] and damping [N s/m] of contacts, as in the example cloth_twist."""
 GAP, PAIRS_OF_VERTEX, PAIRS_OF_EDGE = 1.5e-3, 64, 128
-"""How far beyond the thickness pairs are looked for [m], and how many are kept, as there; its thickness is ours."""
+"""Reach of the search for pairs beyond the thickness [m], and sizes of their buffers, as in cloth_twist."""
 
 
 class Newton:
@@ -143,7 +143,7 @@ class Cloth(Newton):
     def _step_frame(self) -> None: ...
 
     def mesh(self, x: Float, faces: Int, density: float, radius: float) -> dict[str, Any]:
-        """What Newton's functions take of a mesh at x (n, 3) [m], of particles of a radius [m]."""
+        """Return the arguments of Newton's functions for a mesh at x (n, 3) [m] of particles of a radius [m]."""
         still = self.warp.vec3(0.0, 0.0, 0.0)
         return {
             "pos": still, "rot": self.warp.quat_identity(), "vel": still, "scale": 1.0, "density": density,

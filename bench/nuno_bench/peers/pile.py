@@ -52,7 +52,7 @@ OVERRIDES = (
     *(f"objects.{i}.model.fabric={FABRIC}" for i in range(len(SIDES))),
     *(f"objects.{i}.model.resolution=[{side}, {side}]" for i, side in enumerate(SIDES)),
 )
-"""What makes the shipped scene into one that every engine can hold: no air, no floor, one isotropic cloth."""
+"""Changes of the shipped scene, so that every engine can hold it: no air, no floor, one isotropic cloth."""
 LEAD = (
     f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
     f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
@@ -67,7 +67,7 @@ ASKED = {
 }
 """Of each question what of ours answers it, and what of ipctk."""
 FIRST, EVERY = 10, 5
-"""Which frames are asked about: by the first of them the lowest square is on the ball."""
+"""Frames of the questions: in the first of them the lowest square is on the ball."""
 ASKING = (
     f"The same questions about every {EVERY}th frame of our first run, from the {FIRST}th on, on average a frame: "
     "repeats in turns, in one process, with all cores. Our list is made for many steps of a solver: it holds more than "
@@ -93,7 +93,7 @@ class Pile:
 
 @dataclass(frozen=True)
 class PileScore:
-    """What the published frames of a run show.
+    """Measures of the published frames of a run.
 
     frames   how many there are
     crossed  numbers, from 1 on, of those in which an edge goes through a triangle, by ipctk
@@ -129,7 +129,7 @@ def _lengths(x: Float, ends: Int) -> Float:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a question about a frame takes on average, once a repeat: ours and ipctk's [ms]."""
+    """Mean times of a question about a frame, one per repeat: ours and ipctk's [ms]."""
 
     question: str
     ours: tuple[float, ...]

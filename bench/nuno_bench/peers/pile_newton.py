@@ -35,7 +35,7 @@ class _Pile(Cloth):
 
     @abstractmethod
     def _folds(self, length: Float, area: Float, share: Float) -> Float:
-        """What the solver has for the stiffness of folds: see `folds`."""
+        """Return the solver's coefficients for the stiffness of folds, from the values of `folds`."""
 
     @property
     def friction(self) -> float:

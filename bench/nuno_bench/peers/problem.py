@@ -12,13 +12,13 @@ from nuno_schemas.fabric import Float
 
 SCENE = "stiff-sheet"
 SECONDS = 1.0
-"""What is simulated [s]."""
+"""Simulated time [s]."""
 RATE = 60
 """Published frames a second."""
 REFERENCE = "plugin: dop853, tolerance: 1e-8, dt: auto"
 """The solver of the converged run."""
 CENTRE, STRAIN = 6e-3, 0.2
-"""What an accurate end may be off by: its centre of mass [m], and its mean strain as a share."""
+"""Largest errors of an accurate end: of its centre of mass [m], and of its mean strain as a share."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class SheetScore:
 
 
 def judge(sheet: Sheet, x: Float, exact: Float) -> SheetScore:
-    """Both (n, 3) [m]."""
+    """Score an end against the converged one, both (n, 3) [m]."""
     own, other = _strains(sheet, x), _strains(sheet, exact)
     centre = np.linalg.norm(sheet.mass @ (x - exact)) / sheet.mass.sum()
     return SheetScore(float(centre), float(own.mean() / other.mean()), float(own.max()))

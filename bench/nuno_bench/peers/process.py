@@ -40,7 +40,7 @@ OWN_SKIRT = f"{SAME_SKIRT}The skirt's own springs, dampers and hinges. "
 
 @dataclass(frozen=True)
 class Engine:
-    """One way to step what is posed.
+    """An engine with one of its solvers.
 
     name      as it is shown, and as --only takes it
     package   what is imported, "" for what always is there
@@ -161,7 +161,7 @@ ENOUGH = 1 / 3
 
 @dataclass(frozen=True)
 class EnginePoint(Generic[S]):
-    """One engine at one setting, with a score of the kind S.
+    """Run of an engine at one setting, with a score of type S.
 
     start     from a fresh process to the first step: imports, the model, compiling [s]
     seconds   wall times of what is simulated, one per repeat [s]

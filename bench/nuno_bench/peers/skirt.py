@@ -41,19 +41,19 @@ from nuno_schemas.view import View
 
 SCENE = "skirt-hula"
 OVERRIDES = ("forces=[]", f"frame_rate={RATE}", "record={}")
-"""What makes the shipped scene into one that every engine can hold: no air that pushes, but the damping of all motion
+"""Changes of the shipped scene, so that every engine can hold it: no air that pushes, but the damping of all motion
 that it has beside."""
 DEEP = 3e-3
 """How deep in the body cloth counts as being in it [m]: more than penalty contact lets it sink in, 0.7 mm, and than
 what the longest edge, a diagonal of 35 mm, cuts off a leg, of 73 mm of radius, when both its ends lie on it, 2.1 mm."""
 DIVERGED = 10.0
-"""How many times as long as at rest a spring is in what is no cloth any more."""
+"""Length of a spring over its rest length from which on a run has diverged."""
 DURATION = 0.25
 """Simulated time by default [s]: 15 frames; the first of them are alike in every engine."""
 ALONG = np.linspace(0.0, 1.0, 7)[:, None, None]
 """Places along an edge that are looked at."""
 CONVERGED, FINE = "leapfrog", (640, 320)
-"""What the converged run and its check are stepped by, and how often a frame: the explicit limit is near 100."""
+"""Solver of the converged run and its check, and their steps a frame: the explicit limit is near 100."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Skirt(Sheet):
 
 @dataclass(frozen=True)
 class SkirtScore:
-    """What the frames of a run show.
+    """Measures of the frames of a run.
 
     frames    (frames, n, 3) [m]
     off       after every frame, the mean distance of vertices from the converged run's, over the cloth's size
@@ -190,7 +190,7 @@ def look(skirt: Skirt, frames: Float, exact: Float) -> SkirtScore:
 
 
 def _in_body(skirt: Skirt, x: Float, edges: Int, poses: Poses) -> tuple[int, int, float]:
-    """How many edges and vertices are in the body, and how deep the deepest vertex is [m], of what is not held."""
+    """Return the numbers of free edges and vertices in the body, and the depth of the deepest vertex [m]."""
     own = penetration(x[skirt.free], skirt.geometry, poses)
     some = edges[skirt.free[edges].any(axis=1)]
     points = (1.0 - ALONG) * x[some[:, 0]] + ALONG * x[some[:, 1]]
@@ -331,7 +331,7 @@ class SkirtComparison(Comparison[SkirtScore]):
 
 
 def end_of(seen: SkirtScore | None) -> float:
-    """How far the end is off, as a share of the cloth's size."""
+    """Return the error of the end as a share of the cloth's size."""
     return seen.off[-1] if seen is not None else np.inf
 
 

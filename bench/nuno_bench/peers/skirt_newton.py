@@ -43,7 +43,7 @@ class _Skirt(Cloth):
             builder.add_shape_capsule(frame, xform=at, radius=float(shape.radius[i]), half_height=half, cfg=rough)
 
     def _cloth(self, builder: Any, skirt: Skirt) -> None:
-        """Its springs and hinges as they are; triangles of no stiffness, and edges, carry contact."""
+        """Add the skirt's springs and hinges; triangles and edges of no stiffness carry contact."""
         builder.add_cloth_mesh(
             **self.mesh(skirt.flat, skirt.faces, 1.0, 0.0), tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, edge_ke=0.0, edge_kd=0.0
         )
@@ -60,7 +60,7 @@ class _Skirt(Cloth):
             builder.add_edge(*quad, rest=0.0, edge_ke=stiffness, edge_kd=0.0)
 
     def _folds(self, skirt: Skirt) -> Float:
-        """What the solver has for the stiffness (h,) of hinges."""
+        """Return the solver's coefficients for the stiffness (h,) of hinges."""
         return skirt.bend
 
     def _transforms(self, turned: Float, moved: Float) -> Float:

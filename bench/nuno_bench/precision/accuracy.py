@@ -76,7 +76,7 @@ class DeliveredAccuracy:
         return "failed" if not self.error <= 3.0 * self.floor else "failed: not known, the reference is no better"
 
     def row(self) -> list[str]:
-        """Its line under HEADINGS."""
+        """Return the texts under HEADINGS."""
         return [self.scene, self.accuracy, self.solver, str(self.steps), f"{self.promised:g}", f"{self.error:.2g}",
                 f"{self.until:.3g}", f"{self.seconds:.3g}", self.verdict]  # fmt: skip
 

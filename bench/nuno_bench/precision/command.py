@@ -75,7 +75,7 @@ COUNTED = ("steps", "stages", "rejected_steps", "newton_steps", "linear_iteratio
 
 @dataclass(frozen=True)
 class Findings:
-    """One scene's sweep with all that it was judged by.
+    """A scene's sweep, and the reference, floors and horizon that judge it.
 
     floors   disagreement of the references by quantity
     own      which points are the scene as it is
@@ -110,13 +110,13 @@ class Findings:
 
     @property
     def own_sentence(self) -> str:
-        """What the scene as it is costs and delivers, and what it would with a step twice as large."""
+        """Error and run time of the scene as it is, and with a step twice as large, in one sentence."""
         name = self.quantities[0]
         return describe_own(self.own, self.sweep, name, self.floors[name].l2)
 
 
 def describe_own(own: OwnSettings, sweep: Sweep, quantity: str, floor: float) -> str:
-    """What the scene's own step costs and delivers in a quantity, and one twice as large, in one sentence."""
+    """Return error in a quantity and run time, by the scene's own step and one twice as large, in one sentence."""
     if not own.setting:
         return f"This scene as it is ({own.solver}) has no point: {own.why}."
     found = {point.key: point for point in sweep.points}
@@ -394,7 +394,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
 
 
 def _own(text: str | None, known: Collection[str]) -> list[str]:
-    """What is named and known: of scenes of cloth and of dye each has its own."""
+    """Return the names that are known: scenes of cloth and of dye have different ones."""
     return [name for name in options.names_of(text) if name in known]
 
 

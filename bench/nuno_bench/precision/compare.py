@@ -34,7 +34,7 @@ class SweepResult:
 
 @dataclass(frozen=True)
 class PointChange:
-    """One point in both results: its errors and times in A and in B, where it has any.
+    """A point in both results: its errors and times in A and in B, where it has any.
 
     quantity  that whose error changed most
     changed   "outcome", "error", "time": those that changed beyond floor and spread
@@ -47,7 +47,7 @@ class PointChange:
     changed: tuple[str, ...]
 
     def row(self) -> list[str]:
-        """Its line under HEADINGS."""
+        """Return the texts under HEADINGS."""
         errors = [f"{error:.2e}" for error in self.errors or ()] or ["", ""]
         times = [number(seconds) for seconds in self.times or ()] or ["", ""]
         ratios = [number(pair[1] / pair[0]) if pair and pair[0] else "" for pair in (self.errors, self.times)]

@@ -1,4 +1,4 @@
-"""Which steps, tolerances and residuals each installed solver is tried with on a scene, from coarse to fine."""
+"""Steps, tolerances and residuals that each installed solver is tried with on a scene, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FEW = (1, 2, 4, 8, 16, 32)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 TIGHTEST_RESIDUAL = 1e-11
 RESIDUAL = ", residual "
-"""What stands before it in a label."""
+"""Begins the part of a label that gives the residual."""
 LEFT_OUT = {"rk4_printed": "repeats the slips of the skirt paper, which change the motion it converges to"}
 """Solvers that are tried only where they are named."""
 LOOSER = 10.0
@@ -88,7 +88,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Omission:
-    """What was not run, and why; `setting` is empty for a whole solver."""
+    """A setting that was not run, with the reason; `setting` is empty for a whole solver."""
 
     solver: str
     setting: str
@@ -188,7 +188,7 @@ def _settings(frame: float, solver: Solver) -> list[Setting]:
 
 @dataclass(frozen=True)
 class OwnSettings:
-    """Which points of a sweep are the scene as it is, and the same with a step twice as large.
+    """The points of a sweep that are the scene as it is, and the scene with a step twice as large.
 
     setting  label of the scene's own point; empty where `why` says that there is none
     larger   how the other differs, in words: "a step twice as large"
@@ -227,7 +227,7 @@ def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver
 
 
 def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
-    """Its tolerance and a looser one, with the longest step that the scene allows."""
+    """Return settings with a solver's tolerance and a looser one, and the longest step that the scene allows."""
     tolerance = float(solver.config(Setting("", 1)).model_dump()["tolerance"])
     own, said = at_tolerance(solver.plugin, tolerance, steps), f"{LOOSER:g} times the tolerance"
     if LOOSER * tolerance > 1.0:
@@ -236,7 +236,7 @@ def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, st
 
 
 def _steps(problem: AnyProblem, solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
-    """Its steps a frame and half as many, rounded up, with the scene's own residual."""
+    """Return settings with a solver's steps a frame and half as many, rounded up, and the scene's own residual."""
     residual = float(solver.config(Setting("", steps)).model_dump()["residual"]) if has_residual(solver) else None
     own, said = at_steps(problem.frame, solver, steps, residual), "a step twice as large"
     if steps == 1:

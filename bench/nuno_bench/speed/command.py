@@ -54,7 +54,7 @@ class Record:
 
     @property
     def place(self) -> tuple[str, int]:
-        """What two records must share to be compared."""
+        """Processor and cores, which two records must share to be compared."""
         return self.processor, self.cores
 
     def describe(self) -> str:
@@ -151,7 +151,7 @@ class SpeedChange:
         return "faster" if (self.now.median > self.then.median) == self.now.more_is_better else "slower"
 
     def row(self) -> list[str]:
-        """Its line under HEADINGS."""
+        """Return the texts under HEADINGS."""
         then, now = (f"{number(one.median)} ({spread_of(one.samples)})" if one else "" for one in (self.then, self.now))
         ratio = number(self.now.median / self.then.median) if self.then and self.then.median > 0.0 else ""
         return [self.now.case, self.now.what, self.now.unit, then, now, ratio, self.verdict]
@@ -303,7 +303,7 @@ def notes(results: Sequence[Result]) -> list[tuple[str, str]]:
 
 
 def summary(results: Sequence[Result]) -> str:
-    """One sentence: how many bars were met, which were not."""
+    """Return a sentence on the bars that were met, and those that were not."""
     judged = [r for r in results if r.bar is not None or r.failure]
     missed = [f"{r.case} ({r.what}: {number(r.median)} {r.unit})" for r in judged if r.verdict == "missed"]
     failed = [r.case for r in judged if r.verdict == "failed"]

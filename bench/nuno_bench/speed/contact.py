@@ -1,4 +1,4 @@
-"""What contact of cloth with cloth costs: steps with it over steps without, what they go into, and a query as the mesh
+"""Cost of contact of cloth with cloth: steps with it over steps without, their parts, and a query as the mesh
 grows.
 """
 
@@ -62,7 +62,7 @@ class ContactCost:
     off: float
     parts: Mapping[str, float]
     frame: float
-    """What the steps of a frame take with contact [s]."""
+    """Time of the steps of a frame with contact [s]."""
     note: str
 
 
@@ -83,7 +83,7 @@ def contact(repeats: int) -> list[Result]:
 
 
 def shares(what: str, found: Sequence[ContactCost]) -> list[Result]:
-    """What a step's time goes into: the other forces and the update, each part of contact, and what is left."""
+    """Return the parts of a step's time: the other forces and the update, each part of contact, and what is left."""
 
     def figure(name: str, values: Iterable[float]) -> Result:
         return Result("contact", f"{what}: {name}", "us a step", tuple(1e6 * value for value in values))
@@ -221,7 +221,7 @@ class Parts:
         self.moments.append({name: max(0.0, time) for name, time in ({"forces of pairs": forces} | times).items()})
 
     def each(self) -> dict[str, float]:
-        """What each part takes of a step [s], over the moments."""
+        """Return the time of each part in a step [s], averaged over the moments."""
         lists, choices, steps = (end - begin for end, begin in zip(self._counted(), self.begun, strict=True))
         often = {"lists": lists / steps, "what is near": choices / steps}
         return {

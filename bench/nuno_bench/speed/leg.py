@@ -1,4 +1,4 @@
-"""What a stocking on a leg costs: closest points, a distance field, the fit, a picture of its yarns by rays."""
+"""Cases of a stocking on a leg: closest points, a distance field, the fit, a picture of its yarns by rays."""
 
 from __future__ import annotations
 
@@ -203,4 +203,4 @@ PEERS: dict[str, tuple[str, Callable[[Float, Int, Float], Callable[[], object]],
     "igl": ("igl", igl_peer, "a tree of boxes and pseudonormals, made in every call"),
     "open3d": ("open3d", open3d_peer, "in single precision"),
 }
-"""What each needs beside nuno, how its question is asked, signed distance and triangle, and what is to say of it."""
+"""Package, query of signed distance and triangle, and note of each peer."""

@@ -35,7 +35,7 @@ MOST = 3
 PATIENCE = 120.0
 """Longest that a run is waited for before it stands still at its first frame [s]: it may compile."""
 SWING = 0.1
-"""How far the hips go to either side [m]."""
+"""Amplitude of the hips' motion [m]."""
 
 
 def live(repeats: int) -> list[Result]:
@@ -57,7 +57,7 @@ def live(repeats: int) -> list[Result]:
 
 
 def measure() -> dict[str, float]:
-    """What came of one run. Raises RunFailed for one that did not come to its end."""
+    """Measure one run. Raises RunFailed if it does not reach its end."""
     with tempfile.TemporaryDirectory() as folder, _standing(Path(folder)) as (run, endpoint, outcome):
         receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
         arrived = _Arrivals(run, endpoint)
@@ -132,7 +132,7 @@ class _Arrivals(threading.Thread):
                     self._poses[message.header.frame] = round(height / height_of(1))
 
     def ages(self) -> Iterator[tuple[float, int]]:
-        """When a state came [s], and the number of the pose that it is of, but for the one before all."""
+        """Yield the arrival time [s] and the pose's number of each state that follows a pose."""
         for frame, at in self._states.items():
             if self._poses.get(frame, 0) > 0:
                 yield at, self._poses[frame]

@@ -139,7 +139,7 @@ STIFFNESS = (1e2, 1e4, 1e6, 1e8)
 SHARES = {"structural": 1.0, "shear": 0.3, "bending": 0.02}
 FRAMES = 30
 GROWTH = 3.0
-"""How many times the cost at the lowest stiffness the one at the highest may be."""
+"""Largest cost at the highest stiffness over that at the lowest."""
 MOST = 3
 """Repeats."""
 
@@ -315,7 +315,7 @@ DRAWN = {
     "a line over most of it": (LONG, "false"),
     "one that is kept": (SMALL, "true"),
 }
-"""Where each lies on the cloth, and whether it is kept."""
+"""Place of each line on the cloth, and whether it is kept."""
 
 
 def wrinkle(repeats: int) -> list[Result]:

@@ -30,7 +30,7 @@ RATE, SLOWER, FIRST, WEIGHT = 30.0, 3.0, 2.0, 2.0
 SCREEN = 1.0 / 60.0
 """Time between two pictures of a screen [s]."""
 LOOK, PATIENCE = 0.25, 1800.0
-"""How often a run is asked about, as the page does, and how long it may take [s]."""
+"""Time between two queries of a run, as the page has it, and longest time of a run [s]."""
 WIDTH, HEIGHT = 1500, 900
 VIEWER = ("gl.js", "math.js", "surface.js", "stage.js", "orbit.js", "scale.js", "drawing.js", "hand.js")
 """Files of the page that make up the 3-D viewer."""

@@ -29,7 +29,7 @@ REPEATS = 5
 
 @dataclass
 class Compilations:
-    """How many functions numba compiled (not: loaded from its cache) while it was watched."""
+    """Number of functions that numba compiled (not: loaded from its cache) while it was watched."""
 
     number: int = 0
 

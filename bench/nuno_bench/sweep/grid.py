@@ -111,7 +111,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Combination:
-    """One run of a sweep, and its number.
+    """A run of a sweep, with its number.
 
     It is of a packed scene with these overrides, drawn at its end from a side ("" for none), on so many threads (0:
     all).

@@ -31,11 +31,11 @@ from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = tuple(case for module in (oscillator, nets, statics, contacts, dye) for case in module.laws)
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
-"""What the solvers of each group solve."""
+"""Subject of the solvers of each group."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
 """Solvers that are there to show what a mistake does: what they fail is reported, but is no failure of the suite."""
 SAY_EVERY = 5.0
-"""How often it is said how much is left [s]."""
+"""Time between two messages on the time that is left [s]."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def choose_cases(names: Sequence[str]) -> list[Case]:
 
 
 def check(case: Case, plugin: Any) -> Outcome:
-    """What a case says of a solver. A plugin that raises has failed, whatever it raises."""
+    """Hold a solver against a case. A plugin that raises has failed, whatever it raises."""
     begin, name = time.perf_counter(), str(plugin.name)
     outcome = Outcome(case.name, name, "passed")
     try:
@@ -100,7 +100,7 @@ def check(case: Case, plugin: Any) -> Outcome:
 
 
 def check_named(task: tuple[str, str]) -> Outcome:
-    """What the case of a name says of the solver of a name."""
+    """Hold a solver against a case, both by name."""
     case, solver = task
     found = next(one for one in CASES if one.name == case)
     return check(found, registry.load(found.group, solver))
@@ -128,7 +128,7 @@ def check_all(parts: Sequence[Suite], executor: Executor, say: Callable[[str], N
 
 
 def count(outcomes: Sequence[Outcome]) -> dict[str, int]:
-    """How many outcomes of each verdict."""
+    """Return the number of outcomes of each verdict."""
     verdicts = ("passed", "failed", "slip", "unsupported")
     return {verdict: sum(outcome.verdict == verdict for outcome in outcomes) for verdict in verdicts}
 
@@ -146,7 +146,7 @@ def summary(parts: Sequence[Suite], outcomes: Sequence[Outcome]) -> str:
 
 
 def count_posed(part: Suite, outcomes: Sequence[Outcome]) -> dict[str, int]:
-    """How many solvers support each case."""
+    """Return the number of solvers that support each case."""
     posed = Counter(outcome.case for outcome in outcomes if outcome.verdict != "unsupported")
     return {case.name: posed[case.name] for case in part.cases}
 
@@ -242,7 +242,7 @@ def bad_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def describe_bad(row: Sequence[str]) -> str:
-    """What is bad, on a screen."""
+    """Return a row of `bad_table` as a line for the screen."""
     verdict, cases, solver, why = row
     return f"failed: {cases}, {solver}: {why}" if verdict == "failed" else f"slip: {solver}, {why}: {cases}"
 

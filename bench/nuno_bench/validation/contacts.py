@@ -36,7 +36,7 @@ ROUNDING = 1e-12
 LONGEST = 2e-4
 """A contact lasts some ten steps of this at least [s]."""
 LOOKS = 30
-"""How often it is looked at what becomes of a collision."""
+"""Number of checks during a collision."""
 
 
 def body(kind: int, a: Float, b: Float, radius: float, stiffness: float, friction: float) -> Geometry:

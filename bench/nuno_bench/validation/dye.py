@@ -1,4 +1,4 @@
-"""How a law of dye runs a solver, and laws of how much there is: kept, in its bounds, at rest as the isotherm says."""
+"""Laws of dye: its spread, its balance and bounds, and adsorption to the isotherm; and runs of solvers for them."""
 
 from __future__ import annotations
 
@@ -344,7 +344,7 @@ def measure_resist(plugin: Any) -> Measurement:
 
 
 def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> float:
-    """What fibre holds of even dye AMOUNT after `duration` / r, in steps of at most `step` / r, r = ADSORB."""
+    """Return what fibre takes of even dye AMOUNT in `duration` / r, in steps of at most `step` / r, r = ADSORB."""
     dye, phi = Dye("dye", D0, TAKEN, isotherm), np.full((2, 4, 4), AMOUNT)
     return float(DyeRun(plugin, make_cells(4, 4), phi, dye).go(duration / ADSORB, step / ADSORB).fixed.mean())
 

@@ -1,4 +1,4 @@
-"""What a law is, what it says of a solver, and how it runs one: through the plugin protocol alone."""
+"""A law as a case with an outcome, and the runs of solvers for it: through the plugin protocol alone."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Laws(list[Case]):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case says of a solver. `slip`: failed as the solver's own description announces."""
+    """Outcome of a case for a solver. `slip`: failed as the solver's own description announces."""
 
     case: str
     solver: str
@@ -104,7 +104,7 @@ class SolverRun:
         self.memory = plugin.prepare(self.config, system, self.state)
 
     def go(self, steps: int, dt: float, poses: tuple[Poses, Poses] | None = None) -> StepReport:
-        """One interval of whole steps. Raises Broken where the solver does not end well."""
+        """One interval of whole steps. Raises BrokenRun if the solver fails."""
         with np.errstate(all="ignore"):
             report: StepReport = self.plugin.advance(self.system, self.state, self.memory, poses, steps, dt)
         if report.status != "ok":
@@ -167,7 +167,7 @@ def relative(measured: float, expected: float, allowed: float) -> Measurement:
 
 
 def bisect(low: float, high: float, above: Callable[[float], bool], times: int = 60) -> float:
-    """Where `above` begins to hold between low and high, to (high - low) / 2^times, from above."""
+    """Return the value between low and high from which on `above` holds, to (high - low) / 2^times."""
     for _ in range(times):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if above(middle) else (middle, high)
