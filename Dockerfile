@@ -6,6 +6,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY schemas schemas
 COPY services services
 COPY plugins plugins
+COPY bench bench
 COPY scenes scenes
 COPY deploy deploy
 RUN pip install --no-cache-dir --require-hashes -r deploy/requirements.txt && pip install --no-cache-dir --no-deps .

@@ -57,7 +57,7 @@ def main() -> None:
     readme = ROOT / "README.md"
     text = readme.read_text(encoding="utf-8")
     _run_all(text)
-    others = machine.Others()
+    others = machine.OtherLoad()
     timed = _run_all(text)
     readme.write_text(timed, encoding="utf-8")
     facts = machine.about(others)

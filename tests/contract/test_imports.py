@@ -13,7 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 OWN = {
-    path.name for folder in ("schemas", "services", "plugins") for path in (ROOT / folder).iterdir() if path.is_dir()
+    path.name
+    for folder in ("schemas", "services", "plugins", "bench")
+    for path in (ROOT / folder).iterdir()
+    if path.is_dir()
 }
 PLUGINS = {path.name for path in (ROOT / "plugins").iterdir() if path.is_dir()}
 HOST_LIBRARIES = {"zenoh", "mcap", "rerun", "foxglove"}
@@ -48,7 +51,9 @@ def imported(path: Path) -> set[str]:
 @pytest.mark.parametrize("package", sorted(name for name in OWN if not name.startswith((".", "_"))))
 def test_package_imports_only_what_it_may(package: str) -> None:
     folder = next(
-        ROOT / kind / package for kind in ("schemas", "services", "plugins") if (ROOT / kind / package).is_dir()
+        ROOT / kind / package
+        for kind in ("schemas", "services", "plugins", "bench")
+        if (ROOT / kind / package).is_dir()
     )
     wrong = {}
     for path in folder.rglob("*.py"):
@@ -66,7 +71,7 @@ def test_package_imports_only_what_it_may(package: str) -> None:
 def find_modules() -> dict[str, Path]:
     """Every file of the project by the name it is imported by, a folder's __init__ by the folder's."""
     found = {}
-    for kind in ("schemas", "services", "plugins"):
+    for kind in ("schemas", "services", "plugins", "bench"):
         for path in (ROOT / kind).rglob("*.py"):
             parts = path.relative_to(ROOT / kind).with_suffix("").parts
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path

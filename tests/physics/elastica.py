@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import bisect
+from nuno_bench.validation.law import bisect
 
 PARTS = 1000
 """Intervals of the strip."""

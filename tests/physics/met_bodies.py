@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sheets import Pile
 
-from nuno_bench.contact.run import Oracle
+from nuno_bench.piles import Oracle
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_schemas.bodies import MESH, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Fabric, Float, Int

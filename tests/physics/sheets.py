@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from nuno.plugin_contract import registry
-from nuno_bench.contact.run import Oracle
-from nuno_bench.problem.piles import DOWN, pile, sheet
+from nuno_bench.piles import DOWN, Oracle, pile, sheet
 from nuno_contact.offset.contact_state import ContactState
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import StepReport

@@ -13,7 +13,7 @@ from numba.core.runtime import _nrt_python, rtsys
 from sheets import DOWN, Pile, sheet
 
 from nuno.simulation.cloth.join import join_fabrics
-from nuno_bench.problem import piles
+from nuno_bench import piles
 from nuno_contact.offset.candidate_pairs import AHEAD, is_quiet, make_list
 from nuno_contact.offset.contact_state import LEFT_OUT, LISTED, LISTS_MADE, STEPS, TOUCHING
 from nuno_contact.offset.plugin import Offset, OffsetConfig

@@ -12,7 +12,7 @@ from nuno.collision import crossings, pairs
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import cross, find_crossings
 from nuno.collision.pairs import Mesh, NearPairs, mesh_of, near_pairs
-from nuno_bench.problem import piles
+from nuno_bench import piles
 from nuno_schemas.fabric import Float
 
 SEEDS = range(20)

@@ -38,7 +38,7 @@ def chain(n: int, law: WeiszZollinger) -> DyeSystem:
 
 
 def sources(n: int, mean: float, theta: float) -> Float:
-    """Mean over each of n cells of mean sinh(theta) / (cosh(theta) - cos(pi x / n)); see laws.dye_spread."""
+    """Mean over each of n cells of mean sinh(theta) / (cosh(theta) - cos(pi x / n)), as the law of dye has it."""
     half = 0.5 * np.pi * np.arange(n + 1) / n
     whole = 2.0 * mean * n / np.pi * np.arctan2(np.sin(half), np.cos(half) * np.tanh(0.5 * theta))
     return np.broadcast_to(np.diff(whole), (2, 1, n))

@@ -11,12 +11,11 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno_bench.instruments import drape, loops, sheet
-from nuno_bench.instruments import sheet as cantilever
-from nuno_bench.instruments.command import find_fabric
-from nuno_bench.instruments.rig import mount
+from nuno_bench.instruments import sheet, specimens
+from nuno_bench.instruments.sheet import find_fabric
+from nuno_bench.instruments.specimens import mount
 from nuno_bench.sweep.executor import Executor, Processes
-from nuno_bench.validation.laws import statics
+from nuno_bench.validation import statics
 from nuno_schemas.errors import BadInput, RunFailed
 
 DENSITY, RIGIDITY = 0.2, 1e-5
@@ -33,7 +32,7 @@ PEIRCE = (RIGIDITY / (DENSITY * 9.81)) ** (1.0 / 3.0)
 def test_the_elastica_is_the_published_one() -> None:
     for gamma, expected in STEEPNESS.items():
         assert elastica.steepness(gamma) == pytest.approx(expected, rel=1e-4)
-    assert elastica.gamma_at(cantilever.SLOPE) ** (-1.0 / 3.0) == pytest.approx(0.5, rel=1e-3)
+    assert elastica.gamma_at(sheet.SLOPE) ** (-1.0 / 3.0) == pytest.approx(0.5, rel=1e-3)
 
 
 @pytest.mark.quick(layout=["irregular"])
@@ -45,7 +44,7 @@ def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:
     length, errors = PEIRCE * gamma ** (1.0 / 3.0), []
     for share in (8, 24):
         edges = round(share * max(2.0, gamma ** (1.0 / 3.0)))
-        found = cantilever.steepness(*cantilever.hang(FABRIC, length, edges, layout=layout))
+        found = sheet.steepness(*sheet.hang(FABRIC, length, edges, layout=layout))
         errors.append(abs(found / STEEPNESS[gamma] - 1.0))
     assert errors[1] < 0.01 and errors[1] < max(errors[0], 5e-3)
 
@@ -54,10 +53,7 @@ def test_a_strip_hangs_as_the_elastica_does(gamma: float, layout: str) -> None:
 @pytest.mark.parametrize("layout", ["aligned", "irregular"])
 def test_a_strip_that_hangs_almost_straight_does_too(layout: str) -> None:
     errors = [
-        abs(
-            cantilever.steepness(*cantilever.hang(FABRIC, 10.0 * PEIRCE, edges, layout=layout)) / STEEPNESS[1000.0]
-            - 1.0
-        )
+        abs(sheet.steepness(*sheet.hang(FABRIC, 10.0 * PEIRCE, edges, layout=layout)) / STEEPNESS[1000.0] - 1.0)
         for edges in (128, 256)
     ]
     assert errors[1] < 0.01 and errors[1] < errors[0]
@@ -71,7 +67,7 @@ def test_the_cantilever_of_astm_finds_the_bending_length(name: str) -> None:
     rigid = {"warp": 2e-5, "weft": 1e-5, "bias": 4.0 / (1 / 2e-5 + 1 / 1e-5 + 2.0 / math.sqrt(2e-10))}
     angle = {"warp": 0.0, "weft": 0.5 * math.pi, "bias": 0.25 * math.pi}
     expected = (rigid[name] / (DENSITY * 9.81)) ** (1.0 / 3.0)
-    found = cantilever.bending_length(cantilever.overhang(fabric, 2.1 * expected, 32, angle[name]))
+    found = sheet.bending_length(sheet.overhang(fabric, 2.1 * expected, 32, angle[name]))
     assert found == pytest.approx(expected, rel=0.01)
     assert sheet.measures(fabric)["bend_bias"] == pytest.approx(rigid["bias"], rel=1e-12)
 
@@ -81,15 +77,15 @@ def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, mo
     """As of limp cloth, by 0.5 % from one length to the next, which is 0.2 % of the length."""
 
     def steepness(length: float, scatter: float) -> float:
-        return math.tan(cantilever.SLOPE) * (length / 0.02) ** 2.5 * (1.0 + scatter * math.sin(1e7 * length))
+        return math.tan(sheet.SLOPE) * (length / 0.02) ** 2.5 * (1.0 + scatter * math.sin(1e7 * length))
 
-    monkeypatch.setattr(cantilever, "hang", lambda fabric, length, edges, angle: (length, fabric))
-    monkeypatch.setattr(cantilever, "steepness", steepness)
-    assert cantilever.overhang(5e-3, 0.02 * guess, 32) == pytest.approx(0.02, rel=3e-3)
-    assert cantilever.overhang(0.0, 0.02 * guess, 32) == pytest.approx(0.02, rel=cantilever.ENOUGH)
-    monkeypatch.setattr(cantilever, "steepness", lambda length, scatter: 0.1)
+    monkeypatch.setattr(sheet, "hang", lambda fabric, length, edges, angle: (length, fabric))
+    monkeypatch.setattr(sheet, "steepness", steepness)
+    assert sheet.overhang(5e-3, 0.02 * guess, 32) == pytest.approx(0.02, rel=3e-3)
+    assert sheet.overhang(0.0, 0.02 * guess, 32) == pytest.approx(0.02, rel=sheet.ENOUGH)
+    monkeypatch.setattr(sheet, "steepness", lambda length, scatter: 0.1)
     with pytest.raises(RunFailed, match="no length is found"):
-        cantilever.overhang(0.0, 0.02, 32)
+        sheet.overhang(0.0, 0.02, 32)
 
 
 @pytest.mark.quick(layout=["irregular"], poisson=[0.3])
@@ -103,13 +99,13 @@ def test_a_narrow_strip_tips_over_as_the_closed_form_says(poisson: float, layout
 @pytest.mark.full
 def test_the_loop_of_kes_gives_the_sheet_back() -> None:
     """Within 2 %; what is left and lost within 1 %."""
-    loop = loops.bend(FABRIC | {"hysteresis_warp": 6e-4, "hysteresis_weft": 6e-4}, 0.25 * math.pi)
+    loop = specimens.bend(FABRIC | {"hysteresis_warp": 6e-4, "hysteresis_weft": 6e-4}, 0.25 * math.pi)
     assert loop.rigidity == pytest.approx(RIGIDITY, rel=0.02)
     assert loop.hysteresis == pytest.approx(6e-4, rel=0.02)
     assert loop.left == pytest.approx(6e-4 / (2.0 * RIGIDITY), rel=0.01)
-    assert loop.work == pytest.approx(4.0 * 3e-4 * loops.MOST, rel=0.01)
-    assert loop.recovery == pytest.approx(180.0 * (1.0 - 30.0 / loops.MOST), abs=0.2)
-    elastic = loops.bend(FABRIC, 0.25 * math.pi)
+    assert loop.work == pytest.approx(4.0 * 3e-4 * specimens.MOST, rel=0.01)
+    assert loop.recovery == pytest.approx(180.0 * (1.0 - 30.0 / specimens.MOST), abs=0.2)
+    elastic = specimens.bend(FABRIC, 0.25 * math.pi)
     assert abs(elastic.hysteresis) < 1e-3 * 6e-4 and abs(elastic.left) < 1e-3
 
 
@@ -120,8 +116,8 @@ def test_tension_and_shear_are_those_of_orthotropic_cloth(angle: float) -> None:
     warp, weft, shear = 500.0, 2000.0, 200.0
     stretch = warp * c * c + weft * s * s + 2.0 * shear * s * c + 4.0 * shear * s * c
     slide = shear * (c - s) ** 2 + (warp + weft - 2.0 * shear) * s * c
-    assert loops.stretch(fabric, turn) == pytest.approx(stretch, rel=1e-3)
-    assert loops.shear(fabric, turn) == pytest.approx(slide, rel=1e-3)
+    assert specimens.stretch(fabric, turn) == pytest.approx(stretch, rel=1e-3)
+    assert specimens.shear(fabric, turn) == pytest.approx(slide, rel=1e-3)
 
 
 def test_a_shadow_is_the_area_and_the_folds_of_its_outline() -> None:
@@ -131,9 +127,9 @@ def test_a_shadow_is_the_area_and_the_folds_of_its_outline() -> None:
     rim = np.column_stack([radius * np.cos(angles), np.zeros(720), radius * np.sin(angles)])
     x = np.concatenate([rim, np.zeros((1, 3))])
     faces = np.column_stack([np.arange(720), np.roll(np.arange(720), -1), np.full(720, 720)]).astype(np.int32)
-    shadow = drape.cast_shadow(x, faces)
-    assert shadow.sum() * drape.DOT**2 == pytest.approx(np.pi * (0.12**2 + 0.5 * 0.01**2), rel=5e-3)
-    assert drape.count_nodes(shadow) == 6
+    shadow = specimens.cast_shadow(x, faces)
+    assert shadow.sum() * specimens.DOT**2 == pytest.approx(np.pi * (0.12**2 + 0.5 * 0.01**2), rel=5e-3)
+    assert specimens.count_nodes(shadow) == 6
 
 
 def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curvature_squared() -> None:
@@ -141,7 +137,7 @@ def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curva
     x, weight = rig.fabric.position, 9.81 * rig.fabric.mass
     rig.state.x[:, 1] = lift
     assert rig.energy() == pytest.approx(lift * weight.sum(), rel=1e-9)
-    rig.state.x[...] = loops.roll(x, curvature)
+    rig.state.x[...] = specimens.roll(x, curvature)
     bent = 0.5 * RIGIDITY * curvature**2 * 0.05**2
     assert rig.energy() - weight @ rig.state.x[:, 1] == pytest.approx(bent, rel=0.02)
 
@@ -149,7 +145,7 @@ def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curva
 @pytest.mark.full
 def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
     """Cloth as stiff as this drapes in 4, 5 or 6 folds: as different shadows, and almost the same energy."""
-    found = [drape.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]
+    found = [specimens.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]
     assert [one.nodes for one in found] == [4, 5, 6]
     energies = [one.energy for one in found]
     assert max(energies) < 0.0 and np.ptp(energies) < 0.1 * -min(energies)
@@ -159,9 +155,9 @@ def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
 @pytest.mark.full
 def test_drapes_are_the_same_one_after_another_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sheet, "EDGES", (0.03, 0.025))
-    told, rows = list[str](), list[list[sheet.Row]]()
+    told, rows = list[str](), list[list[sheet.SheetRow]]()
     for executor in (Executor(), Processes(2)):
-        rows.append(sheet.test(FABRIC, ["drape"], sheet.How(True, executor, told.append), {}).rows)
+        rows.append(sheet.test(FABRIC, ["drape"], sheet.TestOptions(True, executor, told.append), {}).rows)
         executor.close()
     assert rows[0] == rows[1] and len(rows[0]) == 3
     assert told[:3] == ["test 1 of 1: drape", "drape 1 of 2 is at rest", "drape 2 of 2 is at rest"]

@@ -13,8 +13,7 @@ from sheets import sheet
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.contact.run import Oracle
-from nuno_bench.problem.piles import pile
+from nuno_bench.piles import Oracle, pile
 from nuno_contact.offset.contact_state import CLOSE, LISTED, NEAR
 from nuno_contact.offset.impulse import SWEEPS, apply_impulses
 from nuno_contact.offset.plugin import find_pinched

@@ -16,7 +16,7 @@ from nuno.bus.encodings import BadMessage
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.collision.surfaces import surface
-from nuno_bench.contact.run import Oracle
+from nuno_bench.piles import Oracle
 from nuno_contact.offset.bodies import CATCH_UP, PLACED, STANDS, pose_solids, set_solid_poses
 from nuno_contact.offset.contact_state import LEFT_OUT, TOUCHING
 from nuno_contact.penalty.plugin import Penalty, PenaltyConfig

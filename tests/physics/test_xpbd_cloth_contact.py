@@ -10,7 +10,7 @@ import pytest
 from sheets import Pile, sheet
 from test_cloth_contact import heap, pace, sliding
 
-from nuno_bench.problem import piles
+from nuno_bench import piles
 from nuno_contact.offset.contact_state import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 

@@ -12,7 +12,7 @@ from nuno.scene import scene_file
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import dye as dye_gallery
 from nuno_bench.gallery.dye import Dyed, mottle, spread_radius, streaks
-from nuno_bench.gallery.kind import Shown, compare
+from nuno_bench.gallery.kind import ShownScene, compare
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
 
@@ -24,24 +24,24 @@ SIZE, PITCH, SIDE = 5e-5, 10, 20
 
 
 @pytest.fixture(scope="module")
-def shown() -> dict[str, Shown]:
+def shown() -> dict[str, ShownScene]:
     return {name: dye_gallery.run_scene(dye_gallery.scenes()[name]) for name in COMPARED}
 
 
 @pytest.mark.full
-def test_what_the_paper_describes_shows(shown: dict[str, Shown]) -> None:
+def test_what_the_paper_describes_shows(shown: dict[str, ShownScene]) -> None:
     rows = compare(dye_gallery.DIFFERENCES, shown)
     assert len(rows) == 13
     assert [row[-1] for row in rows] == ["bar met"] * 13, rows
 
 
 @pytest.mark.full
-def test_each_run_keeps_its_dye(shown: dict[str, Shown]) -> None:
+def test_each_run_keeps_its_dye(shown: dict[str, ShownScene]) -> None:
     assert all(one.measured[dye_gallery.BALANCE] < 1e-13 * 5000**0.5 and not one.failed for one in shown.values())
 
 
 @pytest.mark.full
-def test_a_weave_that_is_not_there_is_not_seen(shown: dict[str, Shown]) -> None:
+def test_a_weave_that_is_not_there_is_not_seen(shown: dict[str, ShownScene]) -> None:
     """A drop on cloth that hardly hinders it is not mottled."""
     assert shown["fig8a"].measured[dye_gallery.MOTTLE] < 0.01
 

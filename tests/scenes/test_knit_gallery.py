@@ -14,7 +14,7 @@ from nuno.cli import parser_of
 from nuno.scene import shipped
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import knit as knit_gallery
-from nuno_bench.gallery.kind import EFFECT, Difference, Shown, compare
+from nuno_bench.gallery.kind import EFFECT, Difference, ShownScene, compare
 from nuno_bench.gallery.knit import Knitted, density_at, stretch, unevenness, zigzag
 from nuno_schemas.errors import BadInput
 
@@ -67,9 +67,9 @@ def test_differences_are_of_shipped_knits() -> None:
     assert named <= set(knit_gallery.KIND.scenes())
 
 
-def stocking(*pressures: float) -> dict[str, Shown]:
+def stocking(*pressures: float) -> dict[str, ShownScene]:
     measured = {knit_gallery.PRESSURE.format(place): p for place, p in zip(PLACES, pressures, strict=True)}
-    return {"stocking-compression": Shown("stocking-compression", "", measured=measured)}
+    return {"stocking-compression": ShownScene("stocking-compression", "", measured=measured)}
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_pressure_that_does_not_fall_misses(high: float, low: float, verdict: 
 def test_what_was_not_measured_misses() -> None:
     shown = stocking(3.0, 2.0, 1.0)["stocking-compression"]
     assert compare(knit_gallery.DIFFERENCES, {shown.name: replace(shown, measured={})})[0][-1] == "missed"
-    one = Shown("a", "", measured={"more": 1.0, "less": 0.0})
+    one = ShownScene("a", "", measured={"more": 1.0, "less": 0.0})
     assert compare([Difference("", ("a", "more"), ("a", "less"))], {"a": one})[0][-2:] == ["inf", "bar met"]
 
 

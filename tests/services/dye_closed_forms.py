@@ -16,7 +16,7 @@ import yaml
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.simulation.solver_selection.cloth import decide
-from nuno_bench.problem.dye import DyeProblem
+from nuno_bench.problem import DyeProblem
 from nuno_schemas.fabric import Float
 
 CELL, D0, POROSITY = 5e-5, 5e-10, 0.5

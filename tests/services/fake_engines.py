@@ -8,9 +8,9 @@ import time
 
 import numpy as np
 
-from nuno_bench.peers.contact.problem import Pile
+from nuno_bench.peers.pile import Pile
 from nuno_bench.peers.problem import Sheet
-from nuno_bench.peers.skirt.problem import Skirt
+from nuno_bench.peers.skirt import Skirt
 from nuno_schemas.fabric import Float
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 
 from nuno.scene import scene_file
-from nuno_bench.problem.observe import Problem, make_problem
-from nuno_bench.problem.reference import Reference, make_reference
+from nuno_bench.problem import Problem, make_problem
+from nuno_bench.reference import Reference, make_reference
 
 
 def write_net(folder: Path, **fields: Any) -> Path:

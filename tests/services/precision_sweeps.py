@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.page import Findings
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.command import Findings
+from nuno_bench.precision.sweep import SolverPoint
 
 FLAGS = ("--repeats", "1", "--budget", "600")
 
@@ -23,5 +23,5 @@ def swept(path: Path, *flags: str) -> Findings:
     return precision.sweep_scene(precision._check(args)[0], args)
 
 
-def points_of(found: Findings, solver: str) -> list[Point]:
+def points_of(found: Findings, solver: str) -> list[SolverPoint]:
     return [point for point in found.points if point.solver == solver]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.stability import sweep as stability_sweep
-from nuno_bench.stability.sweep import measure_setting
+from nuno_bench import stability
+from nuno_bench.stability import measure_setting
 from nuno_schemas.errors import BadInput
 
 
@@ -47,7 +47,7 @@ class Dying:
 
     mark: str
 
-    def __call__(self, task: stability_sweep.Task) -> Any:
+    def __call__(self, task: stability.Task) -> Any:
         if task.setting.value < 0.5 and not Path(self.mark).exists():
             Path(self.mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)

@@ -17,10 +17,10 @@ from nuno.formatting import roughly
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery import command as gallery
-from nuno_bench.gallery.kind import Kind, Shown
+from nuno_bench.gallery.kind import Gallery, ShownScene
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.validation import suite
-from nuno_bench.validation.laws.base import Outcome
+from nuno_bench.validation import command as suite
+from nuno_bench.validation.law import Outcome
 
 
 def test_what_is_left_follows_from_what_is_done() -> None:
@@ -57,11 +57,11 @@ def test_a_gallery_says_first_how_long_it_takes_and_then_what_is_left(
     """Three scenes that are expected to take 60, 120 and 180 s; the first takes a thousandth of that."""
     scenes = {name: write_scene(tmp_path).rename(tmp_path / f"{name}.yaml") for name in ("one", "two", "three")}
 
-    def run_scene(path: Path) -> Shown:
+    def run_scene(path: Path) -> ShownScene:
         time.sleep(0.06)
-        return Shown(path.stem, "")
+        return ShownScene(path.stem, "")
 
-    kind = Kind("t", "l", lambda: scenes, run_scene, (), "")
+    kind = Gallery("t", "l", lambda: scenes, run_scene, (), "")
     expected = iter((60.0, 120.0, 180.0))
     monkeypatch.setattr(gallery, "KINDS", {"knit": kind})
     monkeypatch.setattr(gallery, "run_seconds", lambda loaded: next(expected))

@@ -13,12 +13,13 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno_bench.problem.observe import advance_all
+from nuno_bench.problem import advance_all
 from nuno_bench.report import page, plots
-from nuno_bench.report.result import Result, number
+from nuno_bench.report.page import Result, number
 from nuno_bench.speed import command as speed
-from nuno_bench.speed import meshes, timing
-from nuno_bench.speed.meshes import net, sheet
+from nuno_bench.speed import steps as meshes
+from nuno_bench.speed import timing
+from nuno_bench.speed.steps import net, sheet
 from nuno_bench.speed.timing import watch_compiler
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State

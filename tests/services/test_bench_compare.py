@@ -9,22 +9,22 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno_bench.precision.compare import Result, compare, read, summary
-from nuno_bench.precision.point import Error, Point
+from nuno_bench.precision.compare import SweepResult, compare, read, summary
+from nuno_bench.precision.sweep import Error, SolverPoint
 
 FLOOR = 1e-8
 
 
-def point(setting: str, error: float = 1e-3, times: tuple[float, ...] = (1.0, 1.05, 0.95)) -> Point:
+def point(setting: str, error: float = 1e-3, times: tuple[float, ...] = (1.0, 1.05, 0.95)) -> SolverPoint:
     errors = {"drop": Error(error, error, error), "energy": Error(1e-5, 1e-5, 1e-5)}
-    return Point("rk4", setting, "fixed steps", 4, 1.0, False, "done", "", times, {"steps": 10}, errors)
+    return SolverPoint("rk4", setting, "fixed steps", 4, 1.0, False, "done", "", times, {"steps": 10}, errors)
 
 
-def result(*points: Point) -> Result:
-    return Result("net", {one.key: one for one in points}, {"drop": FLOOR, "energy": FLOOR}, {})
+def result(*points: SolverPoint) -> SweepResult:
+    return SweepResult("net", {one.key: one for one in points}, {"drop": FLOOR, "energy": FLOOR}, {})
 
 
-def changed(a: Point, b: Point) -> tuple[str, ...]:
+def changed(a: SolverPoint, b: SolverPoint) -> tuple[str, ...]:
     return compare(result(a), result(b))[0].changed
 
 
@@ -71,7 +71,7 @@ def test_points_of_one_result_only_are_named() -> None:
     assert "Only in A: rk4 a." in said and "Only in B: rk4 c." in said
 
 
-def write(path: Path, *points: Point, scene: str = "net") -> Path:
+def write(path: Path, *points: SolverPoint, scene: str = "net") -> Path:
     floors = {name: asdict(Error(FLOOR, FLOOR, FLOOR)) for name in ("drop", "energy")}
     data = {"about": {"date": "today"}, "scene": scene, "reference": {"how": "", "floors": floors}}
     path.write_text(json.dumps(data | {"points": [asdict(one) for one in points]}))

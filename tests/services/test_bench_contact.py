@@ -16,13 +16,11 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.contact import command, run
-from nuno_bench.contact.run import Oracle, Passed, run_pile
-from nuno_bench.problem import piles
-from nuno_bench.problem.piles import irregular_square
-from nuno_bench.problem.random_scenes import BODIES, SOLVERS, random_pile
+from nuno_bench import contact, piles
+from nuno_bench.contact import PileOutcome, run_pile
+from nuno_bench.piles import BODIES, SOLVERS, Oracle, irregular_square, random_pile
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.storage import Kept
+from nuno_bench.sweep.storage import SweepFile
 
 SHORT = 0.1
 """Duration of a scene [s]."""
@@ -48,7 +46,7 @@ def test_scenes_follow_from_their_seeds_and_are_of_all_kinds(tmp_path: Path) -> 
         path = random_pile(seed, 0.5, tmp_path)
         again = json.loads(path.read_text())
         assert texts[-1] == again | {"duration": 0.1}
-        found = run.made_of(seed, again)
+        found = contact.made_of(seed, again)
         solvers.add(found.solver)
         bodies.add(found.body)
         assert 2 <= len(scene_file.read(path).models) <= 3
@@ -72,8 +70,8 @@ def crossing(monkeypatch: pytest.MonkeyPatch) -> None:
     class Counted(Simulation):
         step = counted
 
-    monkeypatch.setattr(run, "random_pile", without)
-    monkeypatch.setattr(run, "Simulation", Counted)
+    monkeypatch.setattr(contact, "random_pile", without)
+    monkeypatch.setattr(contact, "Simulation", Counted)
 
 
 @pytest.mark.full
@@ -95,11 +93,11 @@ def test_what_passes_through_is_seen_named_kept_and_ends_the_command_with_1(
 def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = list[int]()
 
-    def ran(task: tuple[int, float]) -> Passed:
+    def ran(task: tuple[int, float]) -> PileOutcome:
         asked.append(task[0])
-        return Passed(task[0], "rk4", "box", ("denim",), ("quads",), crossed=[4] * (task[0] == 2))
+        return PileOutcome(task[0], "rk4", "box", ("denim",), ("quads",), crossed=[4] * (task[0] == 2))
 
-    monkeypatch.setattr(command, "run_pile", ran)
+    monkeypatch.setattr(contact, "run_pile", ran)
     flags = ["--jobs", "1", "--out", str(tmp_path)]
     assert main(["bench", "contact", "1", "2", *flags]) == 1
     assert main(["bench", "contact", "--count", "3", "--resume", *flags]) == 1
@@ -123,19 +121,19 @@ def test_both_checks_see_an_edge_through_a_triangle() -> None:
 @pytest.mark.parametrize(
     ("found", "verdict", "bad"),
     [
-        (Passed(1), "clean", False),
-        (Passed(1, crossed=[3], own=[3]), "crossed", True),
-        (Passed(1, crossed=[3]), "disagrees", True),
-        (Passed(1, status="diverged", message="vertex 3"), "failed", False),
-        (Passed(1, crossed=[3], own=[3], status="diverged"), "crossed", True),
-        (Passed(1, status="refused", message="no"), "refused", True),
-        (Passed(1, status="crashed", message="no"), "crashed", True),
+        (PileOutcome(1), "clean", False),
+        (PileOutcome(1, crossed=[3], own=[3]), "crossed", True),
+        (PileOutcome(1, crossed=[3]), "disagrees", True),
+        (PileOutcome(1, status="diverged", message="vertex 3"), "failed", False),
+        (PileOutcome(1, crossed=[3], own=[3], status="diverged"), "crossed", True),
+        (PileOutcome(1, status="refused", message="no"), "refused", True),
+        (PileOutcome(1, status="crashed", message="no"), "crashed", True),
     ],
 )
-def test_verdicts_follow_from_what_was_seen(found: Passed, verdict: str, bad: bool) -> None:
-    assert (found.verdict, command.is_bad(found)) == (verdict, bad)
-    assert bool(command.describe(found)) == (verdict != "clean")
-    assert command.keep([Passed(1)], 0.1, Path("nowhere")) is None
+def test_verdicts_follow_from_what_was_seen(found: PileOutcome, verdict: str, bad: bool) -> None:
+    assert (found.verdict, contact.is_bad(found)) == (verdict, bad)
+    assert bool(contact.describe(found)) == (verdict != "clean")
+    assert contact.keep([PileOutcome(1)], 0.1, Path("nowhere")) is None
 
 
 @pytest.mark.usefixtures("crossing")
@@ -144,17 +142,19 @@ def test_what_raises_is_a_finding_about_its_scene(tmp_path: Path, monkeypatch: p
         raise ZeroDivisionError("by hand")
 
     monkeypatch.setattr(Simulation, "step", broken)
-    kept = Kept(tmp_path / "kept.jsonl", {}, False, print)
-    (found,) = command.run_all([2], SHORT, kept, Executor(), lambda text: None)
+    kept = SweepFile(tmp_path / "kept.jsonl", {}, False, print)
+    (found,) = contact.run_all([2], SHORT, kept, Executor(), lambda text: None)
     assert (found.verdict, found.message, found.frames) == ("crashed", "ZeroDivisionError: by hand", 0)
 
 
 def test_scenes_that_are_counted_are_all_in_the_tables() -> None:
     found = [
-        Passed(1, "rk4", "box", ("denim",), ("quads",), vertices=10, frames=5, vertex_steps=1000, cut=1),
-        Passed(2, "xpbd", "box", ("denim", "springs"), ("quads",), frames=5, crossed=[4], own=[4], vertex_steps=1000),
+        PileOutcome(1, "rk4", "box", ("denim",), ("quads",), vertices=10, frames=5, vertex_steps=1000, cut=1),
+        PileOutcome(
+            2, "xpbd", "box", ("denim", "springs"), ("quads",), frames=5, crossed=[4], own=[4], vertex_steps=1000
+        ),
     ]
-    by_solver, by_body, _, by_fabric = command.count_tables(found)
+    by_solver, by_body, _, by_fabric = contact.count_tables(found)
     assert [row[:4] for row in by_solver.rows] == [
         ["rk4", "1", "5", "0"],
         ["xpbd", "1", "5", "1"],
@@ -163,7 +163,7 @@ def test_scenes_that_are_counted_are_all_in_the_tables() -> None:
     assert [row[1] for row in by_body.rows] == ["2", "2"]
     assert [row[0] for row in by_fabric.rows] == ["denim", "springs", "all"]
     assert by_solver.rows[0][5] == "0.1 %"
-    assert "cloth passes through cloth in 1 by ipctk and in 1 by our own check; 1 scenes went wrong" in command.summary(
+    assert "cloth passes through cloth in 1 by ipctk and in 1 by our own check; 1 scenes went wrong" in contact.summary(
         found
     )
 
@@ -181,7 +181,7 @@ def test_irregular_squares_are_whole_and_face_up() -> None:
 @pytest.mark.parametrize("arguments", [["--count", "0"], ["-1"], ["--duration", "0"], ["--docs", "/nowhere.md"]])
 def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command, "run_all", lambda *given: pytest.fail("nothing is to run"))
+        patch.setattr(contact, "run_all", lambda *given: pytest.fail("nothing is to run"))
         try:
             code = main(["bench", "contact", *arguments])
         except SystemExit as ended:

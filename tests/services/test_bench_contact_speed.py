@@ -9,7 +9,7 @@ from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.problem.piles import pile
+from nuno_bench.piles import pile
 from nuno_bench.speed import contact
 from nuno_bench.speed.contact import Parts
 from nuno_contact.offset.contact_state import LISTED, ContactState

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nuno.plugin_contract import registry
-from nuno_bench.speed import dye as dye_speed
+from nuno_bench.speed import steps as dye_speed
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 
 STEPS = 25
@@ -16,7 +16,7 @@ def explicit(system: DyeSystem, state: DyeState, steps: int) -> DyeReport:
     """The report of so many steps by our solver."""
     plugin = registry.load("nuno.dye_solvers", "explicit")
     config = plugin.Config()
-    dt = dye_speed.SHARE * plugin.limit(config, system)
+    dt = dye_speed.DYE_SHARE * plugin.limit(config, system)
     report: DyeReport = plugin.advance(system, state, plugin.prepare(config, system, state), steps, dt)
     return report
 

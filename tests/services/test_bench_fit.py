@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno_bench.report.page import marks
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result, marks
 from nuno_bench.speed import command as speed
 from nuno_bench.speed import leg as fit_speed
 from nuno_bench.speed.leg import fit

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from nuno.scene import scene_file, shipped
-from nuno_bench.integrators.command import compare_with_paper, report
-from nuno_bench.integrators.experiment import SERIES, SPLIT, Trace, run_variant
+from nuno_bench.integrators import SERIES, SPLIT, Trace, compare_with_paper, report, run_variant
 
 SMALL = ("duration=0.2", "objects.0.model.columns=12", "objects.0.model.rows=5")
 

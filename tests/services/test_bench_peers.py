@@ -23,10 +23,9 @@ from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
 from nuno_bench.peers.command import choose
-from nuno_bench.peers.problem import Score, Sheet, judge
-from nuno_bench.peers.process import Point, measure
+from nuno_bench.peers.problem import Sheet, SheetScore, judge
+from nuno_bench.peers.process import SHEET_KINDS, Engine, EnginePoint, measure
 from nuno_bench.peers.python import NumPy, stiff_sheet
-from nuno_bench.peers.table import SHEET_KINDS, Kind
 from nuno_schemas.fabric import Float, State
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)
@@ -43,12 +42,12 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", HERE)
 
 
-def fake(made: str, *settings: dict[str, float], package: str = "") -> Kind:
+def fake(made: str, *settings: dict[str, float], package: str = "") -> Engine:
     named = {str(setting): setting for setting in settings}
-    return Kind(f"fake-{made.lower()}", package, "fake_engines", made, named, f"{made} <is> given.")
+    return Engine(f"fake-{made.lower()}", package, "fake_engines", made, named, f"{made} <is> given.")
 
 
-def against(sheet: Sheet, exact: Float) -> Callable[[Float], Score]:
+def against(sheet: Sheet, exact: Float) -> Callable[[Float], SheetScore]:
     return partial(judge, sheet, exact=exact)
 
 
@@ -131,20 +130,20 @@ def test_engine_whose_starter_was_killed_ends_by_itself(fakes: None) -> None:
 
 
 def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
-    good, off, loose = Score(1e-3, 1.1, 0.1), Score(7e-3, 1.0, 0.1), Score(1e-3, 1.3, 0.1)
+    good, off, loose = SheetScore(1e-3, 1.1, 0.1), SheetScore(7e-3, 1.0, 0.1), SheetScore(1e-3, 1.3, 0.1)
     points = [
-        Point("nuno-a", "coarse", 0.1, (0.1,), off),
-        Point("nuno-a", "fine", 0.1, (0.5, 0.4, 0.6), good),
-        Point("other", "coarse", 0.1, (0.2,), loose),
-        Point("other", "fine", 0.1, (5.0,), good),
-        Point("never", "", None, (), None, "not done after 9 s"),
+        EnginePoint("nuno-a", "coarse", 0.1, (0.1,), off),
+        EnginePoint("nuno-a", "fine", 0.1, (0.5, 0.4, 0.6), good),
+        EnginePoint("other", "coarse", 0.1, (0.2,), loose),
+        EnginePoint("other", "fine", 0.1, (5.0,), good),
+        EnginePoint("never", "", None, (), None, "not done after 9 s"),
     ]
-    kinds = [Kind(name, "", "", "", {}, "") for name in ("nuno-a", "other", "never")]
-    found = peer_page.Found(kinds, points, (), 1.0)
-    assert [row[-1] for row in peer_page.settings(found).rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
-    assert peer_page.notes(found.points).rows == [["never", "", "not done after 9 s"]]
-    assert "10 times faster" in " ".join(peer_page.verdicts(found))
-    assert "Accurate and done at no setting shown: never." in peer_page.verdicts(found)
+    kinds = [Engine(name, "", "", "", {}, "") for name in ("nuno-a", "other", "never")]
+    found = peer_page.SheetComparison(kinds, points, (), 1.0)
+    assert [row[-1] for row in found.settings().rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
+    assert found.notes().rows == [["never", "", "not done after 9 s"]]
+    assert "10 times faster" in " ".join(found.verdicts())
+    assert "Accurate and done at no setting shown: never." in found.verdicts()
 
 
 class Stretched:

@@ -12,21 +12,20 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers import command as peers
-from nuno_bench.peers.contact import page
-from nuno_bench.peers.contact.problem import (
+from nuno_bench.peers.pile import (
     CROSSED,
     MOTION,
     PAIRS,
     SIDES,
     Pile,
-    Seen,
+    PileComparison,
+    PileScore,
     five_sheets,
     look,
     own_answers,
     their_answers,
 )
-from nuno_bench.peers.process import Point
-from nuno_bench.peers.table import Kind
+from nuno_bench.peers.process import Engine, EnginePoint
 
 SMALL = tuple(f"objects.{i}.model.resolution=[5, 5]" for i in range(len(SIDES)))
 HERE = str(Path(__file__).parent)
@@ -75,15 +74,15 @@ def test_ipctk_and_ours_answer_alike() -> None:
     ("module", "made", "setting", "steps", "kept"),
     [
         pytest.param(
-            "python",
+            "pile",
             "PileSolver",
             {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"},
             60,
             1.0,
             marks=pytest.mark.full,
         ),
-        pytest.param("contact.newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
-        pytest.param("contact.newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
+        pytest.param("pile_newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
+        pytest.param("pile_newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
     ],
 )
 def test_cloth_falls_freely_until_it_meets_anything(
@@ -93,7 +92,7 @@ def test_cloth_falls_freely_until_it_meets_anything(
 
     Velocities are differences of positions in single precision, whose rounding by 3e-8 m adds up to 1.4e-5 m in 30.
     """
-    if module != "python":
+    if "newton" in module:
         pytest.importorskip("newton", reason="the peer engine newton is not installed")
     pile, h = five_sheets(), 1 / 60 / steps
     frames = getattr(importlib.import_module(f"nuno_bench.peers.{module}"), made)(pile, **setting).advance(0.05)
@@ -111,7 +110,7 @@ def test_cloth_falls_freely_until_it_meets_anything(
 def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     """Bent to a cylinder across rows a fold of angle curvature x width stores rigidity curvature^2 / 2 per area."""
     pytest.importorskip("newton", reason="the peer engine newton is not installed")
-    module = importlib.import_module("nuno_bench.peers.contact.newton")
+    module = importlib.import_module("nuno_bench.peers.pile_newton")
     pile = five_sheets()
     model = getattr(module, made)(pile, 10, 4).model
     np.testing.assert_allclose(model.particle_mass.numpy(), pile.mass, rtol=1e-6)
@@ -129,23 +128,23 @@ def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     assert not k[~inner].any() and len(x) == sum(side * side for side in SIDES)
 
 
-def seen(*crossed: int) -> Seen:
-    return Seen(60, crossed, 0.05, 0.6)
+def seen(*crossed: int) -> PileScore:
+    return PileScore(60, crossed, 0.05, 0.6)
 
 
 def test_another_engine_is_held_against_our_fastest_with_no_more_crossings() -> None:
     points = [
-        Point("nuno-a", "loose", 1.0, (1.0,), seen(3, 4)),
-        Point("nuno-a", "tight", 1.0, (4.0,), seen()),
-        Point("newton-b", "clean", 1.0, (6.0, 2.0, 8.0), seen()),
-        Point("newton-b", "quick", 1.0, (2.0,), seen()),
-        Point("newton-c", "crosses", 1.0, (3.0,), seen(5, 6, 7)),
-        Point[Seen]("newton-c", "breaks", failure="not done after 9 s"),
+        EnginePoint("nuno-a", "loose", 1.0, (1.0,), seen(3, 4)),
+        EnginePoint("nuno-a", "tight", 1.0, (4.0,), seen()),
+        EnginePoint("newton-b", "clean", 1.0, (6.0, 2.0, 8.0), seen()),
+        EnginePoint("newton-b", "quick", 1.0, (2.0,), seen()),
+        EnginePoint("newton-c", "crosses", 1.0, (3.0,), seen(5, 6, 7)),
+        EnginePoint[PileScore]("newton-c", "breaks", failure="not done after 9 s"),
     ]
-    found = page.Found([Kind(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
-    rows = [row[-2:] for row in page.settings(found).rows]
+    found = PileComparison([Engine(n, "", "", "", {}, "") for n in ("nuno-a", "newton-b", "newton-c")], points, (), ())
+    rows = [row[-2:] for row in found.settings().rows]
     assert rows == [["", ""], ["", ""], ["1.5", "bar met"], ["0.5", "missed"], ["3", "bar met"], ["", "failed"]]
-    assert page.verdicts(found) == [
+    assert found.verdicts() == [
         "nuno-a (tight): 4 s, cloth through cloth in 0 of 60 frames.",
         "newton-b (quick): 2 s, 0.5 times as long as ours, cloth through cloth in 0 of 60 frames.",
         "newton-c (crosses): 3 s, 3 times as long as ours, cloth through cloth in 3 of 60 frames.",
@@ -159,8 +158,8 @@ def test_page_tells_crossings_and_who_is_left_out(
     pytest.importorskip("ipctk")
     settings = {"rests": {"depth": 0.0}, "sinks": {"depth": 0.06}}
     kinds = (
-        Kind("fake-sinks", "", "fake_engines", "Sinks", settings, "A pile."),
-        Kind("fake-none", "no_such_engine", "fake_engines", "Sinks", settings, "A pile."),
+        Engine("fake-sinks", "", "fake_engines", "Sinks", settings, "A pile."),
+        Engine("fake-none", "no_such_engine", "fake_engines", "Sinks", settings, "A pile."),
     )
     docs = tmp_path / "page.md"
     docs.write_text("before\n<!-- measured: peers contact -->\n<!-- end: peers contact -->\nafter\n")

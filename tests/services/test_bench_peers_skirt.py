@@ -12,12 +12,10 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers import command as peers
-from nuno_bench.peers.process import Point
-from nuno_bench.peers.skirt import problem
-from nuno_bench.peers.skirt.newton import _from_z, lay_flat
-from nuno_bench.peers.skirt.page import Found, settings
-from nuno_bench.peers.skirt.problem import Skirt, SkirtSolver, hula_skirt, look
-from nuno_bench.peers.table import Kind
+from nuno_bench.peers import skirt as problem
+from nuno_bench.peers.process import Engine, EnginePoint
+from nuno_bench.peers.skirt import Skirt, SkirtComparison, SkirtSolver, hula_skirt, look
+from nuno_bench.peers.skirt_newton import _from_z, lay_flat
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
@@ -118,7 +116,7 @@ def test_newton_has_the_masses_the_hinges_and_the_waist_of_the_skirt(
     skirt: Skirt, made: str, substeps: int, iterations: int
 ) -> None:
     pytest.importorskip("newton", reason="the peer engine newton is not installed")
-    engine = getattr(importlib.import_module("nuno_bench.peers.skirt.newton"), made)(skirt, substeps, iterations)
+    engine = getattr(importlib.import_module("nuno_bench.peers.skirt_newton"), made)(skirt, substeps, iterations)
     np.testing.assert_allclose(engine.model.particle_mass.numpy(), skirt.mass * skirt.free, rtol=1e-6)
     quads, k = engine.model.edge_indices.numpy(), engine.model.edge_bending_properties.numpy()[:, 0]
     if made != "Style3D":  # which has a fabric of its own
@@ -136,15 +134,15 @@ def test_newton_has_the_masses_the_hinges_and_the_waist_of_the_skirt(
 def test_another_engine_is_held_against_our_fastest_that_is_no_farther_off(skirt: Skirt) -> None:
     near, far = (look(skirt, still(skirt) + off, still(skirt)) for off in (0.0, 0.01))
     points = [
-        Point("converged", "fine", None, (9.0,), near),
-        Point("nuno-a", "loose", 1.0, (1.0,), far),
-        Point("nuno-a", "tight", 1.0, (4.0,), near),
-        Point("newton-b", "near", 1.0, (2.0,), near),
-        Point("newton-b", "far", 1.0, (2.0,), far),
-        Point("newton-b", "breaks", failure="not done after 9 s"),
+        EnginePoint("converged", "fine", None, (9.0,), near),
+        EnginePoint("nuno-a", "loose", 1.0, (1.0,), far),
+        EnginePoint("nuno-a", "tight", 1.0, (4.0,), near),
+        EnginePoint("newton-b", "near", 1.0, (2.0,), near),
+        EnginePoint("newton-b", "far", 1.0, (2.0,), far),
+        EnginePoint("newton-b", "breaks", failure="not done after 9 s"),
     ]
-    found = Found([Kind(name, "", "", "", {}, "") for name in ("nuno-a", "newton-b")], points, (), skirt)
-    rows = [row[-2:] for row in settings(found).rows]
+    found = SkirtComparison([Engine(name, "", "", "", {}, "") for name in ("nuno-a", "newton-b")], points, (), skirt)
+    rows = [row[-2:] for row in found.settings().rows]
     assert rows == [["", ""], ["", ""], ["", ""], ["0.5", "missed"], ["2", "bar met"], ["", "failed"]]
     assert [point.setting for point in found.nearest()] == ["fine", "tight", "near"]
 
@@ -154,9 +152,9 @@ def test_page_shows_ends_side_by_side_and_says_what_fails(
     skirt: Skirt, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kinds = (
-        Kind("fake-skirt", "", "fake_engines", "Drifts", {"drifts": {"by": 0.01}}, "A skirt."),
-        Kind("fake-refuse", "", "fake_engines", "Refuse", {"breaks": {"shift": 0.0}}, "A skirt."),
-        Kind("fake-none", "no_such_engine", "fake_engines", "Drifts", {"drifts": {"by": 0.01}}, "A skirt."),
+        Engine("fake-skirt", "", "fake_engines", "Drifts", {"drifts": {"by": 0.01}}, "A skirt."),
+        Engine("fake-refuse", "", "fake_engines", "Refuse", {"breaks": {"shift": 0.0}}, "A skirt."),
+        Engine("fake-none", "no_such_engine", "fake_engines", "Drifts", {"drifts": {"by": 0.01}}, "A skirt."),
     )
     docs, html = tmp_path / "page.md", tmp_path / "page.html"
     docs.write_text("before\n<!-- measured: peers skirt -->\n<!-- end: peers skirt -->\nafter\n")
@@ -164,7 +162,7 @@ def test_page_shows_ends_side_by_side_and_says_what_fails(
     monkeypatch.setenv("PYTHONPATH", HERE)
     monkeypatch.setitem(peers.SCENES, "skirt", replace(peers.SCENES["skirt"], kinds=kinds))
     monkeypatch.setattr(peers, "hula_skirt", lambda seconds, threads: skirt)
-    point = Point("converged", "fine", None, (1.0,), look(skirt, exact, exact))
+    point = EnginePoint("converged", "fine", None, (1.0,), look(skirt, exact, exact))
     monkeypatch.setattr(peers, "converge", lambda skirt, seconds: (exact, [point]))
     argv = ["bench", "peers", "skirt", "--repeats", "1", "--out", str(tmp_path), "--html", str(html)]
     assert main([*argv, "--docs", str(docs)]) == 0

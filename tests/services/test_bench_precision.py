@@ -14,12 +14,11 @@ from scenes import BALL, write_scene
 
 from nuno.cli import main as nuno_main
 from nuno.plugin_contract import registry
-from nuno_bench.precision.page import Findings, report
-from nuno_bench.precision.point import fit_order, judge
+from nuno_bench.precision.command import Findings, report
 from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import MORE, Runner
-from nuno_bench.problem.observe import POSITIONS, Problem, simulate
-from nuno_bench.problem.reference import Reference
+from nuno_bench.precision.sweep import MORE, Runner, fit_order, judge
+from nuno_bench.problem import POSITIONS, Problem, simulate
+from nuno_bench.reference import Reference
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_kernels import kernel
 from nuno_schemas.plugin import GROUPS, Config
@@ -203,7 +202,7 @@ def test_a_reference_that_disagrees_with_itself_fails(
         )
         return Reference(sure.run, coarse, "made to disagree", 0.0, sure.twin)  # fmt: skip
 
-    monkeypatch.setattr("nuno_bench.problem.reference.make_reference", unsure)
+    monkeypatch.setattr("nuno_bench.reference.make_reference", unsure)
     path = write_net(tmp_path)
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4,dopri5", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()

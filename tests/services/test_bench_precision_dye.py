@@ -16,11 +16,10 @@ from precision_sweeps import points_of, swept
 from nuno.cli import main as nuno_main
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file
-from nuno_bench.precision.page import orders
-from nuno_bench.precision.point import fit_order
-from nuno_bench.problem.dye import AMOUNTS, DyeProblem, make_dye_problem
-from nuno_bench.problem.observe import Series
-from nuno_bench.problem.reference import make_dye_reference
+from nuno_bench.precision.command import orders
+from nuno_bench.precision.sweep import fit_order
+from nuno_bench.problem import AMOUNTS, DyeProblem, Series, make_dye_problem
+from nuno_bench.reference import make_dye_reference
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float

@@ -12,11 +12,10 @@ from precision_sweeps import FLAGS, swept
 
 from nuno.cli import main as nuno_main
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.page import Findings
-from nuno_bench.precision.point import Point
+from nuno_bench.precision.command import Findings
 from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import Runner, Sweep, run_sweep
-from nuno_bench.sweep.storage import Kept
+from nuno_bench.precision.sweep import Runner, SolverPoint, Sweep, run_sweep
+from nuno_bench.sweep.storage import SweepFile
 from nuno_schemas.errors import BadInput
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
@@ -31,7 +30,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
 def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, whole, taken = write_net(tmp_path), Runner.measure, list[str]()
 
-    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> Point:
+    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> SolverPoint:
         if len(taken) == 5:
             raise KeyboardInterrupt
         taken.append(setting.label)
@@ -77,10 +76,12 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
     """rk4, first by its place in the list, is given 40 of 60 s a point: leapfrog is through before it begins."""
     order = list[str]()
 
-    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> Point:
+    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> SolverPoint:
         order.append(solver.name)
         seconds = (setting.work * {"rk4": 40.0, "leapfrog": 0.1}[solver.name],)
-        return Point(solver.name, setting.label, "", 0, setting.finer, setting.beyond, "done", "", seconds, {}, {})
+        return SolverPoint(
+            solver.name, setting.label, "", 0, setting.finer, setting.beyond, "done", "", seconds, {}, {}
+        )
 
     problem = problem_of(write_net(tmp_path))
     reference = reference_of(problem)
@@ -89,7 +90,7 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
     costs = {"rk4": 40.0, "leapfrog": 0.1}
     sweep = Sweep(costs=costs)
     monkeypatch.setattr(Runner, "measure", measure)
-    run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False, print), 60.0, lambda text: None)
+    run_sweep(sweep, runner, solvers, SweepFile(tmp_path / "kept", {}, False, print), 60.0, lambda text: None)
     fast = len(solvers[1].settings)
     assert order[:fast] == ["leapfrog"] * fast and "rk4" in order[fast:]
     assert {one.solver for one in sweep.omitted} == {"rk4"}

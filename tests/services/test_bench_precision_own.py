@@ -14,14 +14,13 @@ from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
 from nuno_bench import machine
-from nuno_bench.precision.page import Findings, orders
-from nuno_bench.precision.point import Point, fit_order
-from nuno_bench.problem.dye import AMOUNTS
-from nuno_bench.problem.observe import POSITIONS
-from nuno_bench.report.result import number
+from nuno_bench.precision.command import Findings, orders
+from nuno_bench.precision.sweep import SolverPoint, fit_order
+from nuno_bench.problem import AMOUNTS, POSITIONS
+from nuno_bench.report.page import number
 
 
-def of(found: Findings, label: str) -> Point:
+def of(found: Findings, label: str) -> SolverPoint:
     return next(point for point in found.points if point.key == (found.own.solver, label))
 
 
@@ -124,7 +123,7 @@ def test_dye_has_its_own_step_too(tmp_path: Path) -> None:
 def test_disturbed_times_are_called_so_beside_what_is_fastest(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(machine.Others, "share", lambda self: 0.4)
+    monkeypatch.setattr(machine.OtherLoad, "share", lambda self: 0.4)
     path = write_net(tmp_path)
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4", "--out", str(tmp_path)]) == 0
     said = "other processes took 40% of the machine meanwhile: TIMES ARE DISTURBED"

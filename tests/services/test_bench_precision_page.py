@@ -20,11 +20,9 @@ from scenes import BALL, write_scene
 
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
-from nuno_bench.precision.command import _own
-from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
-from nuno_bench.precision.point import POINT, Error, Point, choice_rows, judge, measure_errors
-from nuno_bench.problem.dye import DyeProblem
-from nuno_bench.problem.observe import POSITIONS, Problem
+from nuno_bench.precision.command import Findings, _own, orders, over_frames, over_wall_time, report, tabs
+from nuno_bench.precision.sweep import POINT, Error, SolverPoint, choice_rows, judge, measure_errors
+from nuno_bench.problem import POSITIONS, DyeProblem, Problem
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
 
@@ -100,9 +98,9 @@ def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: 
         assert values == pytest.approx(np.array(expected)[:, k], abs=1e-5)
 
 
-def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
+def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> SolverPoint:
     setting, errors = f"{error:g}", {"drop": Error(0.0, error, 0.0)}
-    return Point(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
+    return SolverPoint(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
 
 
 def test_a_judgement_counts_what_the_floor_hides() -> None:

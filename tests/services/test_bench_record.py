@@ -11,10 +11,9 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.machine import DISTURBED
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_bench.speed import command as speed
-from nuno_bench.speed import record
-from nuno_bench.speed.record import Record
+from nuno_bench.speed.command import Record
 
 BEFORE = (1.0, 1.1, 1.2)
 PAGE = Path(__file__).parents[2] / "docs" / "measured" / "benchmarks.md"
@@ -25,7 +24,7 @@ def timed(samples: tuple[float, ...] = BEFORE, unit: str = "s", what: str = "a s
 
 
 def verdicts(records: list[Record], *results: Result) -> list[str]:
-    return [change.verdict for change in record.compare(records, results)]
+    return [change.verdict for change in speed.compare(records, results)]
 
 
 @pytest.mark.parametrize(
@@ -64,34 +63,34 @@ def test_each_result_is_held_against_the_last_record_that_has_it() -> None:
 
 def test_a_record_is_read_as_it_was_written_and_what_was_there_is_kept(tmp_path: Path) -> None:
     path, quiet = tmp_path / "docs" / "speed.jsonl", Record.of([timed(), timed((), what="failed")], 0.01)
-    record.append(path, quiet)
+    speed.append(path, quiet)
     before = path.read_text()
     path.write_text(before.rstrip("\n"))  # as an editor may leave it
     disturbed = Record.of([timed((3.0,))], 2 * DISTURBED)
-    record.append(path, disturbed)
+    speed.append(path, disturbed)
     assert path.read_text().startswith(before)
-    assert record.read(path) == [quiet, disturbed] and len(quiet.results) == 1
+    assert speed.read(path) == [quiet, disturbed] and len(quiet.results) == 1
     first, second = map(json.loads, path.read_text().splitlines())
     assert "disturbed" not in first and second["disturbed"] is True
     saved = {"case": "case", "what": "a step", "unit": "s", "median": 1.1, "least": 1.0, "greatest": 1.2}
     assert first["results"] == [saved | {"samples": list(BEFORE)}]
     for then, load in ((disturbed, 0.0), (quiet, disturbed.load)):
-        said = record.describe_changes(record.compare([then], [timed()]), load)[-2:]
+        said = speed.describe_changes(speed.compare([then], [timed()]), load)[-2:]
         assert ["DISTURBED" in str(text) for text in said] == [then is disturbed, then is quiet]
 
 
 def test_a_commit_is_told_only_in_a_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record, "ROOT", tmp_path)
+    monkeypatch.setattr(speed, "ROOT", tmp_path)
     outside = Record.of([timed()], 0.0)
     assert outside.commit == "" and "commit" not in json.loads(outside.line())
     git = "git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b"
     (tmp_path / "kept").write_text("1")
     for arguments in (["init", "-q"], ["add", "."], ["commit", "-qm", "one"]):
-        record.subprocess.run([*git, *arguments], check=True)
-    clean = record.commit()
+        speed.subprocess.run([*git, *arguments], check=True)
+    clean = speed.commit()
     assert re.fullmatch("[0-9a-f]{7,}", clean)
     (tmp_path / "kept").write_text("2")
-    assert record.commit() == f"{clean}+changes"
+    assert speed.commit() == f"{clean}+changes"
 
 
 @pytest.fixture
@@ -106,7 +105,7 @@ def test_runs_are_saved_and_held_against_the_last(
     tmp_path: Path, measured: list[Result], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / ".git").mkdir()
-    monkeypatch.setattr(record, "ROOT", tmp_path)
+    monkeypatch.setattr(speed, "ROOT", tmp_path)
     kept = tmp_path / "docs" / "measured" / "speed.jsonl"
     bench = ["bench", "speed", "sheet-32", "--save"]
     assert main(bench) == 0 and main([*bench, "--against"]) == 0
@@ -115,10 +114,10 @@ def test_runs_are_saved_and_held_against_the_last(
     assert main([*bench, "--against"]) == 1
     said = capsys.readouterr().out
     assert re.search(r"1\.1 \(1 - 1\.2\) +2\.1 \(2 - 2\.2\) +1\.91  slower", said)
-    assert f"then: {record.read(kept)[1].date}, no commit, numpy" in said
+    assert f"then: {speed.read(kept)[1].date}, no commit, numpy" in said
     # The slow one was saved, too, and is the last now.
     assert main(["bench", "speed", "sheet-32", "--against"]) == 0
-    assert len(record.read(kept)) == 3
+    assert len(speed.read(kept)) == 3
 
 
 def test_other_machines_are_left_alone(
@@ -126,11 +125,11 @@ def test_other_machines_are_left_alone(
 ) -> None:
     path, own = tmp_path / "speed.jsonl", Record.of(measured, 0.0)
     for other in (replace(own, processor="Abacus"), replace(own, cores=own.cores + 1)):
-        record.append(path, replace(other, results=(timed((0.1, 0.1)),)))
+        speed.append(path, replace(other, results=(timed((0.1, 0.1)),)))
     assert main(["bench", "speed", "--against", str(path)]) == 2
     said = capsys.readouterr().err
     assert "no record of this machine" in said and f"Abacus, {own.cores} cores; {own.processor}" in said
-    record.append(path, own)
+    speed.append(path, own)
     assert main(["bench", "speed", "sheet-32", "--against", str(path)]) == 0
 
 
@@ -140,7 +139,7 @@ def test_bad_records_are_refused(
 ) -> None:
     """With exit code 2, before anything is measured."""
     monkeypatch.setattr(speed, "run_case", lambda name, repeats: pytest.fail("measured"))
-    monkeypatch.setattr(record, "ROOT", tmp_path)
+    monkeypatch.setattr(speed, "ROOT", tmp_path)
     path, good = tmp_path / "speed.jsonl", Record.of([timed()], 0.0).line()
     for file, said in (((), "in no repository"), (("sheet-32",), "this is a case"), ((str(tmp_path),), "be read")):
         assert main(["bench", "speed", option, *file]) == 2

@@ -10,9 +10,9 @@ from line_net import problem_of, reference_of, write_net
 from scenes import write_scene
 from scipy.linalg import expm
 
-from nuno_bench.precision.point import measure_errors
-from nuno_bench.problem.observe import POSITIONS
-from nuno_bench.problem.reference import DISTURBANCE, LOST, find_horizon, stepped_reference
+from nuno_bench.precision.sweep import measure_errors
+from nuno_bench.problem import POSITIONS
+from nuno_bench.reference import DISTURBANCE, LOST, find_horizon, stepped_reference
 from nuno_schemas.errors import BadInput
 
 

@@ -10,8 +10,7 @@ from rrd import columns
 
 from nuno.viewer.layout import entity
 from nuno_bench.report.plots import Curve, Panel
-from nuno_bench.stability.command import panels_by_tab
-from nuno_bench.stability.sweep import Mapped, Point
+from nuno_bench.stability import MapPoint, StabilityMap, panels_by_tab
 
 
 def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
@@ -31,15 +30,15 @@ def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
     return found
 
 
-def mapped() -> Mapped:
+def mapped() -> StabilityMap:
     """Two settings of one solver, four steps each, of which the limit lies between the second and the third."""
     outcomes = ("diverged", "drifting", "exact", "left out")
     points = [
-        Point("stiffness", value, 0.1, "rk4", 0.03, 10.0**-i, outcome)
+        MapPoint("stiffness", value, 0.1, "rk4", 0.03, 10.0**-i, outcome)
         for value in (1.0, 10.0)
         for i, outcome in enumerate(outcomes)
     ]
-    return Mapped("small", points, [])
+    return StabilityMap("small", points, [])
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:

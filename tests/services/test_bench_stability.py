@@ -14,11 +14,11 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno_bench.problem.observe import Series
-from nuno_bench.stability import command as stability_page
-from nuno_bench.stability.sweep import (
-    Point,
-    Setting,
+from nuno_bench import stability
+from nuno_bench.problem import Series
+from nuno_bench.stability import (
+    MapPoint,
+    Variant,
     classify,
     make_reference,
     measure_all,
@@ -30,7 +30,7 @@ from nuno_bench.stability.sweep import (
     stiffen,
 )
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.storage import Kept, pack
+from nuno_bench.sweep.storage import SweepFile, pack
 from nuno_schemas.errors import BadInput
 
 SCENE = """\
@@ -82,8 +82,8 @@ def test_class_follows_from_distance_and_energy(offset: float, energy: float, ou
     assert classify(made(offset, energy), made())[0] == outcome
 
 
-def row_of(scene: Path, solver: str, value: float = 1.0) -> list[Point]:
-    setting = Setting(pack(scene), (), "stiffness", value)
+def row_of(scene: Path, solver: str, value: float = 1.0) -> list[MapPoint]:
+    setting = Variant(pack(scene), (), "stiffness", value)
     posed = pose(setting)
     reference = make_reference(posed)
     limit = posed.limit(registry.load("nuno.integrators", solver), None).dt
@@ -111,7 +111,7 @@ def test_limits_shrink_with_the_root_of_the_stiffness(scene: Path) -> None:
 
 
 def test_stiffer_cloth_keeps_its_share_of_critical_damping(scene: Path) -> None:
-    fabric = pose(Setting(pack(scene), (), "mesh", 1.0)).system.fabric
+    fabric = pose(Variant(pack(scene), (), "mesh", 1.0)).system.fabric
     assert fabric.springs is not None
     stiff = stiffen(fabric, 9.0).springs
     assert stiff is not None
@@ -120,7 +120,7 @@ def test_stiffer_cloth_keeps_its_share_of_critical_damping(scene: Path) -> None:
 
 
 def test_implicit_points_are_never_diverged(scene: Path) -> None:
-    setting = Setting(pack(scene), (), "stiffness", 1e4)
+    setting = Variant(pack(scene), (), "stiffness", 1e4)
     posed = pose(setting)
     reference = make_reference(posed)
     points = measure_row(posed, setting, "implicit_euler", [1, 8], reference, 1e9, math.inf)
@@ -145,7 +145,7 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     settings, omissions = settings_of(net, [])
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
-    kept = Kept(tmp_path / "rows.jsonl", {}, False, print)
+    kept = SweepFile(tmp_path / "rows.jsonl", {}, False, print)
     points, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Executor(), lambda text: None)
     assert {point.axis for point in points} == {"stiffness"}
 
@@ -154,9 +154,9 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 0.1)]
     told: list[str] = []
 
-    def sweep(resume: bool, identity: str = "a") -> list[Point]:
+    def sweep(resume: bool, identity: str = "a") -> list[MapPoint]:
         told.clear()
-        kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume, print)
+        kept = SweepFile(tmp_path / "rows.jsonl", {"of": identity}, resume, print)
         return measure_all(settings, ["leapfrog"], kept, 60.0, Executor(), told.append)[0]
 
     whole = sweep(False)
@@ -173,7 +173,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
-    kept = Kept(tmp_path / "rows.jsonl", {}, False, print)
+    kept = SweepFile(tmp_path / "rows.jsonl", {}, False, print)
     points, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Executor(), lambda text: None)
     assert points == []
     assert omissions == ["stiffness x 1, leapfrog: the budget of time"]
@@ -182,12 +182,12 @@ def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> Non
 def test_tables_count_points_on_either_side_of_the_limit() -> None:
     outcomes = ("diverged", "drifting", "exact", "left out")
     points = [
-        Point("stiffness", value, 0.1, "rk4", 0.03, 0.1 / 2**i, outcome)
+        MapPoint("stiffness", value, 0.1, "rk4", 0.03, 0.1 / 2**i, outcome)
         for value in (1.0, 10.0)
         for i, outcome in enumerate(outcomes)
     ]
-    assert stability_page.counts(points).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
-    assert stability_page.beyond(points).rows == [["rk4", "0 of 2", "2 of 4"]]
+    assert stability.counts(points).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
+    assert stability.beyond(points).rows == [["rk4", "0 of 2", "2 of 4"]]
 
 
 def test_every_class_has_a_colour_of_its_own_lightness() -> None:
@@ -195,7 +195,7 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
         red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
         return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
 
-    known = sorted(lightness(colour) for colour in stability_page.COLOURS.values())
+    known = sorted(lightness(colour) for colour in stability.COLOURS.values())
     assert np.diff(known).min() > 0.02
 
 

@@ -20,10 +20,10 @@ from nuno.simulation.cloth import build
 from nuno.simulation.solver_selection import cloth as choose
 from nuno.simulation.solver_selection.selection import PROMISE
 from nuno.simulation.solver_selection.trials import Method, Trials
+from nuno_bench.piles import random_scene
 from nuno_bench.precision.accuracy import promised_frames
-from nuno_bench.problem.observe import make_problem, simulate
-from nuno_bench.problem.random_scenes import random_scene
-from nuno_bench.problem.reference import find_horizon, make_reference
+from nuno_bench.problem import make_problem, simulate
+from nuno_bench.reference import find_horizon, make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.parts import Accuracy

@@ -17,9 +17,8 @@ from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno.simulation.cloth.build import build_start
 from nuno.simulation.run import Simulation
-from nuno_bench.contact.run import Oracle
-from nuno_bench.problem import piles
-from nuno_bench.problem.piles import write_obj
+from nuno_bench import piles
+from nuno_bench.piles import Oracle, write_obj
 from nuno_contact.offset.plugin import Offset, check_thickness
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

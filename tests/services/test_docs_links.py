@@ -75,8 +75,10 @@ def test_every_page_is_found_from_the_first() -> None:
     assert sorted(str(page.relative_to(ROOT)) for page in set(SITE) - found) == []
 
 
-SOURCES = [ROOT / place for place in ("", "plugins", "services", "schemas", "tests")]
-FILE = re.compile(r"(?<![\w./-])((?:nuno\w*|schemas|services|plugins|tests|scenes|deploy|docs)/[\w./-]*\.[a-z0-9]+)\b")
+SOURCES = [ROOT / place for place in ("", "plugins", "services", "schemas", "bench", "tests")]
+FILE = re.compile(
+    r"(?<![\w./-])((?:nuno\w*|schemas|services|plugins|bench|tests|scenes|deploy|docs)/[\w./-]*\.[a-z0-9]+)\b"
+)
 MODULE = re.compile(r"(?<![\w./@-])(nuno_\w*(?:\.[A-Za-z_]\w*)+)")
 """In nuno's own packages; names that begin with `nuno.` are also those of groups, messages and the API."""
 

@@ -21,7 +21,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("sphinx")
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(folder)]
-    path = os.pathsep.join([*(str(ROOT / name) for name in ("schemas", "services", "plugins")), *sys.path])
+    path = os.pathsep.join([*(str(ROOT / name) for name in ("schemas", "services", "plugins", "bench")), *sys.path])
     ended = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path})
     assert (ended.returncode, ended.stderr) == (0, ""), ended.stderr
     return folder

@@ -20,11 +20,10 @@ import sweep_tasks
 from line_net import write_net
 
 from nuno.cli import main
-from nuno_bench.stability import sweep as stability_sweep
-from nuno_bench.sweep.executor import Executor, Lost, Processes
-from nuno_bench.sweep.places import Cluster
-from nuno_bench.sweep.storage import Kept, pack, unpacked
-from nuno_bench.validation import suite as validate
+from nuno_bench import stability
+from nuno_bench.sweep.executor import Cluster, Executor, LostTask, Processes
+from nuno_bench.sweep.storage import SweepFile, pack, unpacked
+from nuno_bench.validation import command as validate
 from nuno_schemas.errors import BadInput, RunFailed
 
 distributed = pytest.importorskip("distributed", reason="needs nuno[sweep]")
@@ -92,7 +91,7 @@ def test_a_task_that_always_loses_its_process_is_named_and_the_others_are_done(t
     found = dict(executor.run(sweep_tasks.die_at_first, tasks))
     executor.close()
     lost = found.pop(tasks[2])
-    assert isinstance(lost, Lost) and "lost twice" in lost.reason
+    assert isinstance(lost, LostTask) and "lost twice" in lost.reason
     assert sorted(map(str, found.values())) == ["0", "1", "3"]
     assert len((tmp_path / "always").read_text()) == 2
 
@@ -150,9 +149,9 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
 
 
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
-    settings = [s for s in stability_sweep.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
-    kept = Kept(path.parent / "rows.jsonl", {}, False, print)
-    points, omissions = stability_sweep.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
+    settings = [s for s in stability.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
+    kept = SweepFile(path.parent / "rows.jsonl", {}, False, print)
+    points, omissions = stability.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, print)
     assert [text for text in omissions if "resolution" not in text] == []
     return [(p.axis, p.value, p.solver, p.dt, p.outcome, repr(p.error), repr(p.gained)) for p in points]
 
@@ -168,7 +167,7 @@ def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
     executor: Executor, alone: list[tuple[Any, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mark = tmp_path / "killed"
-    monkeypatch.setattr(stability_sweep, "measure_setting", sweep_tasks.Dying(str(mark)))
+    monkeypatch.setattr(stability, "measure_setting", sweep_tasks.Dying(str(mark)))
     assert rows(scene_with_a_file(tmp_path / "user"), executor) == alone
     assert len(alone) >= 20
     assert mark.exists()
@@ -218,10 +217,10 @@ def test_a_worker_with_another_version_is_refused_by_name(scheduler: Any, tmp_pa
 
 @pytest.mark.full
 def test_a_cluster_whose_workers_are_all_gone_ends_the_sweep(scheduler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_bench.sweep.places.WORKER_SECONDS", 0.5)
+    monkeypatch.setattr("nuno_bench.sweep.executor.WORKER_SECONDS", 0.5)
     with pytest.raises(BadInput, match="has no worker"):
         Cluster(scheduler.scheduler_address)
-    monkeypatch.setattr("nuno_bench.sweep.places.WORKER_SECONDS", 60.0)
+    monkeypatch.setattr("nuno_bench.sweep.executor.WORKER_SECONDS", 60.0)
     with worker_of(scheduler, TESTS):
         cluster = Cluster(scheduler.scheduler_address)
         running = cluster.run(sweep_tasks.square, [2, 3])
@@ -247,7 +246,7 @@ def test_a_scheduler_that_ends_in_mid_sweep_is_said(tmp_path: Path) -> None:
 def test_what_is_no_scheduler_is_refused_within_seconds(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nuno_bench.sweep.places.CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr("nuno_bench.sweep.executor.CONNECT_SECONDS", 1.0)
     with socket.socket() as silent:
         # A port that is taken by somebody who never answers: the worst of addresses.
         silent.bind(("127.0.0.1", 0))

@@ -10,8 +10,8 @@ import pytest
 
 from nuno.cli import main
 from nuno_bench.peers.command import choose, leave_out
-from nuno_bench.peers.table import SHEET_KINDS
-from nuno_bench.report.result import Result
+from nuno_bench.peers.process import SHEET_KINDS
+from nuno_bench.report.page import Result
 from nuno_bench.speed import command as speed
 
 EXTRAS = ("matplotlib", "imageio_ffmpeg", "mujoco", "newton", "ipctk", "igl", "rtree", "open3d", "dask", "distributed")

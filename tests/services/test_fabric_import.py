@@ -13,8 +13,8 @@ from PIL import Image
 from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno.scene.templates.laboratory_sheet import import_sheet, read_values
-from nuno_bench.instruments import drape, sheet
-from nuno_bench.instruments.command import cells, find_fabric
+from nuno_bench.instruments import sheet, specimens
+from nuno_bench.instruments.sheet import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
@@ -328,12 +328,12 @@ def test_a_measured_drape_is_held_against_the_virtual_one(tmp_path: Path, monkey
     assert name == "cotton" and isinstance(fabric, dict) and "drape_coefficient" not in fabric
     hung: list[Any] = []
 
-    def hang(*given: Any) -> drape.Drape:
+    def hang(*given: Any) -> specimens.Drape:
         hung.append(given[4:])
-        return drape.Drape(0.65, 6, -1e-3, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
+        return specimens.Drape(0.65, 6, -1e-3, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
 
-    monkeypatch.setattr(drape, "drape", hang)
-    quick, whole = (sheet.How(each, Executor(), lambda text: None) for each in (True, False))
+    monkeypatch.setattr(specimens, "drape", hang)
+    quick, whole = (sheet.TestOptions(each, Executor(), lambda text: None) for each in (True, False))
     rows = sheet.test(fabric, ["drape"], quick, measured).rows
     assert set(hung) == {(0.12, 0.09)}
     assert [row.measured for row in rows] == [True, True, False]

@@ -15,8 +15,8 @@ from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno.simulation.cloth import build
-from nuno_bench.problem.observe import lengths_at_rest
-from nuno_bench.stability.sweep import shortest, stiffen
+from nuno_bench.problem import lengths_at_rest
+from nuno_bench.stability import shortest, stiffen
 from nuno_schemas.errors import BadInput
 
 LINE = {"points": [[0.05, 0.0, 0.05], [0.15, 0.0, 0.15]], "height": 0.01}

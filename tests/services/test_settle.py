@@ -17,7 +17,7 @@ from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno.scene.recorded_scene import restored_scene
 from nuno.simulation.run import Simulation
-from nuno_bench.contact.run import Oracle
+from nuno_bench.piles import Oracle
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.system import StepReport
 

@@ -16,7 +16,7 @@ from nuno.cli import main
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.exports.cloth import body_vertices, read_bodies
 from nuno.recording.reader import open_recording
-from nuno_bench.contact.run import Oracle
+from nuno_bench.piles import Oracle
 from nuno_schemas.bodies import SKIN, Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION
 

@@ -19,7 +19,7 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno_bench.sweep import grid
-from nuno_bench.sweep.command import values_of
+from nuno_bench.sweep.grid import values_of
 from nuno_schemas.errors import BadInput
 
 OVER = {"solver.plugin": ["symplectic_euler", "rk4"], "solver.dt": [1e-3, "2 ms", 1.0]}

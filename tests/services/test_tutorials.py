@@ -159,7 +159,7 @@ def test_a_tutorial_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
     for name, what in (("nuno", " -m nuno"), ("python", ""), ("pip", " -m pip")):
         (tools / name).write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)}{what} "$@"\n')
         (tools / name).chmod(0o755)
-    parts = [packages, *(ROOT / part for part in ("schemas", "services", "plugins")), *sys.path]
+    parts = [packages, *(ROOT / part for part in ("schemas", "services", "plugins", "bench")), *sys.path]
     # A package of the tutorial's own is built by what is installed, and goes with the test.
     pip = {"TARGET": str(packages), "NO_BUILD_ISOLATION": "0", "NO_DEPS": "1", "NO_INDEX": "1"}
     env = os.environ | {f"PIP_{name}": value for name, value in pip.items()}

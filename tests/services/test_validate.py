@@ -15,10 +15,9 @@ import pytest
 from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno_bench.sweep.executor import Executor
-from nuno_bench.validation import command as validation_page
-from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import oscillator, statics
-from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
+from nuno_bench.validation import command as validate
+from nuno_bench.validation import oscillator, statics
+from nuno_bench.validation.law import Case, Measurement, Outcome, Unsupported
 from nuno_integrators.explicit.fixed_step import RK4
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
@@ -107,7 +106,7 @@ class OrderEight:
 def test_rounding_hides_no_wrong_order() -> None:
     counts = np.array([10.0, 14.0, 20.0, 28.0])
 
-    def found(errors: Float) -> Found:
+    def found(errors: Float) -> Measurement:
         return oscillator.order_found(OrderEight(), counts, 1.0, errors, 1.0)
 
     rounded = np.maximum(4.9e-4 / counts**8, 2e-15)
@@ -164,12 +163,12 @@ def test_what_a_solver_cannot_pose_is_unsupported_with_its_reason() -> None:
     assert "without damping" in found["chain frequency 1", "euler"].reason
 
 
-def case_of(measure: Callable[[Any], Found]) -> Case:
+def case_of(measure: Callable[[Any], Measurement]) -> Case:
     return Case("made up", "law", "source", measure)
 
 
-def raising(error: Exception) -> Callable[[Any], Found]:
-    def measure(plugin: Any) -> Found:
+def raising(error: Exception) -> Callable[[Any], Measurement]:
+    def measure(plugin: Any) -> Measurement:
         raise error
 
     return measure
@@ -178,21 +177,21 @@ def raising(error: Exception) -> Callable[[Any], Found]:
 def test_verdicts_follow_from_the_error() -> None:
     rk4 = registry.load(GROUP, "rk4")
 
-    def verdict(measure: Callable[[Any], Found]) -> str:
+    def verdict(measure: Callable[[Any], Measurement]) -> str:
         return validate.check(case_of(measure), rk4).verdict
 
-    assert verdict(lambda plugin: Found(1.0, 1.0, 0.1, 0.1)) == "passed"
-    assert verdict(lambda plugin: Found(1.0, 1.0, 0.1001, 0.1)) == "failed"
-    assert verdict(lambda plugin: Found(math.nan, 1.0, math.nan, 0.1)) == "failed"
+    assert verdict(lambda plugin: Measurement(1.0, 1.0, 0.1, 0.1)) == "passed"
+    assert verdict(lambda plugin: Measurement(1.0, 1.0, 0.1001, 0.1)) == "failed"
+    assert verdict(lambda plugin: Measurement(math.nan, 1.0, math.nan, 0.1)) == "failed"
     assert verdict(raising(ZeroDivisionError())) == "failed"
     assert verdict(raising(Unsupported("no"))) == "unsupported"
 
 
 def test_the_table_fits_a_screen_of_120_columns_however_many_solvers_there_are() -> None:
     names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
-    part = validate.Part("cloth", validate.CASES, tuple(names))
-    found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
-    text = validation_page.case_tables(part, found)
+    part = validate.Suite("cloth", validate.CASES, tuple(names))
+    found = [Outcome(c.name, n, "passed", "", Measurement(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
+    text = validate.case_tables(part, found)
     assert max(map(len, text.splitlines())) <= 120
     assert text.count("1e-9") == len(found)
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from nuno.plugin_contract import registry
-from nuno_bench.problem import piles
-from nuno_bench.validation import suite
-from nuno_bench.validation.laws import contacts
-from nuno_bench.validation.laws.base import Outcome
+from nuno_bench import piles
+from nuno_bench.validation import command as suite
+from nuno_bench.validation import contacts
+from nuno_bench.validation.law import Outcome
 from nuno_schemas.system import System
 
 pytestmark = pytest.mark.full

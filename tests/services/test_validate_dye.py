@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from nuno.plugin_contract import registry
-from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import dye
-from nuno_bench.validation.laws.base import Outcome
-from nuno_bench.validation.laws.dye import GROUP, make_cells
+from nuno_bench.validation import command as validate
+from nuno_bench.validation import dye
+from nuno_bench.validation.dye import GROUP, make_cells
+from nuno_bench.validation.law import Outcome
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
@@ -27,7 +27,7 @@ def check(case: str, plugin: Any) -> Outcome:
 
 @pytest.mark.full
 def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can_pose_each() -> None:
-    part = validate.Part("dye", tuple(CASES), tuple(sorted(registry.installed(GROUP))))
+    part = validate.Suite("dye", tuple(CASES), tuple(sorted(registry.installed(GROUP))))
     found = [validate.check(case, registry.load(GROUP, name)) for name in part.solvers for case in part.cases]
     assert {(one.case, one.solver): one.reason for one in found if one.verdict == "failed"} == {}
     posed = validate.count_posed(part, found)

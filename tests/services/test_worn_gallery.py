@@ -14,9 +14,9 @@ import nuno
 from nuno.cli import main, parser_of
 from nuno.fit.read import read_fits
 from nuno.scene import scene_file
-from nuno_bench.contact.run import Oracle
 from nuno_bench.gallery import command as worn
 from nuno_bench.gallery import sewn
+from nuno_bench.piles import Oracle
 
 BODY = ["--body", "column.obj"]
 

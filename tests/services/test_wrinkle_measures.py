@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_bench.gallery.kind import Shown, compare
+from nuno_bench.gallery.kind import ShownScene, compare
 from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn
 from nuno_schemas.fabric import Float, Int
 
@@ -55,6 +55,6 @@ def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
         ((0.05, 0.02, 4e-3, 1e-3, 1.0, 0.25), "bar met"),
         ((0.05, 0.05, 4e-3, 4e-3, 1.0, 1.0), "missed"),
     ):
-        shown = Shown("shirt-wrinkles", "", measured=dict(zip(measures, values, strict=True)))
+        shown = ShownScene("shirt-wrinkles", "", measured=dict(zip(measures, values, strict=True)))
         assert [row[-1] for row in compare(DIFFERENCES, {shown.name: shown})] == [verdict] * 3
     assert "shirt-wrinkles" in KIND.scenes()

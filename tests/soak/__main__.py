@@ -12,7 +12,7 @@ from pathlib import Path
 
 from nuno_bench import machine, options
 from nuno_bench.report import page
-from nuno_bench.report.result import Result, number
+from nuno_bench.report.page import Result, number
 from nuno_schemas.errors import BadInput
 
 PARTS = {
@@ -60,7 +60,7 @@ def _chosen(named: Sequence[str], docs: Path | None) -> list[str]:
 def _run(part: str, quick: bool, seed: int, docs: Path | None) -> bool:
     """Run a part, print its table and put it into the page; whether all holds. One that fails as a whole says why."""
     print(f"{part} ...", file=sys.stderr)
-    others = machine.Others()
+    others = machine.OtherLoad()
     try:
         run: Callable[[bool, int], list[Result]] = importlib.import_module(PARTS[part]).run
         results = run(quick, seed)

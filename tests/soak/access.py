@@ -15,7 +15,7 @@ from nuno.bus import certificates, credentials_folder
 from nuno.bus.credentials_folder import Rights, read_rights
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.runtime import supervisor
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import TOPICS
 from soak import scenes

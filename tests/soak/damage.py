@@ -27,7 +27,7 @@ from typing import Any
 from PIL import Image
 
 import nuno
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from soak import scenes
 from soak.fuzz.forged import TAKEN_AWAY, UNEQUAL, damage
 from soak.fuzz.recordings import recorded

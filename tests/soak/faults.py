@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from nuno.recording.reader import open_recording
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from soak import scenes
 from soak.processes import COLD, HUNG, POLL, Digests, Processes, digests, kept, kill, resume

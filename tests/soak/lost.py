@@ -23,7 +23,7 @@ from nuno.recording.gaps import count_gaps
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.runtime.service import SUPERVISOR
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE
 from soak import scenes

@@ -22,7 +22,7 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from nuno_schemas.errors import RunFailed
 from soak.processes import Digests, digests
 from soak.scenes import CASES, Case, Changes

@@ -35,7 +35,7 @@ COMMANDS = {
         "nuno_bench.cli",
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
     ),
-    "sweep": ("nuno_bench.sweep.command", "a scene run for each combination of values of its fields, in one table"),
+    "sweep": ("nuno_bench.sweep.grid", "a scene run for each combination of values of its fields, in one table"),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": (
         "nuno_bench.gallery.command",
@@ -47,7 +47,7 @@ COMMANDS = {
     "fabric": ("nuno.cli.fabric", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
     "sew": ("nuno.cli.sew", "a garment from its sewing pattern, put on a body; or what is wrong with the pattern"),
     "fit": ("nuno.cli.fit", "how a garment fits the body that wears it: girths, ease, strain, pressure"),
-    "test": ("nuno_bench.instruments.command", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
+    "test": ("nuno_bench.instruments.sheet", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
     "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
     "dyes": ("nuno.cli.presets", "the dyes that scenes can name, with sources"),
     "weave": ("nuno.cli.weave", "a weaver's draft, a WIF file: what it holds, drawn in its colours and at its scale"),

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.report.result import Result
+from nuno_bench.report.page import Result
 from soak.fuzz import KINDS
 from soak.fuzz.kind import Kind
 from soak.fuzz.worker import MEMORY, SLOW

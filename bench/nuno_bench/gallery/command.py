@@ -1,0 +1,171 @@
+"""`nuno gallery KIND`: one page with the pictures of all scenes of a kind, what was measured, and what must show."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
+from nuno.cli.common import add_flags
+from nuno.formatting import roughly
+from nuno.scene import scene_file
+from nuno.scene.templates.garments import Garment, describe_worn, name_garments
+from nuno_bench import machine, options
+from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
+from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Gallery, ShownScene, compare, embed
+from nuno_bench.report import page
+from nuno_schemas.errors import BadInput
+
+KINDS: dict[str, Gallery] = {
+    "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
+}  # fmt: skip
+ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
+NEEDED = "--patterns, --body"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
+                        "figures of the dye paper; knit, all knits; sewn, garments from patterns; "
+                        "wrinkle, lines drawn on cloth")  # fmt: skip
+    parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
+    parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
+                        help="where the page goes (default: %(default)s)")  # fmt: skip
+    options.add_shared(parser, "--docs")
+    add_pattern_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run all scenes; 1 where one fails, or does not show what it must."""
+    check_patterns(args)
+    kind, section = KINDS[args.kind], f"gallery {args.kind}"
+    page.check_section(args.docs, section)
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        if args.patterns:
+            own = write_pattern_scenes(args, Path(folder))
+            kind = replace(kind, scenes=lambda: own, lead=f"Patterns that were put on {args.body.name}, one by one.")
+        return show(kind, args, section)
+
+
+def show(kind: Gallery, args: argparse.Namespace, section: str) -> int:
+    """Run the scenes that are wanted of a kind, and write their page; return the exit code."""
+    others = machine.OtherLoad()
+    paths = choose(kind, args.scenes)
+    number, shown, pace = len(paths), list[ShownScene](), RuntimeEstimate({path.stem: 1.0 for path in paths})
+    if not kind.alike:
+        print(
+            f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True
+        )
+        pace = RuntimeEstimate({})
+        for path in paths:
+            try:
+                pace.expected[path.stem] = run_seconds(scene_file.read(path))
+            except BadInput as error:
+                shown.append(_refused(path, error))
+        print(f"steps take {roughly(pace.left)}, compiling and pictures apart", file=sys.stderr, flush=True)
+    paths = [path for path in paths if path.stem in pace.expected]
+    for i, path in enumerate(paths):
+        left = f", {roughly(pace.left)} left" if i else ""
+        print(f"{path.stem}, {i + 1} of {len(paths)}{left} ...", file=sys.stderr, flush=True)
+        begin = time.perf_counter()
+        try:
+            shown.append(kind.run_scene(path))
+        except BadInput as error:
+            shown.append(_refused(path, error))
+        pace.taken[path.stem] = time.perf_counter() - begin
+        print(f"{path.stem}: {f'failed: {shown[-1].failed}' if shown[-1].failed else 'drawn'}", flush=True)
+    if all(one.refused for one in shown):
+        raise BadInput(f"none of {number} scenes can be run")
+    found = compare(kind.differences, {one.name: one for one in shown if not one.failed})
+    for row in found:
+        print("  ".join(row))
+    report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, args.docs, section)
+    return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
+
+
+def _refused(path: Path, error: BadInput) -> ShownScene:
+    """A scene that would not start."""
+    print(f"{path.stem}: {error}", file=sys.stderr, flush=True)
+    return ShownScene(path.stem, "", failed=str(error), refused=True)
+
+
+def choose(kind: Gallery, wanted: str | None) -> list[Path]:
+    """The scenes' files, in their order. Raises BadInput for a name that none of them has."""
+    known = kind.scenes()
+    names = list(known) if wanted is None else options.names_of(wanted)
+    if not names:
+        raise BadInput("none is named: the gallery would be empty", field="--scenes", value=wanted)
+    options.require_known(names, known, "scene", "--scenes")
+    return [path for name, path in known.items() if name in names]
+
+
+def report(kind: Gallery, shown: Sequence[ShownScene], found: list[list[str]], about: dict[str, str]) -> page.Report:
+    """The page: pictures by section, what failed, what must show and what was measured."""
+    own: dict[str, list[ShownScene]] = {}
+    for one in shown:
+        own.setdefault(kind.section(one.name), []).append(one)
+    lost = [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]
+    measured = replace(kind.table(shown), caption=kind.measures)
+    where = "What these show is where they got to; what must show is not asked of them."
+    sections: page.Sections = [
+        *((heading, [page.Pictures(_pictures(kind, ones))]) for heading, ones in own.items()),
+        ("Failed", [page.Table(("scene", "why"), lost, where)]),
+        ("What must show", [page.Table(DIFFERENCE_HEADINGS, found, ASKED)]),
+        ("Measured", [measured]),
+    ]
+    return page.Report(kind.title, kind.lead, sections, about, {}, [measured])
+
+
+def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
+    """Return the pictures of one section, those that stand apart last; a scene's first caption describes it."""
+    found = []
+    for one in shown:
+        for i, (label, picture) in enumerate(one.pictures):
+            caption = f"{one.name}{', ' if label else ''}{label}. {'' if i else one.description}".strip()
+            found.append((label == kind.apart != "", page.Image(embed(picture), caption)))
+    return [image for _, image in sorted(found, key=lambda each: each[0])]
+
+
+def add_pattern_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options for patterns and the body that wears them."""
+    own = parser.add_argument_group("sewn: patterns of one's own, instead of those that come with nuno")
+    own.add_argument("--patterns", nargs="+", type=Path, default=[], metavar="PATTERN", help="as for nuno sew")
+    add_flags(own, {
+        "--body": ("FILE", "the body that wears each of them, by itself", Path),
+        "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
+        "--fabric": ("NAME", "a preset (default: interlock)", str),
+    })  # fmt: skip
+    parser.set_defaults(edge="2 cm", fabric="interlock")
+
+
+def check_patterns(args: argparse.Namespace) -> None:
+    """Raises BadInput for patterns without a body, a body without patterns, files that are not there or of one name."""
+    if bool(args.patterns) != (args.body is not None):
+        raise BadInput("patterns and a body belong together", field=NEEDED, remedy="give both, or none of them")
+    if args.patterns and args.kind != "sewn":
+        remedy = "nuno gallery sewn --patterns PATTERN... --body BODY"
+        raise BadInput("patterns are sewn", field="--patterns", value=args.kind, remedy=remedy)
+    for file in (*args.patterns, *([args.body] if args.body else [])):
+        if not file.is_file():
+            raise BadInput("no such file", field=NEEDED, value=str(file))
+    names = [pattern.stem for pattern in args.patterns]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise BadInput("two patterns have one name", field="--patterns", value=twice[0], remedy="rename one")
+
+
+def write_pattern_scenes(args: argparse.Namespace, folder: Path) -> dict[str, Path]:
+    """A scene for each pattern, in a folder with copies of what they need, by name."""
+    found = {}
+    body = shutil.copy(args.body, folder / f"body{args.body.suffix}")
+    for pattern in args.patterns:
+        shutil.copy(pattern, folder)
+        garments = [Garment(name_garments([pattern.stem])[0], pattern.name, args.fabric)]
+        found[pattern.stem] = folder / f"{pattern.stem}.yaml"
+        text = describe_worn(pattern.stem, garments, args.edge, Path(body).name)
+        found[pattern.stem].write_text(text, encoding="utf-8")
+    return found

@@ -1,0 +1,369 @@
+"""`nuno bench integrators SCENE`: the skirt paper's comparison of methods, repeated and reported as it is."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.collision.bodies import build_bodies
+from nuno.collision.distance import signed_distance
+from nuno.scene import scene_file, shipped
+from nuno.scene.scene_file import Loaded
+from nuno_bench import machine, options
+from nuno_bench.problem import make_problem
+from nuno_bench.report import page, plots
+from nuno_bench.report.page import Figure, Report, Table, number
+from nuno_bench.report.plots import Curve, Panel
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+# One scene run by several integrators, with split and unsplit bones, and what each run did.
+#
+# The simulation is stepped directly: services would add nothing to the physics (their digests are
+# equal) and would blur the times.
+
+INTEGRATORS = ("euler", "symplectic_euler", "rk4", "rk4_printed")
+SPLIT = "bodies.0.collider.split"
+RUNAWAY = 10.0
+"""A run counts as run away once its energy has grown by this multiple of the work that lifts the
+garment by its own size. Growth, and that work, are the same wherever height zero is; the energy
+itself is not, so a multiple of the start would be another limit for a dancer on a stage."""
+SERIES = ("t", "kinetic", "gravitational", "springs", "hinges", "energy", "penetration", "distance", "stretch")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run.
+
+    series   (frames + 1,) per name of SERIES: time [s], energies [J], deepest penetration [m],
+             mean distance of free vertices from the bodies [m], largest stretch (1 = twice as long)
+    ended    [s] when the state stopped being finite, or None
+    seconds  time of all steps, per repeat; steps taken; limit: largest stable step [s]
+    lift     work that lifts the garment by its own size, the diagonal of its box at the start [J]; 0 without gravity
+    """
+
+    integrator: str
+    split: bool
+    series: dict[str, Float]
+    ended: float | None
+    message: str
+    seconds: tuple[float, ...]
+    steps: int
+    dt: float
+    limit: float
+    rest_depth: float | None
+    primitives: int
+    lift: float
+
+    @property
+    def outcome(self) -> str:
+        return "done" if self.ended is None else f"diverged at {self.ended:.2f} s"
+
+    @property
+    def runaway(self) -> float | None:
+        """Time at which the energy has first grown by RUNAWAY times the lift [s]; None if it never does.
+
+        Without gravity a run has only run away where it is no longer finite.
+        """
+        energy = self.series["energy"]
+        most = RUNAWAY * self.lift if self.lift > 0.0 else np.inf
+        return self.first(energy - energy[0] > most)
+
+    def first(self, happened: NDArray[np.bool_]) -> float | None:
+        """Time of the first frame in which something happened, or the state was not finite [s]."""
+        frames = np.flatnonzero(happened | ~np.isfinite(self.series["energy"]))
+        return float(self.series["t"][frames[0]]) if frames.size else self.ended
+
+    @property
+    def rounds(self) -> tuple[float, ...]:
+        """Time of a step in each repeat [us]; runs that end early take fewer steps."""
+        return tuple(seconds / max(1, self.steps) * 1e6 for seconds in self.seconds)
+
+    @property
+    def microseconds(self) -> float:
+        """Median time of a step [us]."""
+        return statistics.median(self.rounds)
+
+    def finite(self, name: str) -> Float:
+        """The finite values of a series."""
+        values = self.series[name]
+        return values[np.isfinite(values)]
+
+    def peak(self, name: str) -> float:
+        """Largest finite value of a series."""
+        return float(self.finite(name).max())
+
+    @property
+    def energies(self) -> tuple[float, float, float]:
+        """At the start, at most, and at the end [J], of the frames in which it was finite."""
+        energy = self.finite("energy")
+        return float(energy[0]), float(energy.max()), float(energy[-1])
+
+    @property
+    def derived(self) -> dict[str, Any]:
+        """Return the quantities that follow from the fields."""
+        peaks = {name: self.peak(name) for name in ("penetration", "distance", "stretch")}
+        found = {name: getattr(self, name) for name in ("outcome", "runaway", "microseconds", "energies")}
+        return found | {"peaks": peaks}
+
+
+def run_experiment(
+    path: Path, overrides: Sequence[str], integrators: Sequence[str], repeats: int, say: Callable[[str], None]
+) -> list[Trace]:
+    """All integrators with split and unsplit bones. Raises BadInput for a scene that cannot be run.
+
+    Repeats are taken in rounds over all variants, so that a machine that slows down slows all.
+    """
+    variants = [(name, split) for split in (True, False) for name in integrators]
+    scenes = [
+        scene_file.read(
+            path, [*overrides, f"solver.plugin={name}", f"{SPLIT}={str(split).lower()}", "allow_unstable=true"]
+        )
+        for name, split in variants
+    ]
+    traces: list[Trace] = []
+    for variant, loaded in zip(variants, scenes, strict=True):
+        say(f"{variant[0]}, {'split' if variant[1] else 'unsplit'} bones")
+        traces.append(run_variant(loaded, *variant))
+    for turn in range(1, repeats):
+        say(f"times, round {turn + 1} of {repeats}")
+        for i, (variant, loaded) in enumerate(zip(variants, scenes, strict=True)):
+            again = run_variant(loaded, *variant, measured=False)
+            traces[i] = replace(traces[i], seconds=traces[i].seconds + again.seconds)
+    return traces
+
+
+def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
+    """Run a variant to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
+    problem, chosen, bodies = make_problem(loaded), loaded.integrator, build_bodies(loaded)
+    limit = problem.limit(chosen.plugin, chosen.config)
+    steps = problem.own_steps(limit)
+    run, rows = problem.run(chosen.plugin, chosen.config, steps), list[tuple[float, ...]]()
+    for t, x, report, poses in zip(run.series.t, run.series.x, run.reports, problem.poses, strict=False):
+        if measured and poses is not None:
+            distance = signed_distance(x, bodies.geometry, poses)
+            finite = distance[np.isfinite(distance)]
+            inside, mean = (max(0.0, -finite.min()), finite.mean()) if finite.size else (np.nan, np.nan)
+            energy = [float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]]
+            rows.append((t, *energy, sum(energy), float(inside), float(mean), report.stretch))
+    depths = [term.facts["rest_depth"] for term in problem.system.terms if "rest_depth" in term.facts]
+    weight = float(problem.fabric.mass.sum()) * float(np.linalg.norm(problem.system.gravity))
+    return Trace(
+        integrator=name,
+        split=split,
+        series=dict(zip(SERIES, np.array(rows).T, strict=True)) if measured else {},
+        ended=None if run.status == "ok" else problem.frame * len(run.series.t),
+        message=run.message,
+        seconds=(run.seconds,),
+        steps=run.totals["steps"],
+        dt=problem.frame / steps,
+        limit=limit.dt,
+        rest_depth=depths[0] if depths else None,
+        primitives=len(bodies.geometry.kind),
+        lift=weight * problem.size,
+    )
+
+
+HEADINGS = (
+    "method", "bones", "outcome", "start [J]", "max [J]", "end [J]", "deep [mm]", "stretch", "dt / limit", "step [us]",
+    "run [s]",
+)  # fmt: skip
+CAPTION = (
+    "Energy is kinetic, gravitational and elastic together, over the frames in which it was finite. "
+    "Deep: largest penetration of free vertices, by a routine other than the contact force's. "
+    "Stretch: largest strain of a spring. Step and run: medians over repeats, compilation apart."
+)
+LEAD = (
+    "The same skirt on the same dancer, at the same step, by each method, with bones cut in pieces and whole. "
+    "Outcomes are reported as they came."
+)
+FARTHER = 2.0
+"""Cloth counts as thrown off the body from this multiple of symplectic Euler's distance on."""
+DEEPER = 1.5
+"""Penetration counts as another from this multiple of symplectic Euler's on."""
+SLOWER = 1.1
+"""Times within a tenth of each other count as the same."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", help="a scene with a garment on a skeleton, e.g. skirt-paper")
+    parser.add_argument(
+        "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
+    )
+    what = "runs of each variant that are timed; with one, claims about time stay undecided (default: %(default)s)"
+    options.add_count(parser, "--repeats", what, 3)
+    options.add_shared(parser, "--set", "--out", "--docs")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run, print the table and the findings, write page, CSV and JSON. A run that diverges is a result."""
+    plots.require_matplotlib()
+    page.check_section(args.docs, "integrators")
+    names = options.names_of(args.integrators)
+    options.require_known(names, INTEGRATORS, "method in this comparison", "--integrators")
+    path: Path = shipped.find(args.scene)
+    loaded = scene_file.read(path, args.overrides)
+    if not loaded.colliders or loaded.colliders[0].name != "skeleton":
+        problem = "the comparison needs a skeleton as its first body"
+        raise BadInput(problem, str(path), field="bodies.0", remedy="use skirt-paper")
+    others = machine.OtherLoad()
+    traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
+    print(runs(traces).text())
+    for claim, seen, verdict in compare_with_paper(traces):
+        print(f"\n{claim}: {verdict}\n  {seen}")
+    found = report(path.stem, traces, machine.about(others))
+    found.write_beside(args.out / f"integrators-{path.stem}", args.docs, "integrators")
+    return 0
+
+
+def runs(traces: Sequence[Trace]) -> Table:
+    """A line per run."""
+    rows = []
+    for trace in traces:
+        stretch = trace.peak("stretch")
+        rows.append([
+            trace.integrator,
+            "split" if trace.split else "unsplit",
+            trace.outcome,
+            *map(number, trace.energies),
+            number(trace.peak("penetration") * 1e3),
+            f"{stretch:.1%}" if stretch < 100 else number(stretch),
+            number(trace.dt / trace.limit) if trace.limit > 0 else "> any",
+            number(trace.microseconds),
+            number(statistics.median_high(trace.seconds)),
+        ])  # fmt: skip
+    return Table(HEADINGS, rows, CAPTION)
+
+
+def report(scene: str, traces: Sequence[Trace], about: Mapping[str, str]) -> Report:
+    """The page, all figures with their series, and the documentation's section."""
+    found, table = compare_with_paper(traces), runs(traces)
+    claims = Table(("the paper", "here", ""), found, "Verdicts follow from the figures below.", prose=True)
+    drawn = [(name, [figure([trace for trace in traces if trace.split == split])])
+             for split, name in ((True, "Bones in pieces"), (False, "Whole bones"))]  # fmt: skip
+    sections: page.Sections = [("What was seen, and what the skirt paper says", [claims]), ("Runs", [table]), *drawn]
+    data = {"runs": [vars(trace) | trace.derived for trace in traces], "findings": [one._asdict() for one in found]}
+    rows = [{"integrator": trace.integrator, "split": trace.split} | dict(zip(SERIES, values, strict=True))
+            for trace in traces for values in zip(*(trace.series[name] for name in SERIES), strict=True)]  # fmt: skip
+    return Report(f"Integrators on {scene}", LEAD, sections, about, data, [claims, table, CAPTION], rows)
+
+
+def figure(traces: Sequence[Trace]) -> Figure:
+    """Energy and penetration over time; a run that ran away is drawn up to there and marked."""
+    panels = []
+    for title, name, scale in (("Energy [J]", "energy", 1.0), ("Deepest penetration [mm]", "penetration", 1e3)):
+        curves = []
+        for i, trace in enumerate(traces):
+            lost = trace.runaway
+            kept = trace.series["t"] < (np.inf if lost is None else lost)
+            ended = "" if lost is None else f"runs away at {lost:.2f} s"
+            x, y = trace.series["t"][kept], scale * trace.series[name][kept]
+            curves.append(Curve(trace.integrator, x, y, i, trace.integrator == "rk4_printed", ended))
+        panels.append(Panel(title, curves, "time [s]"))
+    gone = ", ".join(f"{trace.integrator} at {trace.runaway:.2f} s" for trace in traces if trace.runaway is not None)
+    ending = (
+        f"A cross ends a curve where the energy has grown by {RUNAWAY:g} times what lifts the garment by its own "
+        f"size: {gone}."
+    )
+    caption = f"Energy and deepest penetration of each frame. {ending if gone else 'No run ran away.'}"
+    return Figure(plots.draw(panels), caption)
+
+
+class Finding(NamedTuple):
+    """A claim of the paper, what was seen here, and whether the two agree."""
+
+    claim: str
+    seen: str
+    verdict: str
+
+
+def compare_with_paper(traces: Sequence[Trace]) -> list[Finding]:
+    """Findings on the runs there are; a claim about a run that was left out is left out too."""
+    split = {trace.integrator: trace for trace in traces if trace.split}
+    base = split.get("symplectic_euler")
+    if base is None:
+        return []
+    energies = "energy {} J at the start, at most {} J, {} J at the end".format(*map(number, base.energies))
+    ratio = f"; its step is {base.dt / base.limit:.0%} of its limit" if 0.0 < base.limit < np.inf else ""
+    claim = f"symplectic Euler is stable at a step of {number(base.dt * 1e3)} ms"
+    found = [Finding(claim, f"{_ending(base)}, {energies}{ratio}", _verdict(base.ended is None))]
+    if euler := split.get("euler"):
+        farthest = FARTHER * base.peak("distance")
+        off = euler.first(euler.series["distance"] > farthest)
+        grown, far = ("stays below" if t is None else f"passes, at {t:.2f} s," for t in (euler.runaway, off))
+        seen = (
+            f"{_ending(euler)}; the energy's growth {grown} {RUNAWAY:g} times what lifts the garment by its own size; "
+            f"mean distance from the body {far} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
+        )
+        claim = "explicit Euler moves violently and throws the cloth off the body"
+        found.append(Finding(claim, seen, _verdict(off is not None)))
+    if rk4 := split.get("rk4"):
+        times = f"{number(rk4.microseconds)} us a step against {number(base.microseconds)} us"
+        ratios = [a / b for a, b in zip(rk4.rounds, base.rounds, strict=True)]
+        seen = f"{times}: {_spread(ratios)} symplectic Euler's"
+        found.append(Finding("Runge-Kutta is slower", seen, _slower(ratios)))
+    for name, claim in (
+        ("rk4", "Runge-Kutta lets a leg through the skirt"),
+        ("rk4_printed", "the same, by Runge-Kutta as its formulas are printed"),
+    ):
+        if trace := split.get(name):
+            depth, other = trace.peak("penetration"), base.peak("penetration")
+            deeper = depth / other if other > 0 else (np.inf if depth > 0 else 1.0)
+            depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)}"
+            seen = f"{_ending(trace)}, at most {depths} ({deeper:.2f} times)"
+            if trace.rest_depth is not None:
+                seen += f"; a vertex at rest sinks m g / k = {_length(trace.rest_depth)} under any method"
+            found.append(Finding(claim, seen, _verdict(deeper > DEEPER)))
+    pairs = [(a, b) for a in traces for b in traces if a.split and not b.split and a.integrator == b.integrator]
+    return [*found, _bones(pairs)] if pairs else found
+
+
+def _bones(pairs: Sequence[tuple[Trace, Trace]]) -> Finding:
+    rounds = zip(*([x / y for x, y in zip(a.rounds, b.rounds, strict=True)] for a, b in pairs), strict=True)
+    ratios = [statistics.median(methods) for methods in rounds]
+    depths = [
+        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}"
+        for a, b in pairs
+        if a.runaway is None and b.runaway is None
+    ]
+    seen = (
+        f"a step takes {_spread(ratios)} as long (median over the methods; {pairs[0][0].primitives} primitives against "
+        f"{pairs[0][1].primitives}). Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
+    )
+    return Finding("bones cut in pieces are slower than whole ones", seen, _slower(ratios))
+
+
+def _verdict(agrees: bool) -> str:
+    return "agrees" if agrees else "contradicts"
+
+
+def _slower(ratios: Sequence[float]) -> str:
+    """Whether one is slower than the other, by the ratios of their times in each round of repeats.
+
+    Rounds go over all variants in turn, so a machine that slows down does not part the two of a
+    round. Undecided where rounds disagree, and where there is only one: its spread is not known.
+    """
+    slower = {ratio > SLOWER for ratio in ratios}
+    return _verdict(slower.pop()) if len(ratios) > 1 and len(slower) == 1 else "undecided"
+
+
+def _spread(ratios: Sequence[float]) -> str:
+    """Median and range of ratios."""
+    rounds = f"{min(ratios):.2f} to {max(ratios):.2f} in {len(ratios)} rounds" if len(ratios) > 1 else "in one round"
+    return f"{statistics.median(ratios):.2f} times ({rounds})"
+
+
+def _ending(trace: Trace) -> str:
+    return "runs to the end" if trace.ended is None else f"diverges: no longer finite at {trace.ended:.2f} s"
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1e3:.3g} mm" if metres < 1.0 else f"{number(metres)} m"

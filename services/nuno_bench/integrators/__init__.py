@@ -1,1 +1,0 @@
-"""`nuno bench integrators`: the skirt paper's experiment, four methods with split and unsplit bones."""

@@ -1,1 +1,0 @@
-"""`nuno bench peers`: the stiff sheet in other engines and in ours, each in a process of its own."""

@@ -1,1 +1,0 @@
-"""The skirt on a dancer, in other engines and in ours."""

@@ -1,1 +1,0 @@
-"""`nuno bench stability`: what solvers make of a scene over stiffness, mesh and step."""

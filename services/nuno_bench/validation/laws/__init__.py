@@ -1,1 +1,0 @@
-"""Laws that every solver is held against: named cases with closed forms, one module per kind."""
