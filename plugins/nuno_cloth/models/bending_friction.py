@@ -69,10 +69,8 @@ def _derive(patches: Patches, corner: Any, area: Float, clamp: Clamp, rigidity: 
     flat = patches.flat - patches.flat[np.arange(len(corner)), corner][:, None]
     far = np.where(patches.there, np.linalg.norm(flat, axis=2), np.inf)
     near = np.argsort(far, axis=1, kind="stable")[:, : AROUND + 1]
-    vertices, there = (
-        np.take_along_axis(patches.vertices, near, axis=1),
-        np.take_along_axis(patches.there, near, axis=1),
-    )
+    vertices = np.take_along_axis(patches.vertices, near, axis=1)
+    there = np.take_along_axis(patches.there, near, axis=1)
     flat = np.take_along_axis(flat, near[..., None], axis=1)
     fitted = fit(flat, clamp.base(vertices, flat, there), there, np.sqrt(2.0 / np.sqrt(3.0) * area), rigidity)
     shares = np.where(there[:, None], np.concatenate([fitted.first, fitted.second], axis=1), 0.0)

@@ -30,7 +30,7 @@ class Patches(NamedTuple):
 class Sides(NamedTuple):
     """The 3 f sides of triangles with vertices faces (f, 3) and corners (f, 3, 3) at rest [m]: `other` the side that
     runs the other way or -1, the third corner's place `along` the side and its height `high` over it [m]; of each
-    vertex, the number of triangles `round` it and whether it is on a `border`.
+    vertex, the number of triangles `round` it, whether it is on a `border`, and the vertex `after` it there or -1.
     """
 
     corners: Float
@@ -40,6 +40,7 @@ class Sides(NamedTuple):
     high: Float
     round: Int
     border: Bool
+    after: Int
 
 
 def find_patches(sides: Sides, triangles: Int, warp: Float, weft: Float) -> Patches:
@@ -76,13 +77,13 @@ def find_sides(corners: Float, faces: Int) -> Sides:
     order = np.argsort(key)
     at = order[np.minimum(np.searchsorted(key, sought, sorter=order), len(key) - 1)]
     other = np.where(key[at] == sought, at, -1).astype(np.int32)
-    border = np.zeros(n, np.bool_)
-    for ends in (start, end):
-        border[ends[other < 0]] = True
+    border, after, rim = np.zeros(n, np.bool_), np.full(n, -1, np.int32), other < 0
+    border[start[rim]] = border[end[rim]] = True
+    after[start[rim]] = end[rim]
     edge, slant = (np.roll(corners, -k, axis=1).reshape(-1, 3) - corners.reshape(-1, 3) for k in (1, 2))
     length = np.linalg.norm(edge, axis=1)
     along, high = np.einsum("sd,sd->s", slant, edge) / length, np.linalg.norm(np.cross(edge, slant), axis=1) / length
-    return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
+    return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border, after)
 
 
 def _walk(sides: Sides, triangles: Int, flat: Float, corner: int, way: int) -> list[Any]:

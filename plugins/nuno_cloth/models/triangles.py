@@ -55,18 +55,11 @@ def find_edges(faces: Int) -> Edges:
     pairs, edge, count = np.unique(both, axis=0, return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
     forward = start < end
-    left = np.full(len(pairs), -1, np.int32)
-    right = np.full(len(pairs), -1, np.int32)
+    left, right = np.full((2, len(pairs)), -1, np.int32)
     left[edge[forward]], right[edge[~forward]] = opposite[forward], opposite[~forward]
     inner = np.flatnonzero((left >= 0) & (right >= 0) & (count == 2))
     quads = np.stack([pairs[inner, 0], pairs[inner, 1], left[inner], right[inner]], 1)
-    return Edges(
-        pairs.astype(np.int32),
-        edge.reshape(-1, 3).astype(np.int32),
-        inner.astype(np.int32),
-        quads.astype(np.int32),
-        count.astype(np.int32),
-    )
+    return Edges(*(part.astype(np.int32) for part in (pairs, edge.reshape(-1, 3), inner, quads, count)))
 
 
 def face_areas(corners: Float) -> Float:
