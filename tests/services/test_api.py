@@ -172,3 +172,22 @@ def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
     assert str(kept) in str(caught.value)
     with nuno.open(kept) as recording:
         assert recording.metadata["end"]["state"] == "interrupted"
+
+
+def test_a_result_does_not_answer_from_the_file_of_another_run(tmp_path: Path) -> None:
+    scene, record = write_scene(tmp_path, duration=0.06), tmp_path / "run.mcap"
+    first = nuno.run(scene, record=record)
+    opened = first.recording
+    assert nuno.verify(first).frame is None
+    second = nuno.run(scene, "gravity=[0, -1, 0]", record=record)
+    assert nuno.verify(second).frame is None
+    uses: tuple[Callable[[], object], ...] = (
+        lambda: first.recording, lambda: nuno.verify(first), lambda: nuno.export(first, npz=tmp_path / "a.npz"),
+        first.to_dataframe, lambda: next(nuno.states(first)), lambda: nuno.resume(first, duration=0.1),
+        lambda: nuno.resume(opened, duration=0.1),
+    )  # fmt: skip
+    for use in uses:
+        with pytest.raises(BadInput, match="replaced by that of another run"):
+            use()
+    assert next(opened.frames()).number == 0, "a recording that was open before is read on"
+    opened.close()
