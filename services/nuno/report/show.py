@@ -122,6 +122,7 @@ def _follower_text(counts: Report) -> str:
     """Return the counts of poses for a body that is moved from outside, in words."""
     text = f"{counts['heard']:,} poses came, {counts['used']:,} were used, {counts['refused']:,} refused"
     text += f", {counts['left_out']:,} left out for newer ones" if counts["left_out"] else ""
+    text += f", {counts['mixed']:,} by an earlier sender after another's" if counts.get("mixed") else ""
     behind = f", {counts['behind']:,} in which it was not yet at its goal" if counts["behind"] else ""
     return f"{text}; {counts['without']:,} frames without any{behind}; longest silence {counts['silence']:.2g} s"
 
