@@ -6,6 +6,7 @@ import inspect
 import signal
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,9 @@ from scenes import CHAIN, write_chain, write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.recording.writer import part_of
+from nuno.runtime.outcome import Outcome
+from nuno.runtime.plan import Plan
 from nuno.runtime.supervisor import Supervisor
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed
@@ -191,3 +195,14 @@ def test_a_result_does_not_answer_from_the_file_of_another_run(tmp_path: Path) -
             use()
     assert next(opened.frames()).number == 0, "a recording that was open before is read on"
     opened.close()
+
+
+def test_the_recording_of_a_run_whose_recorder_died_is_found(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, duration=0.06), record=tmp_path / "run.mcap")
+    plan = Plan(("simulation", "recorder"), (), ())
+    outcome = Outcome(result.report["run"], "failed", "the recorder service died", plan, {})
+    assert outcome.recording(result.path) == result.path
+    assert replace(outcome, run="another").recording(result.path) is None, "an older one of this name"
+    part = result.path.rename(part_of(result.path))
+    assert outcome.recording(result.path) == part
+    assert outcome.recording(tmp_path / "none.mcap") is None
