@@ -78,7 +78,9 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
-    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states. Raises BadInput."""
+    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states: in the order of time,
+    each once, whatever the order of `frames`. Raises BadInput.
+    """
     from nuno.replay import frame_state
 
     with in_python(), opened(recording) as source:
