@@ -19,12 +19,13 @@ from recorded_sheet import Item, Sheet, items, metadata, write
 from scenes import write_scene
 
 import nuno
+from nuno import output_files
 from nuno.cli import main
 from nuno.recording import writer as writer_module
 from nuno.recording.gaps import shortcoming
 from nuno.recording.mcap_file import MAGIC
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.recording.writer import RecordingWriter, part_of
+from nuno.recording.writer import RecordingWriter, check_target, part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE
 
@@ -343,3 +344,15 @@ def test_a_recording_that_lacks_its_last_bytes_is_resumed(tmp_path: Path) -> Non
     half.write_bytes(result.path.read_bytes()[: result.path.stat().st_size // 2])
     assert main(["verify", str(half)]) == 1
     assert nuno.resume(cut, record=tmp_path / "on.mcap").digest == result.digest
+
+
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.mcap"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInput, match="a pipe or device"):
+        open_recording(pipe)
+    with pytest.raises(BadInput, match="no recording and would be lost"):
+        check_target(pipe)
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(BadInput, match="no csv export and would be lost"):
+        output_files.check_target(tmp_path / "pipe.csv", ".csv")
