@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Strict, model_validator
 
 from nuno_schemas.fabric import Float
 
 ALL_BUT = 1.0 - 1e-9
 """A joint that has gone this share of the way has arrived."""
+
+
+Number = Annotated[float, Strict()]
+"""No text, and no truth value."""
 
 
 class BodyPoses(BaseModel):
@@ -21,17 +25,20 @@ class BodyPoses(BaseModel):
     For a single joint, `position` and `rotation` may be given without lists, and a missing rotation is the identity.
     """
 
-    model_config = ConfigDict(use_attribute_docstrings=True)
-    positions: list[tuple[float, float, float]]
+    model_config = ConfigDict(use_attribute_docstrings=True, extra="forbid")
+    positions: list[tuple[Number, Number, Number]]
     """Positions of the joints' origins in the world [m]."""
-    rotations: list[tuple[float, float, float, float]]
+    rotations: list[tuple[Number, Number, Number, Number]]
     """Quaternions w, x, y, z of any norm but zero."""
 
     @model_validator(mode="before")
     @classmethod
     def _of_one(cls, data: Any) -> Any:
         if isinstance(data, dict) and "position" in data:
-            return {"positions": [data["position"]], "rotations": [data.get("rotation", (1.0, 0.0, 0.0, 0.0))]}
+            if both := sorted({"positions", "rotations"} & data.keys()):
+                raise ValueError(f"position and {both[0]}: give position and rotation, or positions and rotations")
+            one = {"positions": [data["position"]], "rotations": [data.get("rotation", (1.0, 0.0, 0.0, 0.0))]}
+            return one | {name: data[name] for name in data.keys() - {"position", "rotation"}}
         return data
 
 

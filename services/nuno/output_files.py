@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -69,7 +70,7 @@ def check_target(path: Path, suffix: str) -> None:
         raise BadInput("no such folder", value=str(path.parent), remedy="make it, or choose another place")
     if path.is_dir():
         raise BadInput("a folder of that name exists", value=str(path), remedy="choose another name")
-    if path.is_file() and not _is_kind(path, suffix):
+    if path.exists() and not (path.is_file() and _is_kind(path, suffix)):
         problem = f"the file there is no {suffix[1:]} export and would be lost"
         raise BadInput(problem, value=str(path), remedy="choose another name, or remove it")
     check_unprotected(path)
@@ -164,7 +165,8 @@ def _disk_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
+        remedy = "choose a shorter name" if error.errno == errno.ENAMETOOLONG else "choose another place"
+        raise BadInput(f"cannot write there: {reason}", value=str(path), remedy=remedy) from None
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> Path:

@@ -176,6 +176,7 @@ TEXTS: dict[str, tuple[str | bytes, int | None, str]] = {
     "own tag": ("nuno: !mine x\n", 1, "tags are not allowed"),
     "tag of a mapping": ("solver: !!omap {a: 1}\n", 1, "tags are not allowed"),
     "binary": ("nuno: !!binary aGk=\n", 1, "tags are not allowed"),
+    "merge key": ("a: &a {b: 1}\nsolver: {<<: *a,\n  dt: 2}\n", 2, "merge keys of YAML are not supported"),
     "duplicate": ("nuno: 1\nname: a\nname: b\n", 3, "given twice"),
     "duplicate inside": ("nuno: 1\nsolver: {dt: 1,\n  dt: 2}\n", 3, "given twice"),
     "not UTF-8": ("nuno: 1\nname: caf\xe9\n".encode("latin-1"), None, "not a text file"),

@@ -6,6 +6,7 @@ import inspect
 import signal
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,9 @@ from scenes import CHAIN, write_chain, write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.recording.writer import part_of
+from nuno.runtime.outcome import Outcome
+from nuno.runtime.plan import Plan
 from nuno.runtime.supervisor import Supervisor
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed
@@ -172,3 +176,33 @@ def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
     assert str(kept) in str(caught.value)
     with nuno.open(kept) as recording:
         assert recording.metadata["end"]["state"] == "interrupted"
+
+
+def test_a_result_does_not_answer_from_the_file_of_another_run(tmp_path: Path) -> None:
+    scene, record = write_scene(tmp_path, duration=0.06), tmp_path / "run.mcap"
+    first = nuno.run(scene, record=record)
+    opened = first.recording
+    assert nuno.verify(first).frame is None
+    second = nuno.run(scene, "gravity=[0, -1, 0]", record=record)
+    assert nuno.verify(second).frame is None
+    uses: tuple[Callable[[], object], ...] = (
+        lambda: first.recording, lambda: nuno.verify(first), lambda: nuno.export(first, npz=tmp_path / "a.npz"),
+        first.to_dataframe, lambda: next(nuno.states(first)), lambda: nuno.resume(first, duration=0.1),
+        lambda: nuno.resume(opened, duration=0.1),
+    )  # fmt: skip
+    for use in uses:
+        with pytest.raises(BadInput, match="replaced by that of another run"):
+            use()
+    assert next(opened.frames()).number == 0, "a recording that was open before is read on"
+    opened.close()
+
+
+def test_the_recording_of_a_run_whose_recorder_died_is_found(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, duration=0.06), record=tmp_path / "run.mcap")
+    plan = Plan(("simulation", "recorder"), (), ())
+    outcome = Outcome(result.report["run"], "failed", "the recorder service died", plan, {})
+    assert outcome.recording(result.path) == result.path
+    assert replace(outcome, run="another").recording(result.path) is None, "an older one of this name"
+    part = result.path.rename(part_of(result.path))
+    assert outcome.recording(result.path) == part
+    assert outcome.recording(tmp_path / "none.mcap") is None

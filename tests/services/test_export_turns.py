@@ -92,6 +92,14 @@ def test_a_close_camera_fills_the_picture_with_the_cloth_alone(path: Path, more:
         (["--turn", "2", "--png", "a.png"], "--turn: for animations"),
         (["--turn", "2", "--gif", "a.gif", "--start", "0"], "a turn is round one frame"),
         (["--turn", "2", "--gif", "a.gif", "--frame", "999"], "no such frame"),
+        (["--frame", "3", "--csv", "a.csv"], "what is to be written has all frames"),
+        (["--frame", "3", "--rrd", "a.rrd"], "what is to be written has all frames"),
+        (["--start", "0.1", "--csv", "a.csv"], "--start: for animations"),
+        (["--end", "0.1", "--npz", "a.npz"], "--end: for animations"),
+        (["--fps", "9", "--png", "a.png"], "--fps: for animations"),
+        (["--size", "80x60", "--csv", "a.csv"], "--size: for pictures and animations"),
+        (["--colour", "stretch", "--obj", "a.obj"], "--colour: for pictures and animations"),
+        (["--set", "view.azimuth=1", "--csv", "a.csv"], "--set: for pictures and animations"),
     ],
 )
 def test_sides_and_turns_are_of_what_is_drawn(
@@ -117,7 +125,7 @@ def test_a_run_is_animated_at_its_end(
     assert main(["run", path, "--no-view", "--mp4", "a.gif"]) == 0
     with Image.open(tmp_path / "a.gif") as image:
         assert getattr(image, "n_frames", 1) > 1
-    assert "animation  a.gif" in capsys.readouterr().out
+    assert "animation   a.gif" in capsys.readouterr().out
     for flags, said in ((["--mp4", "a.mpg"], "no such kind"), (["--mp4", "b.gif", "--no-record"], "leave --no-record")):
         assert main(["run", path, *flags]) == 2
         assert said in capsys.readouterr().err

@@ -168,6 +168,7 @@ FAULTS = {
     "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),
     "infinity": (force("out[2] += np.inf"), "at 0.5 s its force is inf at row 2"),
     "shape": (force("out += np.zeros((7, 3))"), "failed in its force: ValueError: operands could not be broadcast"),
+    "returned": (force("return -x"), "its force returns ndarray, which nothing uses: add the force to `out`"),
 }
 
 
@@ -186,7 +187,7 @@ def test_a_force_that_fails_is_named(packages: Packages, fault: str) -> None:
 
 
 def test_a_force_is_not_to_blame_for_what_came_before_it(packages: Packages) -> None:
-    packages.add("pushing", force(), "push = pushing:Push")
+    packages.add("pushing", force("return out"), "push = pushing:Push")
     push = registry.load("nuno.forces", "push").prepare(None, None, 0).data
     lost = np.full((4, 3), np.nan)
     push(lost, np.zeros((4, 3)), 0.0, np.zeros((4, 3)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -20,15 +21,18 @@ from test_readme import ROOT, blocks
 
 import nuno
 from nuno.bus.sessions import spoke
+from nuno.collision.live import read_poses
 from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.recording.reader import open_recording
+from nuno.recording.writer import part_of
+from nuno.report.show import lines
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import resumed_scene
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.live import Live
-from nuno_schemas.messages import BODIES
+from nuno_schemas.messages import BODIES, Event
 
 SHEET = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "pin": ["top-row"]}
 START = [0.0, 0.0, 0.2]
@@ -95,7 +99,8 @@ def test_each_frame_has_the_poses_that_were_sent_for_it(tmp_path: Path) -> None:
         (moment,) = nuno.states(path, [13])
         assert moment.frame == 13
     assert run.report["followed"]["hand"] | {"silence": 0.0} == {
-        "heard": 20, "used": 20, "refused": 0, "left_out": 0, "without": 0, "behind": 0, "silence": 0.0
+        "heard": 20, "used": 20, "refused": 0, "left_out": 0, "without": 0, "behind": 0, "silence": 0.0,
+        "mixed": 0,
     }  # fmt: skip
 
 
@@ -286,3 +291,41 @@ def test_joints_keep_together_on_their_way() -> None:
                 break
         assert left == 0.0
         assert (live.translation.tolist(), live.rotation.tolist()) == (goal.tolist(), turns[1].tolist())
+
+
+@pytest.mark.parametrize(
+    ("sent", "problem"),
+    {
+        b'{"position": [0, 1, 0], "orientation": [1, 0, 0, 0]}': "orientation: Extra inputs are not permitted",
+        b'{"position": [0, 1, 0], "rotations": [[1, 0, 0, 0]]}': "position and rotations: give",
+        b'{"position": [0, 1, 0], "positions": [[0, 1, 0]]}': "position and positions: give",
+        b'{"positions": [[0, 1, 0]], "rotations": [[1, 0, 0, 0]], "rotation": [1, 0, 0, 0]}': "rotation: Extra inputs",
+        b'{"position": ["0", 1, 0]}': "positions.0.0: Input should be a valid number",
+        b'{"position": [true, 1, 0]}': "positions.0.0: Input should be a valid number",
+        b'{"position": [0, 1, 0], "rotation": ["1", 0, 0, 0]}': "rotations.0.0: Input should be a valid number",
+    }.items(),
+)
+def test_a_pose_with_other_fields_or_texts_for_numbers_is_refused(sent: bytes, problem: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(problem)):
+        read_poses(sent, ("hand",))
+
+
+def test_two_programs_that_move_one_body_at_once_are_reported(tmp_path: Path) -> None:
+    """One that takes over from another is not."""
+    run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    with nuno.drive(run.run, "hand") as one, nuno.drive(run.run, "hand") as other:
+        for frame, sender in enumerate([one, one, other, other, one, other]):
+            sender.send([0.0, 0.0, 0.2])
+            run.step_to(frame + 1)
+            warnings = [event.text for event in events_of(run.record) if event.kind == "warning"]
+            assert sum("the body hand is moved by several programs" in text for text in warnings) == (frame > 3)
+    run.stop()
+    assert run.report["followed"]["hand"]["mixed"] == 2
+    assert any("2 by an earlier sender after another's" in text for _, text in lines(run.report))
+
+
+def events_of(path: Path) -> list[Event]:
+    """Return the events of a run's recording so far."""
+    with open_recording(part_of(path)) as recording:
+        return recording.events()

@@ -14,14 +14,18 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from mcap.reader import FOOTER_SIZE
 from recorded_sheet import Item, Sheet, items, metadata, write
+from scenes import write_scene
 
+import nuno
+from nuno import output_files
 from nuno.cli import main
 from nuno.recording import writer as writer_module
 from nuno.recording.gaps import shortcoming
 from nuno.recording.mcap_file import MAGIC
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.recording.writer import RecordingWriter, part_of
+from nuno.recording.writer import RecordingWriter, check_target, part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE
 
@@ -312,3 +316,43 @@ def test_a_file_in_a_recording_that_is_damaged_is_refused_by_name_and_hides_no_f
         assert recording.damage.startswith("damaged beside its messages") and not recording.complete
         with pytest.raises(BadInput, match="the checksum of the file f in it"):
             recording.attachment("f")
+
+
+def test_a_file_cut_in_its_index_is_cut_and_one_with_more_bytes_is_damaged(
+    many_chunks: tuple[Path, list[tuple[str, int, bytes]]],
+) -> None:
+    path, whole = many_chunks
+    data = path.read_bytes()
+    index = len(data) - FOOTER_SIZE - len(MAGIC)
+    for left in (*range(index - 40, len(data)), index - 1000):
+        path.write_bytes(data[:left])
+        with open_recording(path) as recording:
+            assert recording.recovered and not recording.damage, left
+            assert found(recording) == whole
+    path.write_bytes(data + b"more\r\n")
+    with open_recording(path) as recording:
+        assert "(6 bytes follow its end)" in recording.damage and found(recording) == whole
+
+
+def test_a_recording_that_lacks_its_last_bytes_is_resumed(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, duration=0.1), record=tmp_path / "run.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(result.path.read_bytes()[:-100])
+    with pytest.warns(UserWarning, match="cut short"):
+        assert nuno.verify(cut).frame is None
+    half = tmp_path / "half.mcap"
+    half.write_bytes(result.path.read_bytes()[: result.path.stat().st_size // 2])
+    assert main(["verify", str(half)]) == 1
+    assert nuno.resume(cut, record=tmp_path / "on.mcap").digest == result.digest
+
+
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.mcap"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInput, match="a pipe or device"):
+        open_recording(pipe)
+    with pytest.raises(BadInput, match="no recording and would be lost"):
+        check_target(pipe)
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(BadInput, match="no csv export and would be lost"):
+        output_files.check_target(tmp_path / "pipe.csv", ".csv")

@@ -23,6 +23,7 @@ from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.replay.verification import verify
+from nuno.report.make import make_report
 from nuno.runtime import supervisor
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.driver import WINDOW
@@ -93,6 +94,11 @@ def test_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:
     resumed = supervisor.supervise(loaded, options)
     assert resumed.state == "done"
     assert resumed.summary["digest"] == whole.digest
+    report = make_report(loaded, resumed)
+    largest = ("stretch", "start_stretch", "penetration", "last_penetration", "energy", "counts", "warnings")
+    assert {name: report[name] for name in largest} == {name: whole.report[name] for name in largest}
+    with nuno.open(tmp_path / "resumed.mcap") as recording:
+        assert report["penetration"] == recording.series()["depth"].max() > recording.series(0.1)["depth"].max()
 
 
 def frames_in(path: Path) -> int:

@@ -133,6 +133,14 @@ REFUSED: dict[str, tuple[Callable[[list[Path]], Any], str]] = {
     "no list": (lambda to: nuno.sweep(CHAIN, {"damping": 0.3}, roots=to, jobs=1), "over a list of values"),
     "nowhere to go on": (lambda to: nuno.sweep(CHAIN, {"seed": [1]}, roots=to, jobs=1, resume=True), "name the folder"),
     "no processes": (lambda to: nuno.sweep(CHAIN, {"seed": [1]}, roots=to, jobs=0), "at least one"),
+    "a field that is set": (
+        lambda to: nuno.sweep(CHAIN, {"seed": [1]}, "seed=7", roots=to, jobs=1),
+        'limit:  "seed=7"',
+    ),
+    "a part that is set": (
+        lambda to: nuno.sweep(CHAIN, {"solver": [{"plugin": "rk4"}]}, {"solver.dt": 5e-4}, roots=to, jobs=1),
+        "over: the sweep gives this field its values",
+    ),
     "a flat cloth's side": (lambda _: nuno.sweep("dye/drops", {"seed": [1]}, side="left", jobs=1), "lies flat"),
 }
 

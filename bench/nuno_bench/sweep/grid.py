@@ -251,6 +251,10 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
         raise BadInput(problem, field="--side", value=side, remedy=remedy)
     if place.resume and place.folder is None:
         raise BadInput("what is gone on with is not said", field="--resume", remedy="name the folder: out=...")
+    for key in over:
+        if lost := [item for item in scene.overrides if f"{item.partition('=')[0]}.".startswith(f"{key}.")]:
+            problem, remedy = "the sweep gives this field its values", "leave one of the two out"
+            raise BadInput(problem, field="--over", value=key, limit=f"--set {lost[0]}", remedy=remedy)
     packed = pack_loaded(scene)
     combinations = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     texts = [tuple(as_texts([one])) for one in combinations]

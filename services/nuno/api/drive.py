@@ -53,7 +53,7 @@ class Driving:
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 reliability=zenoh.Reliability.RELIABLE,
             )
-            self._stack, self._closed = stack.pop_all(), False
+            self._sent, self._stack, self._closed = 0, stack.pop_all(), False
 
     def send(self, position: ArrayLike, rotation: ArrayLike = STILL) -> None:
         """Send the body's next pose: position (3,) [m] and rotation (4,), a quaternion w, x, y, z, of any length except
@@ -68,7 +68,8 @@ class Driving:
         sent = BodyPoses.model_validate({"positions": positions.tolist(), "rotations": rotations.tolist()})
         payload = sent.model_dump_json().encode()
         read_poses(payload, self._joints)
-        self._publisher.put(payload)
+        self._sent += 1
+        self._publisher.put(payload, source_info=zenoh.SourceInfo(self._publisher.id, self._sent))
 
     def add(self, item: str) -> dict[str, Any]:
         """Change the cloth before the next frame, as `nuno control RUN add`: "attach: {body: hand}",

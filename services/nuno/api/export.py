@@ -54,8 +54,10 @@ WRITERS = {
     "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
 }  # fmt: skip
 """Function that writes each kind of file; the order is that of writing."""
-WHOLE = ("gif", "mp4", "foxglove", "ros2", "scene")
+WHOLE = ("csv", "gif", "mp4", "rrd", "foxglove", "ros2", "scene")
 """Kinds of files of a whole run."""
+DRAWN = ("colour", "size", "view", "scale", "crop", "overrides")
+"""Settings of pictures and animations."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
 ENDINGS: dict[str, tuple[str, ...]] = {
@@ -202,15 +204,15 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     if asked.side and (not pictured or asked.style):
         raise BadInput("for pictures and animations of no style", field="--side", value=asked.side,
                        remedy="add --png out.png")  # fmt: skip
-    if asked.turn and not (asked.gif or asked.mp4):
-        raise BadInput("for animations", field="--turn", value=asked.turn, remedy="add --mp4 out.mp4")
+    drawn = () if pictured else DRAWN[bool(asked.pattern) :]
+    for name in (*(() if asked.gif or asked.mp4 else ("turn", "start", "end", "fps")), *drawn):
+        if (value := getattr(asked, name)) not in (None, "auto", ()):
+            problem, file = ("for pictures and animations", "png") if name in DRAWN else ("for animations", "mp4")
+            flag, value = ("--set", value[0]) if name == "overrides" else (f"--{name}", value)
+            raise BadInput(problem, field=flag, value=value, remedy=f"add --{file} out.{file}, or leave it out")
     if asked.turn and (asked.start is not None or asked.end is not None):
         problem, remedy = "a turn is round one frame", "name it: --frame N"
         raise BadInput(problem, field="--turn", value=asked.turn, remedy=remedy)
-    if asked.overrides and not pictured:
-        raise BadInput(
-            "for pictures and animations", field="--set", value=asked.overrides[0], remedy="add --png out.png"
-        )
     others = [name for name in FILES if name not in WHOLE and getattr(asked, name) is not None]
     if asked.frame is not None and asked.turn is None and not others:
         raise BadInput("what is to be written has all frames", field="--frame", value=asked.frame,

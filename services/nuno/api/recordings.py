@@ -28,18 +28,27 @@ class Run(Protocol):
     @property
     def path(self) -> Path: ...
 
+    @property
+    def report(self) -> dict[str, Any]: ...
+
 
 Recorded: TypeAlias = str | os.PathLike[str] | Recording | Run
 """A file, "last", an open recording, or the result of a run."""
 
 
 def path_of(recording: Recorded) -> Path:
-    """Return the path of a recording. Raises BadInput if there is none."""
+    """Return the path of a recording. Raises BadInput if there is none, or now one of another run."""
     if isinstance(recording, str | os.PathLike):
         return runs.find_recording(Path(recording))
     if not isinstance(getattr(recording, "path", None), Path):
         limit = 'a file, "last", an open recording, or the result of a run'
         raise BadInput("this is no recording", field="recording", value=recording, limit=limit)
+    own = recording.metadata["run"] if isinstance(recording, Recording) else {"id": recording.report["run"]}
+    with Recording(recording.path, scan=False) as now:
+        if (run := now.metadata["run"].get("id")) != own.get("id"):
+            problem, limit = "the recording was replaced by that of another run", f"run {own.get('id')}"
+            remedy = "record each run in a file of its own"
+            raise BadInput(problem, str(recording.path), value=run, limit=limit, remedy=remedy)
     return recording.path
 
 
@@ -69,7 +78,9 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
-    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states. Raises BadInput."""
+    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states: in the order of time,
+    each once, whatever the order of `frames`. Raises BadInput.
+    """
     from nuno.replay import frame_state
 
     with in_python(), opened(recording) as source:

@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.api.recordings import export
+from nuno.api.recordings import export, path_of
 from nuno.process import scratch
 from nuno.recording.reader import Recording, open_recording
 from nuno.report.make import Report
@@ -58,8 +58,8 @@ class Result:
 
     @property
     def recording(self) -> Recording:
-        """The recording, newly opened."""
-        opened = open_recording(self.path)
+        """The recording, newly opened. Raises BadInput if the file is now the recording of another run."""
+        opened = open_recording(path_of(self))
         opened.owner = self.folder
         return opened
 

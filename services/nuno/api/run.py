@@ -138,7 +138,7 @@ def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress:
     assert path is not None
     with _progress_bar(scene, progress) as update:
         outcome = supervisor.supervise(scene, options, deployment, update, lambda o: make_report(scene, o))
-    path = Path(outcome.services.get("recorder", {}).get("file", part_of(path)))
+    path = outcome.recording(path) or part_of(path)
     report = make_report(scene, outcome)
     for text in report["warnings"]:
         warnings.warn(text, stacklevel=4)  # at the caller of `run`

@@ -131,8 +131,8 @@ def _name_files(options: Options, outcome: Outcome) -> None:
         old = files["recorder"].removesuffix(".part")
         stays = "" if old == files["recorder"] else f"  ({old} stays as it was: only a whole one replaces it)"
         print(row("recording", files["recorder"] + stays))
-    elif options.record is not None and (part := part_of(options.record)).exists():
-        print(row("recording", f"{part}, which was not finished"))
+    elif options.record is not None and (path := outcome.recording(options.record)) is not None:
+        print(row("recording", f"{path}, which was not finished"))
     if "viewer" in files:
         print(row("rerun file", f"{files['viewer']}  (look: rerun {files['viewer']})"))
 

@@ -40,7 +40,8 @@ class Tally:
     """Counts of a live body's poses, for the report.
 
     heard poses in all, of them used by a frame, refused, and left_out since newer ones came before the frame; frames
-    without any, frames after which the body was behind its goal, and the longest silence [s].
+    without any, frames after which the body was behind its goal, and the longest silence [s]; mixed is how often an
+    earlier sender went on after another one: two programs move the body.
     """
 
     heard: int = 0
@@ -49,6 +50,7 @@ class Tally:
     left_out: int = 0
     without: int = 0
     behind: int = 0
+    mixed: int = 0
     silence: float = 0.0
 
 
@@ -67,11 +69,18 @@ class Follower:
         self._queue: deque[bytes] = deque()
         self._lock = threading.Lock()
         self._too_large = 0
+        self._senders: list[str] = []
+        """Sessions that have sent poses, the latest last; "" for those that do not name themselves."""
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Queue a message, in a thread of zenoh."""
+        source = sample.source_info
+        sender = str(source.source_id.zid) if source else ""
         with self._lock:
             self.tally.heard += 1
+            if sender not in self._senders[-1:]:
+                self.tally.mixed += sender in self._senders
+                self._senders = [*(other for other in self._senders if other != sender), sender]
             if len(sample.payload) > BYTES * (1 + len(self.joints)):
                 self._too_large += 1
             elif not self.live.waits and self._queue:
@@ -173,6 +182,9 @@ class Followers:
     def _hear(self, follower: Follower, frame: int, dt: float) -> None:
         """Take the poses of a body for a frame: the next queued ones, or the newest."""
         heard, follower.heard = follower.heard or self._next(follower, frame), False
+        if follower.tally.mixed:
+            text = f"is moved by several programs at once, which all send to {self._key(follower)}: end all but one"
+            self._say(follower, "senders", text, frame)
         if follower.tally.left_out and follower.live.waits:
             self._say(follower, "full", f"was sent more than {MOST:,} poses ahead: those beyond are left out", frame)
         follower.since = 0.0 if heard else follower.since + dt
@@ -226,8 +238,9 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
         sent = BodyPoses.model_validate_json(payload)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place, message = ".".join(map(str, first["loc"])), str(first["msg"])
-        problem = f"no poses: {place}: {message}" if place else f"no poses, which are JSON: {message}"
+        place, message = ".".join(map(str, first["loc"])), str(first["msg"]).removeprefix("Value error, ")
+        kind = "no poses, which are JSON" if first["type"] == "json_invalid" else "no poses"
+        problem = ": ".join(filter(None, (kind, place, message)))
         remedy, value = (
             'for example {"position": [0, 1, 0], "rotation": [1, 0, 0, 0]}',
             payload[:60].decode(errors="replace"),

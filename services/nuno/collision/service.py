@@ -27,7 +27,7 @@ from nuno.collision.pairs import Mesh, NearPairs, mesh_of
 from nuno.collision.surfaces import NO_SURFACES, surface
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import recorded_poses
+from nuno.recording.restore import before_checkpoint, recorded_poses
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
@@ -99,7 +99,6 @@ class ClothCheck:
             return {}
         if len(points) != len(self.piece):
             raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
-        self.checked += 1
         mesh, (edge, face) = self.near.mesh, self.near.at(points)
         one, other = self.piece[mesh.edges[edge, 0]], self.piece[mesh.faces[face, 0]]
         meeting = self.meet[one, other]
@@ -112,18 +111,25 @@ class ClothCheck:
         edges, triangles, crossed = (
             np.concatenate([getattr(one, name) for one in crossings]) for name in ("edges", "triangles", "places")
         )
-        number, piece = len(crossed), np.concatenate([self.piece, len(self.meet) + self.body])
-        if distance is not None:
-            self.least = distance if self.least is None else min(self.least, distance)
+        piece = np.concatenate([self.piece, len(self.meet) + self.body])
         places = crossed[:MOST_PLACES].tolist()
         objects = [
             (self.names[a], self.names[b])
             for a, b in piece[np.stack([edges[:, 0], triangles[:, 0]], axis=1)[:MOST_PLACES]].tolist()
         ]
-        if number:
-            self.crossed, self.most = self.crossed + 1, max(self.most, number)
-            self.first = self.first or {"frame": header.frame, "t": header.t, "place": places[0], "objects": objects[0]}
-        return {"crossings": number, "places": places, "objects": objects, "distance": distance}
+        return {"crossings": len(crossed), "places": places, "objects": objects, "distance": distance}
+
+    def note(self, report: Penetration) -> None:
+        """Add a frame's results to those of all frames."""
+        if report.crossings is None:
+            return
+        self.checked += 1
+        if report.distance is not None:
+            self.least = report.distance if self.least is None else min(self.least, report.distance)
+        if report.crossings:
+            self.crossed, self.most = self.crossed + 1, max(self.most, report.crossings)
+            place, objects = report.places[0], report.objects[0]
+            self.first = self.first or {"frame": report.frame, "t": report.t, "place": place, "objects": objects}
 
     def summary(self) -> dict[str, Any]:
         """Return the results of all frames, for the report."""
@@ -281,20 +287,31 @@ class Collision:
             seconds=time.perf_counter() - start,
             **cloth,
         )
-        self.deepest, self.last = max(self.deepest, report.depth), report.depth
+        self.note(report)
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
         self.context.acknowledge(header.frame, header.t)
+
+    def note(self, report: Penetration) -> None:
+        """Add a frame's results to those of all frames."""
+        self.deepest, self.last = max(self.deepest, report.depth), report.depth
+        if self.cloth is not None:
+            self.cloth.note(report)
 
 
 def main(context: Context) -> None:
     """Serve one run's bodies, and check its cloth, until the query to finish."""
     scene = context.loaded.scene
-    if context.options.resume is not None and context.loaded.live:  # a separate process has read only the scene
+    earlier: list[dict[str, Any]] = []
+    if context.options.resume is not None:
         with open_recording(context.options.resume) as recording:
-            context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
+            if context.loaded.live:  # a separate process has read only the scene
+                context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
+            earlier = before_checkpoint(recording, [PENETRATION.name])
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
+    for fields in earlier:
+        collision.note(Penetration.model_validate(fields))
     inbox.answer(GEOMETRY_QUERY)
     inbox.answer(LIVE_BODIES_QUERY)
     inbox.answer(POSES_QUERY)

@@ -118,7 +118,10 @@ class Foreign:
 
     def _force(self, function: Callable[[Float, Float, float, Float], None]) -> Callable[..., None]:
         def add(x: Float, v: Float, t: float, out: Float) -> None:
-            self._call("its force", function, x, v, t, out)
+            returned = self._call("its force", function, x, v, t, out)
+            if returned is not None and returned is not out:
+                problem = f"its force returns {type(returned).__name__}, which nothing uses"
+                raise RunFailed(f"{self._label}: {problem}: add the force to `out` (n, 3) [N], in place")
             # The solver reports a state that is not finite already; earlier values of `out` are not this force's fault.
             if not np.isfinite(out).all() and np.isfinite(x).all() and np.isfinite(v).all():
                 alone = np.zeros_like(out)

@@ -39,6 +39,9 @@ class RecordedFile:
         self.owner: object = None
         """Owner of a temporary file, which keeps it until this object is gone."""
         try:
+            if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
+                remedy = "write it to a file, and give its name"
+                raise BadInput("no file, but a pipe or device, which is read only once", str(path), remedy=remedy)
             self._stream: BinaryIO = self.path.open("rb")
         except OSError as error:
             part = part_of(self.path)

@@ -211,19 +211,23 @@ def _fits(crc: int, data: bytes | memoryview) -> bool:
 
 
 def _check_end(stream: BinaryIO, data_end: DataEnd, at: int, size: int) -> None:
-    """Raise Damaged where the data before their end, at byte `at`, or the index after it, do not match their checksums.
-    The index itself is not needed.
+    """Raise Damaged where the data before their end, at byte `at`, or the index after it, do not match their checksums,
+    and _Absent where the file is cut after its data. The index itself is not needed.
     """
     crc = 0
     for piece in range(0, at if data_end.data_section_crc else 0, PIECE):
         crc = zlib.crc32(_read_at(stream, piece, min(PIECE, at - piece), size), crc)
-    footer, end = read_record(stream, size - FOOTER_SIZE - len(MAGIC), size)
-    begin = at + _HEAD.size + 4
+    begin = end = at + _HEAD.size + 4
+    record: McapRecord | None = None
+    while not isinstance(record, Footer):
+        record, end = read_record(stream, end, size)
     index = _read_at(stream, begin, end - 4 - begin, size)
-    if not isinstance(footer, Footer) or _read_at(stream, end, len(MAGIC), size) != MAGIC:
-        raise _Absent("no footer")
-    if crc != data_end.data_section_crc or not _fits(footer.summary_crc, index):
+    if crc != data_end.data_section_crc or not _fits(record.summary_crc, index):
         raise Damaged("a checksum of all data, or of the index, does not fit")
+    if _read_at(stream, end, len(MAGIC), size) != MAGIC:
+        raise Damaged("other bytes where its end is marked")
+    if left := size - end - len(MAGIC):
+        raise Damaged(f"{left:,} bytes follow its end")
 
 
 def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +37,11 @@ def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
     arrays, _ = recording.fabric(0.0)
     start, x = (arrays.get(name, np.zeros(0)) for name in SETTLED)
     return (start, x) if start.shape == x.shape and x.ndim == 2 and x.shape[1] == 3 else None
+
+
+def before_checkpoint(recording: Recording, topics: Iterable[str]) -> list[dict[str, Any]]:
+    """Return the JSON messages that a resumed run has before its first frame, for a report of the whole recording."""
+    return [recording.said(message) for message in recording.messages(topics, end=recording.common_checkpoint().t)]
 
 
 def copy_until(recording: Recording, writer: RecordingWriter) -> None:

@@ -84,11 +84,15 @@ def _open(path: Path) -> BinaryIO:
         raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None
     except OSError as error:
         remedy = "choose a folder that exists and can be written, with --record FILE"
+        if error.errno == errno.ENAMETOOLONG:
+            remedy = "choose a shorter name: 255 bytes at most with .part, which it has until its end"
         problem = f"cannot write there: {error.strerror}"
         raise BadInput(problem, field="--record", value=str(path), remedy=remedy) from None
 
 
 def _is_mcap(path: Path) -> bool:
+    if path.is_fifo():  # opening it waits for a writer
+        return False
     with path.open("rb") as stream:
         return stream.read(len(MAGIC)) == MAGIC
 

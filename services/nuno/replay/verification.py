@@ -135,8 +135,9 @@ def compare(recording: Recording, resimulation: Resimulation, progress: Progress
         if progress is not None:
             progress(stepper.t)
     if not equal:
-        if recording.damage:
-            raise RunFailed(f"{recording.path}: no frame is left to compare, for it is {recording.damage}")
+        if recording.recovered:
+            why = recording.damage or ("still being written" if recording.growing else "cut short")
+            raise RunFailed(f"{recording.path}: no frame is left to compare, for it is {why}")
         raise BadInput("the recording holds no digests to compare", str(recording.path))
     return result or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])
 

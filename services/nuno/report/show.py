@@ -52,6 +52,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
         if wall := report["wall_seconds"]:
             return [*rows, ("time", f"its services ended {duration(wall)} after its start without an account of it")]
         return [*rows, ("time", f"ended while it was prepared, after {duration(prepared)}")]
+    if report["began"]:
+        text = f"at {report['began']:g} s; time, solver, idle frames, poses and frames count from there"
+        rows.append(("resumed", f"{text}, all else from the recording's start"))
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
     speed = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
@@ -119,6 +122,7 @@ def _follower_text(counts: Report) -> str:
     """Return the counts of poses for a body that is moved from outside, in words."""
     text = f"{counts['heard']:,} poses came, {counts['used']:,} were used, {counts['refused']:,} refused"
     text += f", {counts['left_out']:,} left out for newer ones" if counts["left_out"] else ""
+    text += f", {counts['mixed']:,} by an earlier sender after another's" if counts.get("mixed") else ""
     behind = f", {counts['behind']:,} in which it was not yet at its goal" if counts["behind"] else ""
     return f"{text}; {counts['without']:,} frames without any{behind}; longest silence {counts['silence']:.2g} s"
 
@@ -169,8 +173,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         kinds = [kind for kind in last if first.get(kind) or last.get(kind)]
         text = ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds)
         rows.append(("energy", text or "0 J"))
-        since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
-        rows.append(("balance", _balance(first, last, report["left_out"]) + since))
+        rows.append(("balance", _balance(first, last, report["left_out"])))
     rows += [(operation["operation"], describe_start(operation["facts"])) for operation in report["arranged"]]
     stretch = report["stretch"]
     start_stretch = report.get("start_stretch") or 0.0

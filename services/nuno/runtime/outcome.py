@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from nuno.process import SIGNALS
+from nuno.recording.reader import Recording
+from nuno.recording.writer import part_of
 from nuno.runtime import intersections
 from nuno.runtime.plan import Plan
+from nuno_schemas.errors import BadInput
 
 
 @dataclass
@@ -31,3 +36,13 @@ class Outcome:
         if self.state in SIGNALS:
             return f"{self.state} by {SIGNALS[self.state]} before its end"
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
+
+    def recording(self, target: Path) -> Path | None:
+        """Return the run's recording, finished or not; None without one. The recorder names it, unless it has died."""
+        if (file := self.services.get("recorder", {}).get("file")) is not None:
+            return Path(file)
+        for path in (part_of(target), target):
+            with suppress(BadInput), Recording(path, scan=False) as recording:
+                if recording.metadata["run"].get("id") == self.run:
+                    return path
+        return None

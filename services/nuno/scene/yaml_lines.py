@@ -106,6 +106,9 @@ class _Reader:
         for key_node, child in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self._at(key_node, path, "a field name must be plain text", None, "write name: value")
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                remedy = "write its fields here; an alias may stand for a whole value: model: *name"
+                raise self._at(key_node, path, "merge keys of YAML are not supported", key_node.value, remedy)
             if key_node.tag != self._own_tag(key_node):
                 raise self._at(key_node, path, "YAML tags are not allowed", key_node.tag, "remove the tag")
             key = str(key_node.value)

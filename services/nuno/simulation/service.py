@@ -17,7 +17,7 @@ from nuno.bus.sessions import PATIENCE
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.plugin_contract import registry
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import SETTLED, settled_cloth
+from nuno.recording.restore import SETTLED, before_checkpoint, settled_cloth
 from nuno.runtime.driver import CONTROL, WINDOW, Driver
 from nuno.runtime.resimulation import resume
 from nuno.runtime.service import Context
@@ -32,7 +32,7 @@ from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import CONTACT, FABRIC, TOUCHES
+from nuno_schemas.messages import CONTACT, EVENT, FABRIC, STATUS, TOUCHES
 from nuno_schemas.system import StepReport
 
 # Queries to the collision service: geometry of the bodies, and their poses in each frame.
@@ -106,6 +106,10 @@ DYE_TIMEOUT = 20.0
 and than that of the run's end."""
 
 
+STANDING = "all cloth stands still"
+"""Beginning of the warning about cloth that contact holds where it is."""
+
+
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and replies to control requests."""
 
@@ -157,9 +161,18 @@ class ClothDriver(Driver):
     def publish_constant(self) -> None:
         """Publish the cloth, and the warnings about its start."""
         self.started = True
-        for text in self.warnings:
+        for text in self.warnings if self.simulation.frame == 0 else ():
             self.context.event("warning", text, self.simulation.frame, self.simulation.t)
         self.publish_fabric(self.simulation.frame)
+
+    def recall(self, earlier: list[dict[str, Any]]) -> None:
+        """Continue the report of the resumed recording, given its statuses and events before the checkpoint."""
+        warnings = [fields["text"] for fields in earlier if fields.get("kind") == "warning"]
+        self.warnings = list(dict.fromkeys([*self.warnings, *warnings]))
+        self.standing_warning = next((text for text in self.warnings if text.startswith(STANDING)), "")
+        for status in (fields for fields in earlier if "stretch" in fields):
+            self.energy = self.energy or [status["energy"]]
+            self._note_stretch(status["frame"], math.nan if status["stretch"] is None else status["stretch"])
 
     def step_frame(self) -> Stepped:
         """Step one frame and publish it, after cloth that a due operation changes."""
@@ -167,7 +180,7 @@ class ClothDriver(Driver):
             self.publish_fabric(self.simulation.frame + 1)
         stepped = super().step_frame()
         if stepped.report.counts.get("steps_without_motion") and not self.standing_warning:
-            self.standing_warning = f"all cloth stands still: {self.simulation.holds()}"
+            self.standing_warning = f"{STANDING}: {self.simulation.holds()}"
             self.warnings.append(self.standing_warning)
             self.context.event("warning", self.standing_warning, self.simulation.frame, self.simulation.t)
         return stepped
@@ -318,9 +331,11 @@ def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
     poses = take_poses(context, 0, ask_poses(context, 0)) if geometry is not None else None
+    earlier: list[dict[str, Any]] = []
     if context.options.resume is not None:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
             context.loaded.settled = settled_cloth(recording)
+            earlier = before_checkpoint(recording, [STATUS.name, f"{EVENT.name}/simulation"])
 
     watchdog = FrameWatchdog(context)
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watchdog.leave)
@@ -332,4 +347,6 @@ def main(context: Context) -> None:
         resume(simulation, context.options.resume)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it
     simulation.rehearse()
-    ClothDriver(context, simulation, watchdog).serve()
+    driver = ClothDriver(context, simulation, watchdog)
+    driver.recall(earlier)
+    driver.serve()
