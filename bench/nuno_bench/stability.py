@@ -249,8 +249,7 @@ def measure_all(
     known = {(point.axis, point.value, point.solver) for point in points}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
-        say("compiling, where that has not been done")
-        compile_all(settings[0], solvers)
+        compile_all(settings[0], solvers, say)
     deadline = time.monotonic() + budget
     most = 0.5 * executor.width * budget / max(1, sum(map(len, wanted.values())))
     # Taken when it can be started: clocks of other machines would make nothing of a deadline.
@@ -274,10 +273,12 @@ def measure_all(
     return points, omissions
 
 
-def compile_all(setting: Variant, solvers: Sequence[str]) -> None:
+def compile_all(setting: Variant, solvers: Sequence[str], say: Callable[[str], None]) -> None:
     """Call every solver once: processes of this machine then load the kernels that this one compiled."""
     problem = pose(setting)
-    for plugin in (registry.load(Problem.group, name) for name in (PRIMARY, *solvers)):
+    for name in (PRIMARY, *solvers):
+        say(f"compiling {name}, where that has not been done")
+        plugin = registry.load(Problem.group, name)
         with contextlib.suppress(BadInput):
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
@@ -398,6 +399,9 @@ def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Ex
     say(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
     with kept:
         points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
+    if all(point.outcome == "left out" for point in points):
+        why = "; ".join([*omissions, *lost][:2])
+        raise RunFailed(f"{path.stem}: no point was measured in {duration(args.budget)} ({why}); more time: --budget")
     found = StabilityMap(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {summary(found)}")
     print(counts(points).text())

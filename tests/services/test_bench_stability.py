@@ -218,6 +218,12 @@ def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, cap
     assert "http://" not in page.replace("http://www.w3.org", "")
 
 
+def test_a_map_without_a_measured_point_is_a_failure(scene: Path, tmp_path: Path, capsys: Any) -> None:
+    flags = ["--solvers", "leapfrog", "--budget", "1e-6", "--jobs", "1", "--out", str(tmp_path / "out")]
+    assert main(["bench", "stability", str(scene), *flags]) == 1
+    assert "--budget" in capsys.readouterr().err and not list((tmp_path / "out").glob("*.html"))
+
+
 def test_bad_arguments_are_refused_before_anything_runs(scene: Path, tmp_path: Path, capsys: Any) -> None:
     for flags, word in (
         (["--solvers", "leapfog"], "leapfrog"),
