@@ -218,6 +218,7 @@ def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, cap
     assert "http://" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.full
 def test_a_map_without_a_measured_point_is_a_failure(scene: Path, tmp_path: Path, capsys: Any) -> None:
     flags = ["--solvers", "leapfrog", "--budget", "1e-6", "--jobs", "1", "--out", str(tmp_path / "out")]
     assert main(["bench", "stability", str(scene), *flags]) == 1
