@@ -116,7 +116,7 @@ def test_whoever_waits_for_a_long_frame_is_told_why(
     leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The frame ends only once it is said."""
-    monkeypatch.setattr("nuno.bus.pending_reply.WAITING_AFTER", 0.05)
+    monkeypatch.setattr("nuno.bus.query.WAITING_AFTER", 0.05)
     said = Opened(leave[1])
     monkeypatch.setattr(sys, "stderr", said)
     assert main(["control", leave[0].run, "pause"]) == 0

@@ -19,7 +19,7 @@ from recorded_sheet import REPORT_TEXT, Item, Sheet, items
 from scenes import write_scene
 
 import nuno
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
 from nuno.recorder import service

@@ -18,7 +18,7 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus.pending_reply import PendingReply
+from nuno.bus.query import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recording.restore import control_events

@@ -18,7 +18,7 @@ import pytest
 from scenes import write_scene
 from viewer_run import messages
 
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
 from nuno.runtime.service import Options, ack_topic, run_service

@@ -12,8 +12,7 @@ from scenes import write_scene
 from nuno.bus.encodings import encode_arrays, encode_points
 from nuno.scene import scene_file
 from nuno.simulation.cloth import build
-from nuno.simulation.cloth.tension import SPAN, Tensions, tension_arrays
-from nuno.simulation.cloth.yarns import structural_edges
+from nuno.simulation.cloth.yarns import SPAN, Tensions, structural_edges, tension_arrays
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.messages import FABRIC, STATE

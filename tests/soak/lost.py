@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at, identity
 from nuno.recording.gaps import count_gaps

@@ -9,7 +9,7 @@ from typing import Any
 
 from nuno.api.words import in_python
 from nuno.bus.encodings import decode_arrays, decode_picture, decode_points
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.bus.messages import ALL, Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.runtime import runs

@@ -15,8 +15,7 @@ from typing import Any
 import zenoh
 from pydantic import ValidationError
 
-from nuno.bus.pending_reply import PendingReply
-from nuno.bus.query import Query
+from nuno.bus.query import PendingReply, Query
 from nuno.bus.sessions import direct
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed

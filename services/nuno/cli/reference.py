@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator
 
 from nuno import cli
-from nuno.cli.reference_tables.markdown import plain, table
+from nuno.cli.reference_tables.fields import plain, table
 
 INTRODUCTION = """\
 # Commands

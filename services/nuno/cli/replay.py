@@ -10,8 +10,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno.bus.health import offer_health
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
 from nuno.cli.common import add_config, add_flags, warn

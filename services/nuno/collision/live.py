@@ -17,7 +17,7 @@ import numpy as np
 import zenoh
 from pydantic import ValidationError
 
-from nuno.bus.pending_reply import WAITING_AFTER
+from nuno.bus.query import WAITING_AFTER
 from nuno.runtime.service import Context
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed

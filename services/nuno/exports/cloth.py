@@ -19,8 +19,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.scene.recorded_scene import restored_scene
 from nuno.simulation.cloth import build
-from nuno.simulation.cloth.pressure import find_pressure, has_pressure
-from nuno.simulation.cloth.tension import Tensions
+from nuno.simulation.cloth.yarns import Tensions, find_pressure, has_pressure
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput

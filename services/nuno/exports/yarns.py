@@ -21,8 +21,7 @@ from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.cloth.build import build_fabric
-from nuno.simulation.cloth.pressure import find_pressure, has_pressure
-from nuno.simulation.cloth.yarns import structural_edges
+from nuno.simulation.cloth.yarns import find_pressure, has_pressure, structural_edges
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.operation import YarnCurves

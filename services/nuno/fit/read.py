@@ -18,7 +18,7 @@ from nuno.recording.reader import Recording
 from nuno.replay.frame_state import FrameState, states
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.pressure import named_heights
+from nuno.simulation.cloth.yarns import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float, Int, Membrane

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.reader import Recording

@@ -15,8 +15,7 @@ from pydantic import ValidationError
 
 from nuno.bus.encodings import encode_arrays
 from nuno.bus.messages import Inbox, Message
-from nuno.bus.pending_reply import WAITING_AFTER
-from nuno.bus.query import Query
+from nuno.bus.query import WAITING_AFTER, Query
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.recorded import Checkpoint
 from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import zenoh
 
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch
 from nuno.runtime.plan import Plan
 from nuno.runtime.service import Options, run_service
 from nuno.scene.scene_file import Loaded

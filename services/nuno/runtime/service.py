@@ -18,8 +18,7 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from nuno.bus.health import offer_health
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.query import Query
 from nuno.process import SIGNALS, state_of, working_folder

@@ -14,8 +14,7 @@ from typing import Any
 
 import zenoh
 
-from nuno.bus.health import offer_health
-from nuno.bus.liveliness import Watch
+from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import cut_off, hub_at, identity, spoke
 from nuno.bus.slow_consumers import SlowConsumers

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.pending_reply import PendingReply, Refused, pauses
+from nuno.bus.query import PendingReply, Refused, pauses
 from nuno.bus.sessions import PATIENCE
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.plugin_contract import registry
@@ -24,10 +24,16 @@ from nuno.runtime.service import Context
 from nuno.runtime.stepper import Stepped
 from nuno.runtime.watchdog import FrameWatchdog
 from nuno.simulation.body_forces import feel, require_touched
-from nuno.simulation.cloth.pressure import find_pressure, has_pressure
 from nuno.simulation.cloth.start_checks import start_warnings
-from nuno.simulation.cloth.tension import tension_arrays
-from nuno.simulation.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
+from nuno.simulation.cloth.yarns import (
+    edge_yarns,
+    find_pressure,
+    has_pressure,
+    measure_courses,
+    measure_yarns,
+    structural_edges,
+    tension_arrays,
+)
 from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Geometry, Poses

@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from nuno.cli.reference_tables.markdown import anchor, plain, table
 from nuno.plugin_contract import registry
 from nuno.scene.json_schema import PLACES, scene_schema
 from nuno_schemas.plugin import GROUPS
+
+# Elements of a Markdown page.
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table of rows under headings, without empty columns."""
+    used = [i for i in range(len(headings)) if not rows or any(row[i] for row in rows)]
+    lines = [[line[i].replace("|", "\\|") for i in used] for line in (headings, ["---"] * len(headings), *rows)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def plain(text: str | None) -> str:
+    """Return a docstring's first paragraph in one line, with markup characters escaped."""
+    paragraph = " ".join((text or "").strip().split("\n\n")[0].split())
+    return paragraph.replace("*", "\\*").replace("<", "\\<")
+
+
+def anchor(heading: str) -> str:
+    """Return the anchor of a heading of letters, digits, blanks, brackets and underscores, as code hosts make it."""
+    return heading.lower().replace(" ", "-").replace("(", "").replace(")", "").replace(".", "")
+
 
 INTRODUCTION = """\
 # Scene fields

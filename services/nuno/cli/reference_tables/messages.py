@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from nuno.cli.reference_tables.markdown import table
+from nuno.cli.reference_tables.fields import table
 from nuno_schemas.messages import MODELS, POSES, TOPICS, Header, Topic
 
 FOXGLOVE = "https://docs.foxglove.dev/docs/visualization/message-schemas/introduction"
