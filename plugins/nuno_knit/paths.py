@@ -99,13 +99,13 @@ def mean_length(paths: Paths, x: Float) -> float:
 # or back, and that of the upper course from a sinker into a leg, or back. Each turns beyond the other, so that they
 # cross twice (drawn for the left side of a loop, legs up and arcs to the right):
 #
-#           leg of the upper course              At distance delta from the point along both axes:
-#               |                               x  turns, each displaced away from its own links
-#       x-------+------ head of the lower          +  crossings, where a leg passes over an arc
+#           leg of the upper course          At distance delta from the point along both axes:
+#               |                             x  turns, each displaced away from its own links
+#       x-------+------ head of the lower      +  crossings, where a leg passes over an arc
 #       |   o   |
-#     --+-------x                               Legs lie in front of heads and sinkers, as on the face of plain knit,
-#       |  sinker of the upper                  a turn half way between; so heads reach beyond the legs that they
-#     leg of the lower                            hold, sinkers likewise, and loops narrow at their feet.
+#     --+-------x                             Legs lie in front of heads and sinkers, as on the face of plain knit,
+#       |  sinker of the upper                a turn half way between; so heads reach beyond the legs that they
+#     leg of the lower                        hold, sinkers likewise, and loops narrow at their feet, as do real ones.
 #
 # Each link gives four points: its turn, the crossing near its start, its middle and the crossing near its end. In its
 # middle an arc is bowed outwards by `BOW` of its ends' displacement. This shape is prescribed, not a result of bending:
