@@ -105,7 +105,7 @@ def mean_length(paths: Paths, x: Float) -> float:
 #       |   o   |
 #     --+-------x                             Legs lie in front of heads and sinkers, as on the face of plain knit,
 #       |  sinker of the upper                a turn half way between; so heads reach beyond the legs that they
-#     leg of the lower                          hold, sinkers likewise, and loops narrow at their feet, as do real ones.
+#     leg of the lower                        hold, sinkers likewise, and loops narrow at their feet, as do real ones.
 #
 # Each link gives four points: its turn, the crossing near its start, its middle and the crossing near its end. In its
 # middle an arc is bowed outwards by `BOW` of its ends' displacement. This shape is prescribed, not a result of bending:
