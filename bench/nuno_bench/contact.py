@@ -104,7 +104,7 @@ def made_of(seed: int, scene: dict[str, Any]) -> PileOutcome:
     cloths = {model.get("cells", "skirt" if model["plugin"] == "skirt" else CLOTHS[-1]) for model in models}
     body = "wearer" if worn else bodies[0]["collider"]["plugin"] if bodies else "none"
     return PileOutcome(seed, scene["solver"]["plugin"], body, tuple(sorted(fabrics)), tuple(sorted(cloths)),
-                  scene["frame_rate"])  # fmt: skip
+                       scene["frame_rate"])  # fmt: skip
 
 
 def watch(simulation: Simulation, found: PileOutcome) -> PileOutcome:

@@ -90,20 +90,20 @@ def _engine(module: str, made: str, settings: Mapping[str, Setting], posed: str)
 
 SHEET_KINDS = (
     Engine("nuno-auto", "", "nuno_bench.peers.python", "Nuno",
-         {f"accuracy {one}": {"solver": "plugin: auto", "accuracy": one} for one in ("preview", "normal")},
-         f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."),
+           {f"accuracy {one}": {"solver": "plugin: auto", "accuracy": one} for one in ("preview", "normal")},
+           f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."),
     _nuno("python.Nuno", KERNELS, "symplectic_euler", "", "auto", "240"),
     _nuno("python.Nuno", KERNELS, "leapfrog", "", "auto", "240"),
     _nuno("python.Nuno", KERNELS, "dopri5", "tolerance: 1e-6, ", "auto"),
     _nuno("python.Nuno", KERNELS, "tr_bdf2", "residual: 1e-2, ", "1", "2", "4"),
     _nuno("python.Nuno", KERNELS, "implicit_euler", "residual: 1e-2, ", "1", "4"),
     Engine("numpy", "", "nuno_bench.peers.python", "NumPy", _at(7500) | _at(15000),
-         f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
+           f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
     Engine("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
-         {f"{method}, tolerance {rtol:.0e}": {"method": method, "rtol": rtol}
+           {f"{method}, tolerance {rtol:.0e}": {"method": method, "rtol": rtol}
           for method, rtol in (("RK45", 1e-3), ("RK45", 1e-5), ("DOP853", 1e-4))},
-         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their "
-         "matrices has 24,576 columns."),
+           f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their "
+           "matrices has 24,576 columns."),
     _engine("mujoco", "Edges", _at(7500) | _at(10000),
             f"{EXACT}: springs of equal constants are a 1D flex, whose edges have that stiffness and damping; drag is "
             "an applied force. MuJoCo integrates such edges explicitly only, so integrator=Euler."),
@@ -133,7 +133,7 @@ PILE_KINDS = (
             "bending of their folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm "
             "unless a part of the solver is changed, as it is here but for a row."),
     Engine("ipctk", "ipctk", "", "", {},
-         "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
+           "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
 )  # fmt: skip
 SKIRT_KINDS = (
     _nuno("skirt.SkirtSolver", SKIRT, "respa", "", "auto"),

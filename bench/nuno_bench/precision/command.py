@@ -405,7 +405,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     digest = hashlib.blake2b(json.dumps(loaded.data, sort_keys=True, default=str).encode(), digest_size=16).hexdigest()
     kept = SweepFile(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume, say)
     say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
-         f"from {path}")  # fmt: skip
+        f"from {path}")  # fmt: skip
     problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, _own(args.solvers, registry.installed(problem.group)))
     solvers, own = add_own(problem, solvers)

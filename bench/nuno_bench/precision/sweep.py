@@ -244,7 +244,7 @@ class Runner:
         A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
         """
         point = SolverPoint(solver.name, setting.label, solver.kind, solver.order, setting.finer, setting.beyond,
-                      "refused", "", (), {}, {}, share=setting.share)  # fmt: skip
+                            "refused", "", (), {}, {}, share=setting.share)  # fmt: skip
         try:
             config = solver.config(setting)
             run = self.problem.run(solver.plugin, config, setting.steps, most_seconds)
