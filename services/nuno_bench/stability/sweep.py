@@ -239,8 +239,7 @@ def measure_all(
     known = {(point.axis, point.value, point.solver) for point in points}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
-        say("compiling, where that has not been done")
-        compile_all(settings[0], solvers)
+        compile_all(settings[0], solvers, say)
     deadline = time.monotonic() + budget
     most = 0.5 * executor.width * budget / max(1, sum(map(len, wanted.values())))
     # Taken when it can be started: clocks of other machines would make nothing of a deadline.
@@ -256,6 +255,9 @@ def measure_all(
             if all(point.outcome != "left out" for point in row):
                 kept.add({"points": [vars(point) for point in row]})
     places = {(s.axis, s.value): i for i, s in enumerate(settings)}
+    if all(point.outcome == "left out" for point in points):
+        why = f" ({omissions[0]})" if omissions else ""
+        raise RunFailed(f"no point was measured within {budget:g} s{why}: give a longer --budget, or fewer --solvers")
     points.sort(key=lambda point: (places[point.axis, point.value], solvers.index(point.solver), -point.dt))
     if any(setting.axis == "mesh" for setting in settings):
         points += [replace(one, axis="mesh") for one in points if (one.axis, one.value) == ("stiffness", 1.0)]
@@ -264,11 +266,14 @@ def measure_all(
     return points, omissions
 
 
-def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
+def compile_all(setting: Setting, solvers: Sequence[str], say: Callable[[str], None] = lambda text: None) -> None:
     """One call of every solver: processes of this machine then load what this one compiled."""
     problem = pose(setting)
-    for plugin in (registry.load(Problem.group, name) for name in (PRIMARY, *solvers)):
-        with contextlib.suppress(BadInput):
+    names = tuple(dict.fromkeys((PRIMARY, *solvers)))
+    for number, name in enumerate(names, 1):
+        say(f"compiling, where that has not been done: {name}, {number} of {len(names)}")
+        plugin = registry.load(Problem.group, name)
+        with contextlib.suppress(BadInput, RunFailed):
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
 
@@ -276,8 +281,10 @@ def measure_setting(task: Task) -> list[list[Point]]:
     """The points of each solver of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
-    deadline, setting = time.monotonic() + task.left, task.setting
+    setting = task.setting
     problem, plugin = pose(setting), registry.load(Problem.group, PRIMARY)
+    compile_all(setting, task.solvers)  # here, too, what was compiled takes its time to load
+    deadline = time.monotonic() + task.left
     # The same steps for every stiffness: those of the scene's own.
     omega = pose(replace(setting, axis="mesh")).limit(plugin, plugin.Config()).omega
     counts, reference = step_counts(problem.frame, float(omega)), make_reference(problem)
@@ -301,7 +308,6 @@ def measure_row(
     config, points, each, limit = plugin.Config(), list[Point](), 0.0, math.nan
     with contextlib.suppress(BadInput, RunFailed):
         limit = problem.limit(plugin, config).dt
-        problem.first_call(plugin, config, 1, 0)  # compiles
     for count in sorted(counts):
         dt, edge = problem.frame / count, shortest(problem.fabric)
         point = Point(setting.axis, setting.value, edge, solver, limit, dt, "refused")
