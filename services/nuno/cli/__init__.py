@@ -1,4 +1,4 @@
-"""The `nuno` command. Exit codes: 0 done, 1 failed, diverged or ended by Ctrl-C or SIGTERM, 2 bad input."""
+"""The `nuno` command. Exit codes: 0 done, 1 failed, diverged or ended by a signal, 2 bad input."""
 
 from __future__ import annotations
 
@@ -31,10 +31,7 @@ COMMANDS = {
     "studio": ("nuno.cli.studio", "a page for scenes, runs and recordings, in the browser"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),
-    "bench": (
-        "nuno_bench.cli",
-        "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
-    ),
+    "bench": ("nuno_bench.cli", "measurements: speed, integrators, precision, accuracy, compare, stability, peers"),
     "sweep": ("nuno_bench.sweep.command", "a scene run for each combination of values of its fields, in one table"),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": (

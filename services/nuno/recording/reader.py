@@ -154,7 +154,7 @@ class Recording(RecordedFile):
 
     def _no_checkpoint(self) -> BadInput:
         problem = "the recording holds no checkpoint: its run ended before the first"
-        remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=1s"
+        remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=0.1s"
         if self.damage:
             problem = f"the recording is {self.damage}, and holds no checkpoint before that"
             remedy = "take another copy, or run its scene again"
