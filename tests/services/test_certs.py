@@ -165,7 +165,7 @@ def test_a_hub_that_is_there_and_that_no_session_reaches_is_told_from_none(tmp_p
         ):
             with (
                 pytest.raises(BadInput, match="something listens there") as caught,
-                spoke(endpoint, config and str(config), 0.1),
+                spoke(endpoint, str(config) if config else None, 0.1),
             ):
                 pass
             assert "--config: authority" in str(caught.value)
