@@ -265,6 +265,9 @@ def measure_all(
             if all(point.outcome != "left out" for point in row):
                 kept.add({"points": [vars(point) for point in row]})
     places = {(s.axis, s.value): i for i, s in enumerate(settings)}
+    if all(point.outcome == "left out" for point in points):
+        why = f" ({omissions[0]})" if omissions else ""
+        raise RunFailed(f"no point was measured within {budget:g} s{why}: give a longer --budget, or fewer --solvers")
     points.sort(key=lambda point: (places[point.axis, point.value], solvers.index(point.solver), -point.dt))
     if any(setting.axis == "mesh" for setting in settings):
         points += [replace(one, axis="mesh") for one in points if (one.axis, one.value) == ("stiffness", 1.0)]
@@ -273,13 +276,14 @@ def measure_all(
     return points, omissions
 
 
-def compile_all(setting: Variant, solvers: Sequence[str], say: Callable[[str], None]) -> None:
-    """Call every solver once: processes of this machine then load the kernels that this one compiled."""
+def compile_all(setting: Variant, solvers: Sequence[str], say: Callable[[str], None] = lambda text: None) -> None:
+    """One call of every solver: processes of this machine then load what this one compiled."""
     problem = pose(setting)
-    for name in (PRIMARY, *solvers):
-        say(f"compiling {name}, where that has not been done")
+    names = tuple(dict.fromkeys((PRIMARY, *solvers)))
+    for index, name in enumerate(names, 1):
+        say(f"compiling, where that has not been done: {name}, {index} of {len(names)}")
         plugin = registry.load(Problem.group, name)
-        with contextlib.suppress(BadInput):
+        with contextlib.suppress(BadInput, RunFailed):
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
 
@@ -287,8 +291,10 @@ def measure_setting(task: Task) -> list[list[MapPoint]]:
     """The points of each solver of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
-    deadline, setting = time.monotonic() + task.left, task.setting
+    setting = task.setting
     problem, plugin = pose(setting), registry.load(Problem.group, PRIMARY)
+    compile_all(setting, task.solvers)  # here, too, what was compiled takes its time to load
+    deadline = time.monotonic() + task.left
     # The same steps for every stiffness: those of the scene's own.
     omega = pose(replace(setting, axis="mesh")).limit(plugin, plugin.Config()).omega
     counts, reference = step_counts(problem.frame, float(omega)), make_reference(problem)
@@ -312,7 +318,6 @@ def measure_row(
     config, points, each, limit = plugin.Config(), list[MapPoint](), 0.0, math.nan
     with contextlib.suppress(BadInput, RunFailed):
         limit = problem.limit(plugin, config).dt
-        problem.first_call(plugin, config, 1, 0)  # compiles
     for count in sorted(counts):
         dt, edge = problem.frame / count, shortest(problem.fabric)
         point = MapPoint(setting.axis, setting.value, edge, solver, limit, dt, "refused")
@@ -399,9 +404,6 @@ def _map(args: argparse.Namespace, path: Path, solvers: Sequence[str], where: Ex
     say(f"at most {duration(args.budget)}, and what compiling takes; --resume goes on from {kept.path}")
     with kept:
         points, lost = measure_all(settings, solvers, kept, args.budget, where, say)
-    if all(point.outcome == "left out" for point in points):
-        why = "; ".join([*omissions, *lost][:2])
-        raise RunFailed(f"{path.stem}: no point was measured in {duration(args.budget)} ({why}); more time: --budget")
     found = StabilityMap(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {summary(found)}")
     print(counts(points).text())

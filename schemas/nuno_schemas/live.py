@@ -15,8 +15,7 @@ ALL_BUT = 1.0 - 1e-9
 """A joint that has gone this share of the way has arrived."""
 
 
-Number = Annotated[float, Strict()]
-"""No text, and no truth value."""
+Number = Annotated[float, Strict()]  # no text, no truth value
 
 
 class BodyPoses(BaseModel):

@@ -141,11 +141,12 @@ def check_compiler() -> None:
 
 
 class Terminated(KeyboardInterrupt):
-    """The process received SIGTERM, and ends as on Ctrl-C."""
+    """The process received SIGTERM or SIGHUP, and ends as on Ctrl-C."""
 
 
-SIGNALS = {"interrupted": "SIGINT (Ctrl-C)", "terminated": "SIGTERM"}
+SIGNALS = {"interrupted": "SIGINT (Ctrl-C)", "terminated": "SIGTERM or SIGHUP"}
 """Signals that end a run, by its state."""
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def state_of(ended: KeyboardInterrupt) -> str:
@@ -154,17 +155,19 @@ def state_of(ended: KeyboardInterrupt) -> str:
 
 
 def end_when_terminated() -> None:
-    """Handle SIGTERM, which service managers and containers send, like Ctrl-C: an end in order."""
+    """Handle SIGTERM of service managers, and SIGHUP unless nohup ignores it, like Ctrl-C: an end in order."""
 
     def terminate(number: int, frame: FrameType | None) -> NoReturn:
         raise Terminated
 
-    signal.signal(signal.SIGTERM, terminate)
+    for number in ENDING[1:]:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, terminate)
 
 
 @contextlib.contextmanager
 def ending_at_once(after: int = 2) -> Iterator[None]:
-    """End the process at the second SIGINT or SIGTERM, in any state.
+    """End the process at the second of the signals ENDING, in any state.
 
     Python runs handlers only in the main thread, which may be compiling or waiting in foreign code; so a
     thread counts the signals.
@@ -214,7 +217,7 @@ def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) ->
 def _count_signals(source: int, after: int) -> None:
     seen = 0
     while numbers := os.read(source, 64):
-        seen += sum(number in (signal.SIGINT, signal.SIGTERM) for number in numbers)
+        seen += sum(number in ENDING for number in numbers)
         if seen >= after:
             os.write(2, b"ended at once\n")
             end_process(1)

@@ -114,6 +114,7 @@ def test_a_scene_takes_and_lets_go_by_itself(tmp_path: Path) -> None:
     [
         ("attach: {body: bal}", "there is no such body.*\n.*bal.*\n.*did you mean 'ball'"),
         ("attach: {body: ball, frame: palm}", "ball has no such frame.*\n.*palm.*\n.*known: body"),
+        ("attach: {body: ball, within: 1 km}", "within: out of range"),
         ("attach: {body: ball, within: 1 um}", "nothing of the cloth is within reach of ball"),
         ("attach: {body: ball, vertices: [3, 3]}", "named twice"),
         ("attach: {body: ball, vertices: [25]}", "no such vertex.*\n.*25.*\n.*0 to 24"),

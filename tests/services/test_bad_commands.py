@@ -37,6 +37,11 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
     "threads in words": (["run", "SCENE", "--threads", "two"], "--threads"),
     "run id with a slash": (["run", "SCENE", "--run", "../x"], "--run: not a run's name"),
     "run id that is a pattern": (["run", "SCENE", "--run", "*"], "--run: not a run's name"),
+    "run id of the last run": (["run", "SCENE", "--run", "last"], "last means the last run: choose another"),
+    "port beyond all": (["run", "SCENE", "--connect", "tcp/127.0.0.1:99999"], "with a port up to 65535"),
+    "no port": (["run", "SCENE", "--listen", "tcp/127.0.0.1"], "not an endpoint"),
+    "port of a router": (["serve", "router", "--listen", "tls/127.0.0.1:x"], "not an endpoint"),
+    "name that is too long": (["run", "SCENE", "--record", f"{'a' * 246}.mcap"], "choose a shorter name"),
     "empty run id": (["run", "SCENE", "--run", ""], "--run: not a run's name"),
     "endpoint without protocol": (["run", "SCENE", "--listen", "7447"], "for example tcp/127.0.0.1:7447"),
     "no such configuration": (["run", "SCENE", "--config", "FOLDER/none.json5"], "--config: cannot be read"),
@@ -96,7 +101,7 @@ def test_recordings_that_cannot_be_written(refused: Refused, tmp_path: Path) -> 
         "other.mcap": "what is there is no recording and would be lost",
         "open.mcap": "an unfinished recording is there",
         "chain.npz": "a recording's name ends in .mcap",
-        "chain.npz/run.mcap": "cannot be written: it is a file",
+        "chain.npz/run.mcap": "cannot be written: File exists",
     }.items():
         said = refused("run", scene, "--no-view", "--record", tmp_path / name)
         assert words in said

@@ -15,6 +15,7 @@ from refusals import largest_file
 
 from nuno.bus import certificates, credentials_folder
 from nuno.bus.credentials_folder import IN, access_control, read_rights
+from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
 from nuno.runtime.service import MODULES, SUPERVISOR
 from nuno_schemas.errors import BadInput
@@ -150,3 +151,32 @@ def test_what_is_not_allowed_is_denied() -> None:
         sent = [rules[name] for name in policy["rules"] if rules[name]["flows"] == [IN]]
         own = {key for rule in sent for key in rule["key_exprs"] if "put" in rule["messages"]}
         assert own == {f"nuno/*/{topic}" for topic in read_rights()[policy["subjects"][0]].publishes}
+
+
+def test_a_hub_that_is_there_and_that_no_session_reaches_is_told_from_none(tmp_path: Path) -> None:
+    credentials_folder.make(tmp_path / "ours", ("127.0.0.1",), ["router", "operator"], 1)
+    credentials_folder.make(tmp_path / "theirs", ("127.0.0.1",), ["operator"], 1)
+    port, ours = free_port(), tmp_path / "ours"
+    with hub(f"tls/127.0.0.1:{port}", str(ours / "router.json5")):
+        for endpoint, config in (
+            (f"tls/127.0.0.1:{port}", tmp_path / "theirs" / "operator.json5"),
+            (f"tls/localhost:{port}", ours / "operator.json5"),
+            (f"tcp/127.0.0.1:{port}", None),
+        ):
+            with (
+                pytest.raises(BadInput, match="something listens there") as caught,
+                spoke(endpoint, str(config) if config else None, 0.1),
+            ):
+                pass
+            assert "--config: authority" in str(caught.value)
+        with spoke(f"tls/127.0.0.1:{port}", str(ours / "operator.json5"), 5.0):
+            pass
+    with pytest.raises(BadInput, match="nothing answers there"), spoke(f"tcp/127.0.0.1:{free_port()}", None, 0.1):
+        pass
+
+
+def test_a_service_refuses_the_certificate_of_another_role(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    credentials_folder.make(tmp_path / "certs", ("127.0.0.1",), ["recorder"], 1)
+    words = ["serve", "collision", "hanging-sheet", "--run", "r1", "--connect", "tls/127.0.0.1:1", "--config"]
+    assert main([*words, str(tmp_path / "certs" / "recorder.json5")]) == 2
+    assert "this is the certificate of recorder" in capsys.readouterr().err

@@ -19,6 +19,7 @@ from live_run import Run, wait_until
 from scenes import write_chain, write_scene
 
 import nuno
+from nuno import process
 from nuno.runtime import launch, watchdog
 from nuno.runtime.watchdog import FrameWatchdog
 from nuno.scene import scene_file
@@ -237,3 +238,17 @@ def test_a_process_that_is_not_ready_is_terminated_where_the_run_ends(monkeypatc
     with launch.processes(some, some, scene, "", "", unready) as exited:
         assert not exited()
     assert exited() == {"simulation": "ended by SIGTERM"}
+
+
+def test_a_closed_terminal_ends_a_run_in_order_and_nohup_is_heeded() -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        process.end_when_terminated()
+        with pytest.raises(process.Terminated):
+            signal.raise_signal(signal.SIGHUP)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        process.end_when_terminated()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

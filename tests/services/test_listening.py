@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from nuno.bus.sessions import free_port, hub
 from soak import scenes
 from soak.processes import Processes
 
@@ -70,3 +71,9 @@ def test_the_hub_is_not_reached_by_the_machines_outer_addresses(tmp_path: Path) 
         for address in outer:
             assert connects(address, everywhere.getsockname()[1]), "one that listens for all is reached"
             assert not connects(address, port)
+
+
+def test_a_hub_that_others_reach_without_a_certificate_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    for host in ("0.0.0.0", "127.0.0.1", "localhost"):
+        with hub(f"tcp/{host}:{free_port()}"):
+            assert ("nuno certs makes certificates" in capsys.readouterr().err) == (host == "0.0.0.0")

@@ -133,8 +133,10 @@ def test_a_log_on_a_full_disk_is_given_up_with_a_word(capsys: pytest.CaptureFixt
 def test_lines_go_to_standard_output_for_a_dash(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path, duration=0.04)
     assert main(["run", str(scene), "--no-record", "--no-view", "--log", "-"]) == 0
-    told = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    said = capsys.readouterr()
+    told = [json.loads(line) for line in said.out.splitlines()]
     assert [told[0]["message"], told[-1]["message"]] == ["start", "end: done"]
+    assert "\ndigest " in said.err
 
 
 def test_a_reader_of_the_log_that_leaves_is_told_of_in_one_line(

@@ -158,9 +158,10 @@ def test_a_file_that_changes_before_the_run_begins_is_refused(tmp_path: Path, mo
 def test_services_that_step_go_on_from_a_recording_where_the_run_does(tmp_path: Path) -> None:
     own = premises_of(scene_file.read(write_scene(tmp_path)), True)
     anew = own | {"resumes": False}
-    assert compare("collision", anew, own) == []
-    with pytest.raises(BadInput, match="the simulation service starts anew, the run does not"):
-        compare("simulation", anew, own)
+    assert compare("viewer", anew, own) == []
+    for service in ("simulation", "collision"):
+        with pytest.raises(BadInput, match=f"the {service} service starts anew, the run does not"):
+            compare(service, anew, own)
 
 
 def test_long_values_are_cut_short(tmp_path: Path) -> None:

@@ -124,3 +124,17 @@ def test_services_that_are_left_end_with_1_where_the_run_failed(
     by_hand.start("run", "run", "--no-view")
     assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [1, 1, 1]
     assert "failed: the run failed: the simulation service died: the loom" in capsys.readouterr().err
+
+
+def test_services_name_the_hub_that_has_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = listen(monkeypatch)
+    write_scene(tmp_path)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with hub(endpoint):
+        by_hand = ByHand(tmp_path, endpoint)
+        by_hand.serve("recorder", "simulation")
+        by_hand.start("run", "run", "--no-view", "--paused")
+        wait_until(lambda: said("paused before its first frame"))
+    assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [1, 1, 1]
+    assert said(f"failed: the connection to the hub at {endpoint} broke, or the hub ended")
+    assert not said("the supervisor has gone")

@@ -205,7 +205,7 @@ def test_a_run_is_gone_on_with_or_it_is_said_why_not(page: Page, server: Server)
     page.click("go-on")
     page.wait("!document.getElementById('toast').hidden")
     said = page.value("document.getElementById('toast').textContent")
-    assert said.startswith("The recording holds no checkpoint") and "--set record.checkpoint_every=1s" in said
+    assert said.startswith("The recording holds no checkpoint") and "--set record.checkpoint_every=0.1s" in said
     look_at(page, server, "a.mcap")
     focus(page, "go-on")
     page.press("Enter")

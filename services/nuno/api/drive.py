@@ -49,9 +49,7 @@ class Driving:
                 raise RunFailed(problem if config else str(error), error.peer) from None
             self._joints, key = _live_body(self._bus, body)
             self._publisher = session.declare_publisher(
-                key,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                reliability=zenoh.Reliability.RELIABLE,
+                key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
             )
             self._sent, self._stack, self._closed = 0, stack.pop_all(), False
 

@@ -56,7 +56,7 @@ WRITERS = {
 """Function that writes each kind of file; the order is that of writing."""
 WHOLE = ("csv", "gif", "mp4", "rrd", "foxglove", "ros2", "scene")
 """Kinds of files of a whole run."""
-DRAWN = ("colour", "size", "view", "scale", "crop", "overrides")
+DRAWN = ("colour", "side", "size", "view", "scale", "crop", "overrides")
 """Settings of pictures and animations."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
@@ -201,9 +201,8 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
         remedy = "for example --npz out.npz --png out.png"
         raise BadInput("nothing to export was asked for", remedy=remedy)
     pictured = bool(asked.png or asked.gif or asked.mp4)
-    if asked.side and (not pictured or asked.style):
-        raise BadInput("for pictures and animations of no style", field="--side", value=asked.side,
-                       remedy="add --png out.png")  # fmt: skip
+    if asked.side and asked.style:
+        raise BadInput("for pictures of no style", field="--side", value=asked.side, remedy="leave it out")
     drawn = () if pictured else DRAWN[bool(asked.pattern) :]
     for name in (*(() if asked.gif or asked.mp4 else ("turn", "start", "end", "fps")), *drawn):
         if (value := getattr(asked, name)) not in (None, "auto", ()):
@@ -245,10 +244,8 @@ def _check_files(asked: ExportRequest) -> None:
             remedy = "give each a name of its own"
             raise BadInput(f"--{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
         if name in ENDINGS and ending not in ENDINGS[name]:
-            problem, remedy = (
-                f"the name must end in {' or '.join(ENDINGS[name])}",
-                f"{path.stem or 'out'}{ENDINGS[name][0]}",
-            )
+            problem = f"the name must end in {' or '.join(ENDINGS[name])}"
+            remedy = f"{path.stem or 'out'}{ENDINGS[name][0]}"
             raise BadInput(problem, field=f"--{name}", value=str(path), remedy=remedy)
         if name in ENDINGS or ending == f".{name}":
             check_target(path, ending)

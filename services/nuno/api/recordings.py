@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
@@ -18,21 +18,12 @@ from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
+    from nuno.api.result import Result
     from nuno.replay.frame_state import Acted, FrameState
     from nuno.replay.verification import Verification
 
 
-class Run(Protocol):
-    """The result of a run, which knows its recording."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def report(self) -> dict[str, Any]: ...
-
-
-Recorded: TypeAlias = str | os.PathLike[str] | Recording | Run
+Recorded: TypeAlias = "str | os.PathLike[str] | Recording | Result"
 """A file, "last", an open recording, or the result of a run."""
 
 
@@ -46,9 +37,8 @@ def path_of(recording: Recorded) -> Path:
     own = recording.metadata["run"] if isinstance(recording, Recording) else {"id": recording.report["run"]}
     with Recording(recording.path, scan=False) as now:
         if (run := now.metadata["run"].get("id")) != own.get("id"):
-            problem, limit = "the recording was replaced by that of another run", f"run {own.get('id')}"
-            remedy = "record each run in a file of its own"
-            raise BadInput(problem, str(recording.path), value=run, limit=limit, remedy=remedy)
+            problem, remedy = "the file was replaced by that of another run", "record each run in a file of its own"
+            raise BadInput(problem, str(recording.path), value=run, limit=f"run {own.get('id')}", remedy=remedy)
     return recording.path
 
 
@@ -78,9 +68,7 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
-    """Yield frames of a recording (default: all) in float64, as nuno.replay.frame_state.states: in the order of time,
-    each once, whatever the order of `frames`. Raises BadInput.
-    """
+    """Yield frames of a recording (default: all) in float64, each once, in the order of time. Raises BadInput."""
     from nuno.replay import frame_state
 
     with in_python(), opened(recording) as source:

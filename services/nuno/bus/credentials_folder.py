@@ -10,6 +10,7 @@ import base64
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.resources import files
@@ -257,6 +258,13 @@ def _read(path: Path, role: str) -> tuple[bytes, bytes, bytes]:
     names = (f"{side}_certificate_base64", "root_ca_certificate_base64", f"{side}_private_key_base64")
     certificate, authority, key = (base64.b64decode(tls[name], validate=True) for name in names)
     return certificate, authority, key
+
+
+def role_of(config: Path) -> str:
+    """Return the common name in a client's configuration by `nuno certs`; "" for any other file."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        return certificates.name_of(load_pem_x509_certificate(_read(config, "")[0]))
+    return ""
 
 
 def _side(role: str) -> str:

@@ -11,7 +11,9 @@ from __future__ import annotations
 import atexit
 import hashlib
 import json
+import re
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -86,6 +88,11 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
         "transport/link/tx/queue/congestion_control/block/wait_before_close": round(1e6 * SILENCE_SECONDS),
         "transport/link/tx/queue/size/data": QUEUED_BATCHES,
     }
+    for endpoint in (*listen, *connect):  # zenoh tries an impossible port for as long as a hub is waited for
+        port = re.split("[?#;]", endpoint)[0].rpartition(":")[2]
+        if not (endpoint.startswith(("unix", "vsock", "serial")) or (port.isdecimal() and int(port) < 2**16)):
+            remedy = "with a port up to 65535, for example tcp/127.0.0.1:7447"
+            raise BadInput("not an endpoint", value=endpoint, remedy=remedy)
     for key, value in settings.items():
         try:
             config.insert_json5(key, json.dumps(value))
@@ -112,6 +119,9 @@ def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None =
             raise PortTaken("another program listens there", value=endpoint, remedy=remedy) from None
         remedy = "check the endpoint"
         raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy=remedy) from None
+    if not re.match(r"(tls|quic|unixsock\S*)/|\w+/(127\.[\d.]+|localhost|\[::1\]):", endpoint):
+        text = f"whoever reaches {endpoint} may control the run: nuno certs makes certificates, for tls/ endpoints"
+        print(text, file=sys.stderr, flush=True)
     with _closing(session):
         yield session
 
@@ -151,12 +161,23 @@ def spoke(
     except zenoh.ZError as error:
         problem = f"nothing answers there: {_short(error)}"
         remedy = "start the hub first (nuno serve router), or check --connect"
+        if _accepts(endpoint):
+            problem = "something listens there, and no session comes about"
+            remedy = "check tls/ or tcp/, that its certificate names this host, and --config: authority or password"
         if own is not None:
             problem = f"this service of the run is there already (or vanished less than {SILENCE_SECONDS:g} s ago)"
             remedy = "end the other one, or give the run and all its services another name with --run"
         raise BadInput(problem, value=endpoint, remedy=remedy) from None
     with _closing(session):
         yield session
+
+
+def _accepts(endpoint: str) -> bool:
+    """Return whether a program listens at a TCP endpoint, be it no hub."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    with suppress(OSError, ValueError), socket.create_connection((host.strip("[]"), int(port)), 2.0):
+        return True
+    return False
 
 
 def _open(config: zenoh.Config) -> zenoh.Session:

@@ -1,4 +1,4 @@
-"""The `nuno` command. Exit codes: 0 done, 1 failed, diverged or ended by Ctrl-C or SIGTERM, 2 bad input."""
+"""The `nuno` command. Exit codes: 0 done, 1 failed, diverged or ended by a signal, 2 bad input."""
 
 from __future__ import annotations
 

@@ -16,10 +16,7 @@ from nuno_schemas.errors import BadInput
 SLOW = "the run answers when the frame that it is in is done"
 NEEDS = {
     "set": ("KEY=VALUE", "set damping=0.5"),
-    "add": (
-        "a supply, a resist or an operation",
-        "add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'",
-    ),
+    "add": ("a supply, a resist or an operation", "add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'"),
 }
 """Required argument of an action, and an example."""
 

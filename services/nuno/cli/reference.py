@@ -13,7 +13,7 @@ INTRODUCTION = """\
 
 <!-- made by: nuno schema --commands -->
 
-`nuno COMMAND --help` says the same. Exit codes: 0 done, 1 failed, diverged or ended by Ctrl-C or SIGTERM, 2 bad input.
+`nuno COMMAND --help` says the same. Exit codes: 0 done, 1 failed, diverged or ended by a signal, 2 bad input.
 """
 
 

@@ -60,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    args.words = sys.stderr if str(args.log) == "-" else sys.stdout  # then standard output has the log alone
     with _scene(args) as loaded:
         return _run(loaded, args)
 
@@ -77,7 +78,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
         return
     args.resume = runs.find_recording(args.resume)
     with resumed_scene(args.resume, args.overrides) as (loaded, words):
-        print(words, flush=True)
+        print(words, file=args.words, flush=True)
         yield loaded
 
 
@@ -96,18 +97,19 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     default_log = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     picture = not args.no_view and options.view is None and options.record is not None
     files = [path for path in (options.record, options.save, args.mp4, loaded.own_path) if path is not None]
-    with log.written(run, args.log or default_log, [*files, *map(part_of, files), *loaded.files.used.values()]):
+    used = [*files, *map(part_of, files), *loaded.files.used.values()]
+    with log.written(run, args.log or default_log, used), contextlib.redirect_stdout(args.words):
         if options.record is not None and options.record.is_file():
             print(f"replaces {options.record} once the new one is whole", flush=True)
         if loaded.scene.undecided:
             print("choosing a solver by trying it on the first frames", flush=True)
         loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
         code = execute(loaded, options, deployment, picture, args.report)
-    if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
-        from nuno.exports.animations import export_animation
+        if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
+            from nuno.exports.animations import export_animation
 
-        print("drawing the animation", flush=True)
-        print(row("animation", export_animation(options.record, args.mp4)))
+            print("drawing the animation", flush=True)
+            print(row("animation", export_animation(options.record, args.mp4)))
     return code
 
 

@@ -15,7 +15,7 @@ import zenoh
 from nuno.bus import sessions
 from nuno.bus.slow_consumers import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
-from nuno.process import SIGNALS, end_process
+from nuno.process import ENDING, SIGNALS, end_process
 from nuno.runtime import runs
 from nuno.runtime.launch import FINISH_TIMEOUT, LINGER
 from nuno.runtime.service import MODULES, SUPERVISOR, Options, run_service
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--must-see": ("SERVICE...", "simulation: a service that acknowledges every frame"),
         "--record": ("FILE", "recorder: where the recording goes", Path),
         "--save": ("FILE.rrd", "viewer: a file for the rerun viewer", Path),
-        "--resume": ("FILE", "simulation, dye, recorder: the recording that the run goes on from", Path),
+        "--resume": ("FILE", "the recording that the run goes on from; not for viewer and render", Path),
         "--threads": ("N", "most threads for kernels (default: all cores)", int),
         "--named": ("NAME", "what errors call a scene that is no file of the user's"),
     })  # fmt: skip
@@ -67,6 +67,12 @@ def main(args: argparse.Namespace) -> int:
                 remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
             )
     runs.check_id(args.run)
+    if args.config is not None:
+        from nuno.bus.credentials_folder import role_of, roles
+
+        if (role := role_of(Path(args.config))) in {*roles()} - {args.service}:
+            problem, remedy = f"this is the certificate of {role}", f"take that of the service: {args.service}.json5"
+            raise BadInput(problem, field="--config", value=args.config, limit=args.service, remedy=remedy)
     stop, keeping = threading.Event(), threading.Event()
     if args.lifeline:
         threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
@@ -97,7 +103,8 @@ def main(args: argparse.Namespace) -> int:
                 raise RunFailed(f"the run {'was' if failure in SIGNALS else 'failed:'} {failure}")
         except (BadInput, RunFailed) as error:
             if not args.quiet:
-                raise
+                broken = sessions.cut_off(session, args.connect) if isinstance(error, RunFailed) else ""
+                raise (RunFailed(broken) if broken else error) from None
             return 2 if isinstance(error, BadInput) else 1
     tell("the run is over")
     return 0
@@ -118,7 +125,7 @@ def _hold(stop: threading.Event, keeping: threading.Event) -> None:
 
 def _route(args: argparse.Namespace) -> int:
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ENDING:
         signal.signal(number, lambda *_: stop.set())
     # Without the name of a run, the router blocks for all sessions.
     services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}

@@ -70,12 +70,11 @@ class Follower:
         self._lock = threading.Lock()
         self._too_large = 0
         self._senders: list[str] = []
-        """Sessions that have sent poses, the latest last; "" for those that do not name themselves."""
+        """Sessions that have sent poses, the latest last; "" for those without a name."""
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Queue a message, in a thread of zenoh."""
-        source = sample.source_info
-        sender = str(source.source_id.zid) if source else ""
+        sender = str(sample.source_info.source_id.zid) if sample.source_info else ""
         with self._lock:
             self.tally.heard += 1
             if sender not in self._senders[-1:]:

@@ -121,15 +121,12 @@ class ClothCheck:
 
     def note(self, report: Penetration) -> None:
         """Add a frame's results to those of all frames."""
-        if report.crossings is None:
-            return
-        self.checked += 1
-        if report.distance is not None:
-            self.least = report.distance if self.least is None else min(self.least, report.distance)
-        if report.crossings:
-            self.crossed, self.most = self.crossed + 1, max(self.most, report.crossings)
-            place, objects = report.places[0], report.objects[0]
-            self.first = self.first or {"frame": report.frame, "t": report.t, "place": place, "objects": objects}
+        number, distances = report.crossings or 0, (self.least, report.distance)
+        self.checked, self.crossed = self.checked + (report.crossings is not None), self.crossed + (number > 0)
+        self.most, self.least = max(self.most, number), min((d for d in distances if d is not None), default=None)
+        if number and self.first is None:
+            where = {"place": report.places[0], "objects": report.objects[0]}
+            self.first = {"frame": report.frame, "t": report.t} | where
 
     def summary(self) -> dict[str, Any]:
         """Return the results of all frames, for the report."""
@@ -302,15 +299,12 @@ class Collision:
 def main(context: Context) -> None:
     """Serve one run's bodies, and check its cloth, until the query to finish."""
     scene = context.loaded.scene
-    earlier: list[dict[str, Any]] = []
-    if context.options.resume is not None:
+    if context.options.resume is not None and context.loaded.live:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
-            if context.loaded.live:  # a separate process has read only the scene
-                context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
-            earlier = before_checkpoint(recording, [PENETRATION.name])
+            context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
     inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
-    for fields in earlier:
+    for fields in before_checkpoint(context.options.resume, [PENETRATION.name]):
         collision.note(Penetration.model_validate(fields))
     inbox.answer(GEOMETRY_QUERY)
     inbox.answer(LIVE_BODIES_QUERY)

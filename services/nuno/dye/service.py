@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
-from nuno.recording.reader import open_recording
 from nuno.recording.restore import before_checkpoint
 from nuno.runtime.driver import Driver
 from nuno.runtime.resimulation import resume
@@ -63,17 +62,13 @@ class DyeDriver(Driver):
         """Return the time of the dyeing, and totals of the amounts."""
         dyeing, report = self.dyeing, frame.report
         balance = dyeing.balance(report)
-        self.note_balance(balance)
+        self.balance = max(self.balance, balance) if math.isfinite(balance) else math.nan
         totals = {"mobile": report.mobile, "fixed": report.fixed, "supplied": dyeing.supplied}
         self.amounts = {
             name: {one: _finite(value) for one, value in zip(dyeing.names, values, strict=True)}
             for name, values in totals.items()
         }
         return {"time": dyeing.time, "balance": _finite(balance), **self.amounts}
-
-    def note_balance(self, balance: float) -> None:
-        """Update the largest imbalance."""
-        self.balance = max(self.balance, balance) if math.isfinite(balance) else math.nan
 
     def facts(self, ended: str) -> dict[str, Any]:
         """Return amounts, balance, limit and sizes for the report."""
@@ -114,12 +109,9 @@ def main(context: Context) -> None:
     """Run the dye of one scene: prepare, step all frames, reply to the query for the end."""
     watchdog = FrameWatchdog(context)
     dyeing = DyeRun(context.loaded, context.options.threads, leave=watchdog.leave)
-    earlier: list[dict[str, Any]] = []
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
-        with open_recording(context.options.resume) as recording:
-            earlier = before_checkpoint(recording, [DYE_STATUS.name])
     driver = DyeDriver(context, dyeing, watchdog)
-    for status in earlier:
-        driver.note_balance(math.nan if status["balance"] is None else status["balance"])
+    balances = [one["balance"] for one in before_checkpoint(context.options.resume, [DYE_STATUS.name])]
+    driver.balance = math.nan if None in balances else max([0.0, *balances])
     driver.serve()

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nuno import process
-from nuno.process import refusing_exit, working_folder
+from nuno.process import ENDING, refusing_exit, working_folder
 
 T = TypeVar("T")
 OWN_FRAMES = (__file__, process.__file__)
@@ -26,7 +26,7 @@ UNWRITTEN = (
 
 
 def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
-    """Return the result of `function`. Raises `fail(error)` for any error, except the user's own Ctrl-C or SIGTERM.
+    """Return the result of `function`. Raises `fail(error)` for any error, except the user's own signals.
 
     `os._exit` in it raises SystemExit, instead of ending the process; the working folder and NumPy's error handling
     are restored afterwards.
@@ -52,7 +52,7 @@ def _signals() -> Iterator[list[int]]:
     received: list[int] = []
     handlers: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        handlers = {n: handler for n in (signal.SIGINT, signal.SIGTERM) if callable(handler := signal.getsignal(n))}
+        handlers = {n: handler for n in ENDING if callable(handler := signal.getsignal(n))}
 
     def note(number: int, frame: FrameType | None) -> None:
         received.append(number)

@@ -62,8 +62,7 @@ class RecordedFile:
         """Owner of a temporary file, which keeps it until this object is gone."""
         try:
             if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
-                remedy = "write it to a file, and give its name"
-                raise BadInput("no file, but a pipe or device, which is read only once", str(path), remedy=remedy)
+                raise BadInput("this is a pipe or device, not a file", str(path), remedy="write it to a file first")
             self._stream: BinaryIO = self.path.open("rb")
         except OSError as error:
             part = part_of(self.path)
@@ -376,7 +375,7 @@ class Recording(RecordedFile):
 
     def _no_checkpoint(self) -> BadInput:
         problem = "the recording holds no checkpoint: its run ended before the first"
-        remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=1s"
+        remedy = "run its scene again; for earlier ones with --set record.checkpoint_every=0.1s"
         if self.damage:
             problem = f"the recording is {self.damage}, and holds no checkpoint before that"
             remedy = "take another copy, or run its scene again"

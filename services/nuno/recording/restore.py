@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno.recording.reader import Recording
+from nuno.recording.reader import Recording, opened
 from nuno.recording.writer import RecordingWriter
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, CHECKPOINTS, EVENT, FABRIC, REPORT, Event, Header
@@ -39,9 +40,12 @@ def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
     return (start, x) if start.shape == x.shape and x.ndim == 2 and x.shape[1] == 3 else None
 
 
-def before_checkpoint(recording: Recording, topics: Iterable[str]) -> list[dict[str, Any]]:
-    """Return the JSON messages that a resumed run has before its first frame, for a report of the whole recording."""
-    return [recording.said(message) for message in recording.messages(topics, end=recording.common_checkpoint().t)]
+def before_checkpoint(source: Recording | Path | None, topics: Iterable[str]) -> list[dict[str, Any]]:
+    """Return the JSON messages before the first frame of a run that resumes a recording, for its report."""
+    if source is None:
+        return []
+    with opened(source) as recording:
+        return [recording.said(message) for message in recording.messages(topics, end=recording.common_checkpoint().t)]
 
 
 def copy_until(recording: Recording, writer: RecordingWriter) -> None:

@@ -136,7 +136,7 @@ def compare(recording: Recording, resimulation: Resimulation, progress: Progress
             progress(stepper.t)
     if not equal:
         if recording.recovered:
-            why = recording.damage or ("still being written" if recording.growing else "cut short")
+            why = recording.damage or "cut short, or still being written"
             raise RunFailed(f"{recording.path}: no frame is left to compare, for it is {why}")
         raise BadInput("the recording holds no digests to compare", str(recording.path))
     return result or Verification(equal, published=seen[stepper.published.name], kept=seen[stepper.kept.name])

@@ -26,7 +26,7 @@ PATIENCE = 60.0
 """Timeout of a reply [s], for which large files may be read."""
 CHANGE_RESULTS = ("python", "nuno", "numpy", "numba", "llvmlite")
 """Packages whose versions can change a result."""
-RESUMING = ("simulation", "dye", "recorder")
+RESUMING = ("simulation", "dye", "collision", "recorder")
 """Services that resume a recording if the run does."""
 NOTHING = "nothing"
 REMEDY = "give its host the same scene and files, and each service the same --set and --root"

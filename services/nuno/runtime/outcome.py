@@ -39,9 +39,8 @@ class Outcome:
 
     def recording(self, target: Path) -> Path | None:
         """Return the run's recording, finished or not; None without one. The recorder names it, unless it has died."""
-        if (file := self.services.get("recorder", {}).get("file")) is not None:
-            return Path(file)
-        for path in (part_of(target), target):
+        file = self.services.get("recorder", {}).get("file")
+        for path in (Path(file),) if file else (part_of(target), target):
             with suppress(BadInput), Recording(path, scan=False) as recording:
                 if recording.metadata["run"].get("id") == self.run:
                     return path

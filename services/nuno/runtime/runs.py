@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import hashlib
 import json
@@ -38,8 +37,9 @@ def new_id(scene: str) -> str:
 
 def check_id(run: str) -> str:
     """Return the id. Raises BadInput if it cannot be part of a key and a file's name."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}", run):
+    if run == LAST or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}", run):
         remedy = "use letters, digits, and - _ . after the first; at most 128"
+        remedy = f"{LAST} means the last run: choose another" if run == LAST else remedy
         raise BadInput("not a run's name", field="--run", value=run, remedy=remedy)
     return run
 
@@ -47,12 +47,8 @@ def check_id(run: str) -> str:
 def record_path(folder: Path, run: str) -> Path:
     """Return the path of a run's recording. Raises BadInput if the folder cannot be written."""
     try:
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "it is a file")
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".{run}.probe"
-        probe.write_text(json.dumps(run))
-        probe.unlink()
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise BadInput(
             f"the recordings folder cannot be written: {error.strerror}",

@@ -480,11 +480,7 @@ def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[st
 
 
 def control(
-    run: str,
-    endpoint: str,
-    request: dict[str, Any],
-    config: str | None = None,
-    slow: Callable[[], None] | None = None,
+    run: str, endpoint: str, request: dict[str, Any], config: str | None = None, slow: Callable[[], None] | None = None
 ) -> dict[str, Any]:
     """Send one control request to an active run, whose hub may need a zenoh configuration.
 

@@ -112,10 +112,6 @@ DYE_TIMEOUT = 20.0
 and than that of the run's end."""
 
 
-STANDING = "all cloth stands still"
-"""Beginning of the warning about cloth that contact holds where it is."""
-
-
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and replies to control requests."""
 
@@ -135,7 +131,6 @@ class ClothDriver(Driver):
         self.rest: dict[str, float] = {}
         self.warnings: list[str] = []
         """Warnings about the start of the cloth, and about cloth that stands still."""
-        self.standing_warning = ""
         if simulation.poses is not None:
             simulation.find_poses = self.next_poses
         if simulation.frame == 0:
@@ -173,9 +168,7 @@ class ClothDriver(Driver):
 
     def recall(self, earlier: list[dict[str, Any]]) -> None:
         """Continue the report of the resumed recording, given its statuses and events before the checkpoint."""
-        warnings = [fields["text"] for fields in earlier if fields.get("kind") == "warning"]
-        self.warnings = list(dict.fromkeys([*self.warnings, *warnings]))
-        self.standing_warning = next((text for text in self.warnings if text.startswith(STANDING)), "")
+        self.warnings += dict.fromkeys(fields["text"] for fields in earlier if fields.get("kind") == "warning")
         for status in (fields for fields in earlier if "stretch" in fields):
             self.energy = self.energy or [status["energy"]]
             self._note_stretch(status["frame"], math.nan if status["stretch"] is None else status["stretch"])
@@ -185,10 +178,10 @@ class ClothDriver(Driver):
         if self.simulation.alter_due():
             self.publish_fabric(self.simulation.frame + 1)
         stepped = super().step_frame()
-        if stepped.report.counts.get("steps_without_motion") and not self.standing_warning:
-            self.standing_warning = f"{STANDING}: {self.simulation.holds()}"
-            self.warnings.append(self.standing_warning)
-            self.context.event("warning", self.standing_warning, self.simulation.frame, self.simulation.t)
+        standing = "all cloth stands still: "
+        if stepped.report.counts.get("steps_without_motion") and not any(standing in text for text in self.warnings):
+            self.warnings.append(f"{standing}{self.simulation.holds()}")
+            self.context.event("warning", self.warnings[-1], self.simulation.frame, self.simulation.t)
         return stepped
 
     def publish(self, frame: Stepped, show: bool) -> None:

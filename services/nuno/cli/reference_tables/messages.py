@@ -78,6 +78,7 @@ def _type(annotation: Any) -> str:
     """Return the name of a type in Python, with null for None."""
     text = annotation.__name__ if isinstance(annotation, type) and "[" not in str(annotation) else str(annotation)
     text = text.replace("None", "null").replace("typing.", "").replace("nuno_schemas.messages.", "")
+    text = re.sub(r"Annotated\[(\w+), [^]]*\]", r"\1", text)
     if text.startswith("Literal["):
         return " or ".join(f"`{word}`" for word in re.findall(r"'([^']*)'", text))
     return f"`{text}`".replace("|", "or")
