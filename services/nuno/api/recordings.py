@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, overload
 
 from nuno.api.scene import as_texts
 from nuno.api.words import in_python
@@ -18,12 +18,20 @@ from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
-    from nuno.api.result import Result
     from nuno.replay.frame_state import Acted, FrameState
     from nuno.replay.verification import Verification
 
 
-Recorded: TypeAlias = "str | os.PathLike[str] | Recording | Result"
+class Finished(Protocol):
+    """The result of a run."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def report(self) -> Mapping[str, Any]: ...
+
+
+Recorded: TypeAlias = str | os.PathLike[str] | Recording | Finished
 """A file, "last", an open recording, or the result of a run."""
 
 
