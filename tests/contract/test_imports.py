@@ -122,9 +122,15 @@ def test_no_circle_of_the_hosts_parts() -> None:
     assert circle(imports) == []
 
 
-def test_the_wire_imports_nothing_above_it() -> None:
-    """The standard library, libraries, the schemas, and other parts of the wire."""
+def test_the_bus_imports_nothing_above_it() -> None:
+    """The standard library, libraries, the schemas, and other parts of the bus."""
     for name, path in MODULES.items():
-        if name.split(".")[:2] == ["nuno", "wire"]:
+        if name.split(".")[:2] == ["nuno", "bus"]:
             own = {one for one in modules_in(path) if one.split(".")[0] in OWN}
             assert {one for one in own if not one.startswith(("nuno.bus", "nuno_schemas"))} == set(), name
+
+
+def test_no_test_imports_another_test() -> None:
+    """What tests share is a helper module or a fixture."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        assert not [name for name in imported(path) if name.startswith("test_")], path

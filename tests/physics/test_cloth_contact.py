@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
-from sheets import DOWN, Pile, sheet
+from sheets import DOWN, Pile, heap, pace, sheet, sliding
 
 from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
@@ -22,14 +21,6 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 
 SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
-
-
-def heap(solver: str, seed: int, contact: bool = True, dt: float = 2e-4) -> Pile:
-    """Three uneven sheets that fly at each other, one of them held, faster than a step can see."""
-    rng = np.random.default_rng(seed)
-    damping, friction = rng.uniform(0.0, 1.0, 2)
-    pieces = piles.heap(seed)
-    return Pile(*pieces, solver=solver, dt=dt, contact=contact, damping=damping, friction=friction)
 
 
 def held() -> int:
@@ -106,16 +97,6 @@ def test_what_never_meets_keeps_its_bits() -> None:
             pile.go(50)
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]
-
-
-def sliding(friction: float, slope: float, **settings: Any) -> Pile:
-    """A sheet that lies on a held one, gravity tilted by its slope [rad] towards +x."""
-    return Pile(*piles.incline(), gravity=piles.tilted(slope), friction=friction, **settings)
-
-
-def pace(pile: Pile) -> Float:
-    """Mean velocity of the free vertices [m/s]."""
-    return np.asarray(pile.state.v[~pile.fabric.pinned].mean(axis=0))
 
 
 def test_a_sheet_sticks_on_an_incline_just_if_friction_holds_it() -> None:

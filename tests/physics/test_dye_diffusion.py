@@ -2,65 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
+from dye_reference import PLAIN, random_cells, spread, step_plainly
 
-from nuno_dye.laws.faces import Faces, face_values, largest_sum
-from nuno_dye.solvers.bands import make_bands, read_bands
-from nuno_dye.solvers.diffusion import GHOST, diffuse
+from nuno_dye.laws.faces import face_values, largest_sum
+from nuno_dye.solvers.diffusion import GHOST
 from nuno_schemas.dye import Cells, Tortuosity
-from nuno_schemas.fabric import Float
-
-PLAIN = Tortuosity(layers=0.3, beside=0.2, rim=0.1, gap=0.9, yarn=0.8, weave=0.47)
-
-
-def random_cells(ny: int, nx: int, seed: int = 3) -> Cells:
-    rng = np.random.default_rng(seed)
-    shape = (2, ny, nx)
-    porosity = rng.uniform(0.2, 0.8, shape) * (rng.random(shape) > 0.1)
-    return Cells(
-        rng.random(shape) > 0.3,
-        rng.random(shape) > 0.5,
-        porosity,
-        rng.uniform(0.5, 1, shape),
-        np.zeros(shape),
-        1e-4,
-        PLAIN,
-    )
-
-
-def step_plainly(phi: Float, cells: Cells, scale: float) -> Float:
-    """One step, cell by cell and face by face, from the text of the method."""
-    t, out = cells.tortuosity, phi.copy()
-    layers, ny, nx = phi.shape
-    for layer, j, i in itertools.product(range(layers), range(ny), range(nx)):
-        here = (layer, j, i)
-        for there in ((layer, j, i + 1), (layer, j, i - 1), (layer, j + 1, i), (layer, j - 1, i), (1 - layer, j, i)):
-            if not (0 <= there[1] < ny and 0 <= there[2] < nx):
-                continue
-            p, q = cells.porosity[here], cells.porosity[there]
-            harmonic = 0.0 if p == 0.0 or q == 0.0 else 2.0 / (1.0 / p + 1.0 / q)
-            tau = 0.5 * (cells.twist[here] + cells.twist[there])
-            if there[0] != layer:
-                tau *= t.layers
-            elif cells.fibre[here] and cells.fibre[there]:
-                yarn = (there[2] != i) if layer == 0 else (there[1] != j)
-                tau *= t.yarn if yarn else t.beside
-                tau *= t.weave if cells.up[here] != cells.up[there] else 1.0
-            elif not cells.fibre[here] and not cells.fibre[there]:
-                tau *= t.gap
-            else:
-                tau *= t.rim
-            out[here] += scale * harmonic * tau * (phi[there] - phi[here])
-    return out
-
-
-def spread(phi: Float, faces: Faces, scale: float, steps: int, bands: int = 1) -> Float:
-    packed = make_bands(phi, faces, scale, bands)
-    diffuse(steps, packed, None, None, np.zeros(1, np.int64))
-    return read_bands(packed, packed.phi, np.empty_like(phi))
 
 
 def test_equals_a_plain_loop() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pattern_files import Folder
 from PIL import Image
-from test_dye_resist import Folder
 
 from nuno.cli import main
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig

@@ -7,23 +7,15 @@ from math import fsum
 
 import numpy as np
 import pytest
-from test_dye_diffusion import random_cells
-from test_dye_step import ISOTHERMS, plain_step, resisted, start
+from dye_reference import CONFIG, D0, ISOTHERMS, LAWS, dyed, plain_step, random_cells, resisted, start
 
 from nuno_dye.laws.faces import face_values, largest_sum
-from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
-from nuno_dye.solvers.explicit import Explicit, ExplicitConfig
+from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Partition, PartitionConfig
+from nuno_dye.solvers.explicit import Explicit
 from nuno_dye.solvers.solving import CELLS_PER_THREAD
 from nuno_dye.solvers.upkeep import sum_compensated
-from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
+from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem, Isotherm
 from nuno_schemas.fabric import Float
-
-LAWS = {
-    "partition": Partition().prepare(PartitionConfig(k=0.7)),
-    "freundlich": Freundlich().prepare(FreundlichConfig(k=0.4, b=0.35)),
-    "langmuir": Langmuir().prepare(LangmuirConfig(K=2.0)),
-}
-D0, CONFIG = 2e-10, ExplicitConfig()
 
 
 def advance(
@@ -34,10 +26,6 @@ def advance(
     memory = solver.prepare(CONFIG, system, state)
     dt = 0.9 * solver.limit(CONFIG, system)
     return state, [solver.advance(system, state, memory, steps, dt) for _ in range(frames)]
-
-
-def dyed(cells: Cells, law: Isotherm | None, threads: int = 1, adsorption: float = 0.06) -> DyeSystem:
-    return DyeSystem(cells, (Dye("blue", D0, adsorption, law),), threads)
 
 
 @pytest.mark.parametrize("name", ISOTHERMS)

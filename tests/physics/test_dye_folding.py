@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pattern_files import SIZE, Folder
 from pydantic import ValidationError
-from test_dye_resist import SIZE, Folder
 
 from nuno_dye.supplies.folding import fold_cells
 from nuno_dye.supplies.regions import Disc, Polygon, Rectangle, Stroke, contains, cover

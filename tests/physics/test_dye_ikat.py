@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from dye_runs import SOLVERS
+from pattern_files import Folder, write_image
 from pydantic import TypeAdapter, ValidationError
-from test_dye_resist import Folder, write_image
 
 from nuno_dye.cloths.woven_cloth import Ikat, WovenCloth, WovenClothConfig
 from nuno_dye.laws.isotherms import Langmuir

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dye_reference import ISOTHERMS, LAWS, dyed, kept, resisted, start
 from dye_runs import follow, limit, run
-from test_dye_explicit import LAWS, dyed
-from test_dye_step import ISOTHERMS, resisted, start
-from test_dye_upkeep import kept
 
 from nuno_dye.solvers import long_steps as module
 from nuno_dye.solvers.implicit import HALVINGS

@@ -7,11 +7,8 @@ from math import fsum
 
 import numpy as np
 import pytest
+from dye_reference import ISOTHERMS, LAWS, dyed, kept, random_cells, resisted, start, step_plainly
 from dye_runs import LONG, SECOND, SOLVERS, limit, orders, run
-from test_dye_diffusion import random_cells, step_plainly
-from test_dye_explicit import LAWS, dyed
-from test_dye_step import ISOTHERMS, resisted, start
-from test_dye_upkeep import kept
 
 from nuno_dye.solvers.solving import CELLS_PER_THREAD
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from pattern_files import SIZE, Folder, write_image
 from pydantic import TypeAdapter, ValidationError
 
 from nuno_dye.supplies.resist import (
@@ -27,23 +27,6 @@ from nuno_dye.supplies.resist import (
 from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-
-SIZE = 1e-4
-
-
-class Folder:
-    """Files of one folder."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-
-    def resolve(self, name: str) -> Path:
-        return self.root / name
-
-
-def write_image(path: Path, values: Float) -> None:
-    """Write B (ny, nx) as a grey PNG of 16 bits, which `read_image` reads again within 2^-17."""
-    Image.fromarray(np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)).save(path, format="PNG")
 
 
 def png(path: Path, values: np.ndarray, depth: int, kind: int, clear: int | None = None) -> Path:

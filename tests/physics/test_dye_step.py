@@ -2,88 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_dye_diffusion import random_cells, spread, step_plainly
+from dye_reference import (
+    ISOTHERMS,
+    plain_step,
+    random_cells,
+    resisted,
+    spread,
+    start,
+    step_plainly,
+)
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
+from nuno_dye.laws.adsorption import NOTHING, Uptake
 from nuno_dye.laws.faces import face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_dye_bands, read_bands
 from nuno_dye.solvers.dyeing import LEVELS, dye
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
-
-ISOTHERMS = {
-    "nothing": (NOTHING, 0.0, 0.0),
-    "partition": (PARTITION, 0.7, 0.0),
-    "freundlich": (FREUNDLICH, 0.4, 0.35),
-    "langmuir": (LANGMUIR, 2.0, 0.0),
-}
-
-
-def resisted(ny: int, nx: int) -> Cells:
-    """Random cells, some of which paste or binding leaves little room or none."""
-    rng = np.random.default_rng(13)
-    return replace(random_cells(ny, nx), resist=rng.random((2, ny, nx)) * (rng.random((2, ny, nx)) > 0.4))
-
-
-def limit(isotherm: str, phi: float, room: float) -> float:
-    _, k, b = ISOTHERMS[isotherm]
-    return {
-        "nothing": 0.0,
-        "partition": k * phi,
-        "freundlich": k * phi**b,
-        "langmuir": room * k * phi / (1.0 + k * phi),
-    }[isotherm]
-
-
-def plain_step(phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str) -> tuple[Float, Float]:
-    """One step, cell by cell and face by face, from the text of the method."""
-    phi, fixed = phi.copy(), fixed.copy()
-    for at in np.ndindex(*phi.shape):
-        room = (1.0 - cells.porosity[at]) * cells.v_max if cells.fibre[at] else 0.0
-        most = min(room, limit(isotherm, phi[at], room)) - fixed[at]
-        taken = max(0.0, min(rate * max(0.0, phi[at] - fixed[at]), most, phi[at]))
-        phi[at] -= taken
-        fixed[at] += taken
-    flows = face_flows(phi, cells, scale)
-    came, went = np.zeros_like(phi), np.zeros_like(phi)
-    for (donor, receiver), flow in flows.items():
-        came[receiver] += flow
-        went[donor] += flow
-    room = cells.v_max * cells.porosity * (1.0 - cells.resist) - phi
-    into = np.minimum(1.0, np.divide(room, came, out=np.ones_like(phi), where=came > 0.0))
-    out_of = np.minimum(1.0, np.divide(phi, went, out=np.ones_like(phi), where=went > 0.0))
-    for (donor, receiver), flow in flows.items():
-        moved = flow * max(0.0, min(into[receiver], out_of[donor]))
-        phi[donor] -= moved
-        phi[receiver] += moved
-    return phi, fixed
-
-
-Place = tuple[int, int, int]
-
-
-def face_flows(phi: Float, cells: Cells, scale: float) -> dict[tuple[Place, Place], float]:
-    """Positive flow of every face, by donor and receiver, from single steps of pairs of cells."""
-    faces, flows = face_values(cells), {}
-    layers, ny, nx = phi.shape
-    for layer, j, i in itertools.product(range(layers), range(ny), range(nx)):
-        here: Place = (layer, j, i)
-        near: list[tuple[Place, float]] = []
-        if i + 1 < nx:
-            near.append(((layer, j, i + 1), faces.along[here]))
-        if j + 1 < ny:
-            near.append(((layer, j + 1, i), faces.down[here]))
-        if layer == 0:
-            near.append(((1, j, i), faces.across[j, i]))
-        for there, value in near:
-            flow = scale * value * (phi[there] - phi[here])
-            flows[(there, here) if flow > 0.0 else (here, there)] = abs(flow)
-    return flows
 
 
 def run(
@@ -103,12 +41,6 @@ def run(
     uptake = None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate)
     dye(steps, packed, uptake, None, None, np.zeros(1, np.int64))
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
-
-
-def start(cells: Cells) -> tuple[Float, Float]:
-    """Some cells full, some partly, most empty."""
-    rng = np.random.default_rng(17)
-    return cells.mobile_room * rng.choice([0.0, 0.0, 0.5, 1.0], cells.fibre.shape), np.zeros(cells.fibre.shape)
 
 
 @pytest.mark.parametrize("isotherm", ISOTHERMS)

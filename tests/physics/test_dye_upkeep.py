@@ -7,9 +7,7 @@ from math import fsum
 
 import numpy as np
 import pytest
-from test_dye_diffusion import random_cells
-from test_dye_explicit import CONFIG, D0, LAWS, dyed
-from test_dye_step import ISOTHERMS, plain_step, resisted, start
+from dye_reference import CONFIG, D0, ISOTHERMS, LAWS, dyed, kept, plain_step, random_cells, resisted, start
 
 from nuno_dye.laws.faces import face_values, largest_sum
 from nuno_dye.solvers.explicit import Explicit
@@ -18,14 +16,6 @@ from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 
 Frame = tuple[DyeSystem, int]
-
-
-def kept(cells: Cells, share: float = 1.0, seed: int = 2) -> Float:
-    """(1, 2, ny, nx) a disc of floors, with some cells in it left out."""
-    rng, (_, ny, nx) = np.random.default_rng(seed), cells.fibre.shape
-    y, x = np.indices((ny, nx))
-    disc = (2 * y - ny) ** 2 + (2 * x - nx) ** 2 < 0.25 * min(ny, nx) ** 2
-    return share * (cells.mobile_room * disc * (rng.random(cells.fibre.shape) > 0.2))[None]
 
 
 def roomy(ny: int, nx: int) -> Cells:

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dye_reference import LAWS, dyed, face_flows, kept, random_cells, resisted, start
 from dye_runs import SOLVERS, limit, run
 from pydantic import ValidationError
-from test_dye_diffusion import random_cells
-from test_dye_explicit import LAWS, dyed
-from test_dye_step import face_flows, resisted, start
-from test_dye_upkeep import kept
 
 from nuno_dye.laws.potential import Curve, amount, curve_of, potential, potentials
 from nuno_dye.laws.power import log

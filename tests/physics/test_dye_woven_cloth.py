@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from pattern_files import write_image
 from pydantic import ValidationError
-from test_dye_resist import write_image
 
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill

@@ -8,43 +8,21 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
-from test_fabric_resolution import hanging_drop, sunk
+from hanging_sheets import hanging_drop, sunk
+from triangle_sheets import KINDS, square
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.energy import membrane_energy
 from nuno_cloth.fabrics.presets import PRESETS, Material
-from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.membrane import build_elements
 from nuno_cloth.models.mesh import Mesh, MeshConfig
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.triangles import find_edges
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 
 GRAVITY = 9.81
-KINDS = ("diagonal", "alternating", "irregular")
 ANGLES = (0.0, 30.0, 45.0, 90.0)
 BY_HAND = {"density": 0.1, "structural": 100.0}
-
-
-def square(kind: str, n: int) -> tuple[Float, Int]:
-    """Points (v, 2) and triangles of 1 m x 1 m with n vertices a side: cells all cut alike, cut to and fro, or points
-    thrown by up to a third of their distance and joined after Delaunay.
-    """
-    ticks = np.linspace(0.0, 1.0, n)
-    points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
-    if kind == "irregular":
-        inside = ((points > 0.0) & (points < 1.0)).all(axis=1)
-        thrown = np.random.default_rng(n).uniform(-1.0, 1.0, points.shape) / (3.0 * (n - 1))
-        points = points + np.where(inside[:, None], thrown, 0.0)
-        faces = triangulate(points)
-        return points, faces[face_areas(np.column_stack([points, 0.0 * points[:, 0]])[faces]) > 1e-9]
-    row, column = (each.reshape(-1) for each in np.mgrid[: n - 1, : n - 1])
-    a = row * n + column
-    b, c, d = a + 1, a + n + 1, a + n
-    other = (kind == "alternating") & ((row + column) % 2 == 1)
-    one = np.where(other[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    two = np.where(other[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    return points, np.concatenate([one, two]).astype(np.int32)
 
 
 def piece(points: Float, faces: Int, material: Material, angle: float = 90.0) -> Fabric:

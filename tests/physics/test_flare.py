@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sewing_patterns import Body, column, moved, panel, pattern, read, stitch, together
-from test_wrap import put_on, turns
+from worn_tubes import put_on, turns
 
 from nuno_cloth.sewing.flare import find_ring, flare
 from nuno_cloth.sewing.sew import sew

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sheets import DOWN, Pile, sheet
-from test_cloth_contact import heap, pace, sliding
+from sheets import DOWN, Pile, heap, pace, sheet, sliding
 
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline

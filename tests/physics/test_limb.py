@@ -7,7 +7,7 @@ from pathlib import Path
 import closed_meshes as meshes
 import numpy as np
 import pytest
-from test_centreline import bent, straight, tube
+from tubes import bent, straight, tube
 
 from nuno_contact.figures.leg import leg_mesh
 from nuno_kernels.meshes.closest_point import closest_points

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse
-from test_mesh_bending import matrix
+from triangle_sheets import matrix
 
 from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.presets import Material

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from closed_meshes import box, grid_faces, outward, sphere
 from persons import person, write_mesh
+from skin_files import WALK, Folder, bent
 
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig
@@ -24,21 +25,7 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Mover
 from nuno_schemas.skin import Skin
 
-WALK = Path(__file__).resolve().parents[2] / "scenes" / "walk.bvh"
 SPACING = 0.025
-
-
-class Folder:
-    """Files in one folder, or by their whole name."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-
-    def resolve(self, name: str) -> Path:
-        return self.root / name
-
-    def read(self, name: str, kind: Any) -> Any:
-        raise NotImplementedError
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +47,6 @@ def build(folder: Folder, mover: Mover | None, name: str = "person.obj", **setti
 @pytest.fixture(scope="module")
 def walker(folder: Folder, walk: Mover) -> BodyShape:
     return build(folder, walk, spread=0.0)
-
-
-def bent(shape: BodyShape, t: float) -> Float:
-    """(v, 3) where its vertices are [m]."""
-    assert shape.pose is not None
-    return shape.skins[0].bend(shape.vertices, *shape.pose(t))
 
 
 def edges_of(faces: Int) -> Int:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from persons import person
 from scipy.spatial import cKDTree
-from test_skin import WALK, Folder, bent
+from skin_files import WALK, Folder, bent
 
 from nuno_contact.colliders.skin import SkinCollider, SkinConfig, bones_of
 from nuno_contact.motions.bvh import BVH, BvhConfig

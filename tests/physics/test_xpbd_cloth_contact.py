@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sheets import Pile, sheet
-from test_cloth_contact import heap, pace, sliding
+from sheets import Pile, heap, pace, sheet, sliding
 
 from nuno_bench.problem import piles
 from nuno_contact.offset.places import CUT, STEPS, TOUCHING

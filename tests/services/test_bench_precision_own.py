@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dye_wave import write_wave
 from line_net import write_net
 from precision_sweeps import FLAGS, swept
-from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
 from nuno_bench import machine

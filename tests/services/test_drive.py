@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_hand import LONG, SHEET, hand, poses
 from live_run import Run
 from scenes import write_scene
-from test_live_poses import LONG, SHEET, hand, poses
 
 import nuno
 from nuno.bus.sessions import free_port

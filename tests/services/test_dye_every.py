@@ -87,7 +87,7 @@ def test_exports_take_what_is_there(rare: Path, tmp_path: Path, capsys: pytest.C
 
 
 def test_a_replay_from_between_begins_with_what_was_there(rare: Path, tmp_path: Path) -> None:
-    from test_viewer_file import read
+    from rrd import read
 
     for start, shown in ((0.0, 5), (8.0, 4)):
         target = tmp_path / f"{start:g}.rrd"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import io
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
+from exported import picture, png, seen
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
 import nuno
@@ -30,17 +29,6 @@ FRAMES = 20
 SHEET = Sheet()
 
 
-def picture(width: int = 8, height: int = 4) -> Image.Image:
-    values = np.arange(width * height * 3, dtype=np.uint8).reshape(height, width, 3)
-    return Image.fromarray(values)
-
-
-def png(image: Image.Image) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, "PNG")
-    return stream.getvalue()
-
-
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "run.mcap"
@@ -54,12 +42,6 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "plain.mcap"
     write(path, SHEET, FRAMES)
     return path
-
-
-def seen(recording: Path, number: int) -> np.ndarray:
-    """Positions of a frame as recorded: float32 about an origin."""
-    with open_recording(recording) as opened:
-        return next(f.x for f in opened.frames() if f.number == number)
 
 
 def test_npz_is_the_last_checkpoint_and_nothing_else(path: Path, tmp_path: Path) -> None:

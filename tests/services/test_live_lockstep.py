@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from doc_pages import ROOT, blocks
+from live_hand import LONG, SHEET, hand, places, poses, send
 from live_run import Run
 from scenes import write_scene
-from test_live_poses import LONG, SHEET, hand, places, poses, send
-from test_readme import ROOT, blocks
 
 import nuno
 from nuno.bus.sessions import spoke

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
+from doc_pages import ROOT, blocks
 from live_run import Run, wait_until
 from scenes import BALL, write_scene
-from test_readme import ROOT, blocks
 
 import nuno
 from nuno.bus.messages import Bus, Inbox, Message

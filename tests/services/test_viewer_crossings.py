@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_viewer_file import read, write
+from rrd import read, write
 from viewer_run import RATE, messages
 
 from nuno_schemas.messages import PENETRATION, Penetration

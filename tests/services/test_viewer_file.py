@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from rrd import read, write, write_all
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
@@ -29,29 +28,6 @@ from nuno_schemas.messages import BODIES, FABRIC, STATE
 from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
-
-
-def write_all(file: RerunFile, fed: Iterable[Fed]) -> Path:
-    for message in fed:
-        file.feed(*message)
-    return file.finish()
-
-
-def write(path: Path, fed: Iterable[Fed]) -> Path:
-    return write_all(RerunFile(path, "run"), fed)
-
-
-def read(path: Path, entity: str, column: str, static: bool = False) -> dict[int, Any]:
-    """The column's values by frame number (0 for static ones)."""
-    import rerun.chunk
-
-    found: dict[int, Any] = {}
-    for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        if chunk.entity_path == entity and chunk.is_static == static and column in batch.schema.names:
-            frames = [0] * len(batch) if static else batch["frame"].to_pylist()
-            found |= {f: v for f, v in zip(frames, batch[column].to_pylist(), strict=True) if v is not None}
-    return found
 
 
 @pytest.fixture(scope="module")
