@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
-from sheets import DOWN, Pile, heap, pace, sheet, sliding
+from sheets import DOWN, Pile, heap, sheet
 
 from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
@@ -88,56 +88,6 @@ def test_nothing_passes_through(solver: str) -> None:
         assert pile.meeting.so_far[STEPS] > 0
 
 
-def test_what_never_meets_keeps_its_bits() -> None:
-    """Two sheets far apart, which swing: as without cloth contact, to the last bit."""
-    ends = []
-    for contact in (True, False):
-        pile = Pile(*piles.swinging(), contact=contact)
-        for _ in range(10):
-            pile.go(50)
-        ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
-    assert ends[0] == ends[1]
-
-
-def test_a_sheet_sticks_on_an_incline_just_if_friction_holds_it() -> None:
-    """tan(slope) = mu (1 +- 0.01): what sticks comes to rest and does not creep; what slides gains speed."""
-    mu = 0.5
-    for share, sticks in ((0.99, True), (1.01, False)):
-        pile = sliding(mu, math.atan(mu * share))
-        pile.go(1000)
-        start, speed = pile.state.x.mean(axis=0), pace(pile)[0]
-        pile.go(1500)
-        gained = 9.81 * (math.sin(math.atan(mu * share)) - mu * math.cos(math.atan(mu * share)))
-        if sticks:
-            assert np.abs(pile.state.x.mean(axis=0) - start).max() < 1e-6
-        else:
-            assert pace(pile)[0] - speed > 0.8 * gained * 1500 * pile.dt
-
-
-def test_a_sheet_slides_as_coulomb_says() -> None:
-    """With g (sin - mu cos), within 1 %, from triangle to triangle."""
-    mu, slope = 0.2, math.radians(30.0)
-    pile = sliding(mu, slope)
-    pile.go(300)
-    before = pace(pile)[0]
-    pile.go(700)
-    assert (pace(pile)[0] - before) / (700 * pile.dt) == pytest.approx(
-        9.81 * (math.sin(slope) - mu * math.cos(slope)), rel=0.01
-    )
-
-
-def test_a_pile_presses_with_its_weight() -> None:
-    """Four sheets at rest on a held one: m g of all, by the forces on that one."""
-    pile = Pile(*piles.stack(), damping=1.0)
-    for _ in range(8):
-        pile.go(500)
-        pile.state.v *= 0.5
-    found = pile.solver.forces(pile.system, pile.state, pile.memory, None).parts["cloth_contact"]
-    weight = 9.81 * pile.fabric.mass[~pile.fabric.pinned].sum()
-    assert -found[pile.fabric.pinned, 1].sum() == pytest.approx(weight, rel=0.01)
-    assert np.abs(found.sum(axis=0)).max() < 1e-12
-
-
 def test_amid_many_contacts_no_vertex_is_thrown_to_and_fro() -> None:
     """Twenty dashpots at a vertex are together faster than the step, each of which alone is slow enough."""
     pieces = []
@@ -170,24 +120,6 @@ def test_forces_are_those_of_the_state_that_is_asked_for() -> None:
 def collision(damping: float) -> Pile:
     """Two free sheets that fly at each other, without gravity and friction."""
     return Pile(*piles.collision(), gravity=np.zeros(3), friction=0.0, damping=damping, dt=5e-5)
-
-
-def test_momentum_is_kept_in_a_collision() -> None:
-    """And its moment, to rounding."""
-    pile = collision(0.5)
-    mass = pile.fabric.mass[:, None]
-
-    def kept() -> Float:
-        x, v = pile.state.x, pile.state.v
-        return np.concatenate([(mass * v).sum(axis=0), (mass * np.cross(x, v)).sum(axis=0)])
-
-    before, most = kept(), 0
-    for _ in range(20):
-        pile.go(20)
-        most = max(most, int(pile.meeting.number[TOUCHING]))
-    assert most > 20
-    assert np.abs(kept() - before)[:3].max() < 1e-12 * np.abs(mass * pile.state.v).sum()
-    assert np.abs(kept() - before)[3:].max() < 1e-12 * np.abs(mass * pile.state.v).sum()
 
 
 def test_friction_changes_the_moment_of_momentum_by_the_gap_alone() -> None:

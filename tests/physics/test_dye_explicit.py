@@ -50,17 +50,6 @@ def test_the_limit_is_where_the_weights_of_some_cell_add_to_one() -> None:
     assert Explicit().limit(CONFIG, dyed(closed, None)) == np.inf
 
 
-@pytest.mark.parametrize("law", [None, *LAWS])
-def test_frames_and_threads_change_no_bit(law: str | None) -> None:
-    side = int(CELLS_PER_THREAD**0.5) + 1
-    cells = resisted(side, side)
-    phi, fixed = start(cells)
-    one, two = (dyed(cells, LAWS.get(law or ""), threads) for threads in (1, 2))
-    whole, _ = advance(one, phi, fixed, 12)
-    for state, _ in (advance(two, phi, fixed, 12), advance(one, phi, fixed, 3, 4)):
-        assert np.array_equal(state.phi, whole.phi) and np.array_equal(state.fixed, whole.fixed)
-
-
 def test_an_isotherm_in_python_is_followed() -> None:
     cells = resisted(9, 11)
     phi, fixed = start(cells)
@@ -112,17 +101,6 @@ def test_dyes_do_not_act_on_each_other() -> None:
         solver.advance(system, alone, solver.prepare(CONFIG, system, alone), 6, 1.0)
         assert np.array_equal(state.phi[k], alone.phi[0]) and np.array_equal(state.fixed[k], alone.fixed[0])
     assert not state.fixed[1].any()
-
-
-@pytest.mark.parametrize("name", ISOTHERMS)
-def test_reported_totals_are_kept(name: str) -> None:
-    cells = resisted(40, 37)
-    phi, fixed = start(cells)
-    state, reports = advance(dyed(cells, LAWS.get(name)), phi, fixed, 500, 4)
-    supplied = fsum(phi.reshape(-1))
-    for steps, report in zip(range(500, 2001, 500), reports, strict=True):
-        assert abs(report.mobile[0] + report.fixed[0] - supplied) <= 1e-13 * np.sqrt(steps) * supplied
-    assert reports[-1].mobile[0] == pytest.approx(fsum(state.phi.reshape(-1)), rel=1e-15)
 
 
 def test_a_compensated_sum_is_exact_to_rounding() -> None:

@@ -22,7 +22,9 @@ ONES = np.ones((2, 3, 3))
 def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     """Against the exponential of the matrix whose columns are what a plain step makes of single cells."""
     cells = replace(random_cells(6, 7), v_max=1e3)
-    system, n = dyed(cells, None), cells.fibre.size
+    n = cells.fibre.size
+    # Kept up to nothing: as without, by kernels that others of these tests compile.
+    system = replace(dyed(cells, None), supply=np.zeros((1, *cells.fibre.shape)))
     units = np.eye(n).reshape(n, *cells.fibre.shape)
     matrix = np.stack([(step_plainly(unit, cells, 1.0) - unit).reshape(-1) for unit in units])
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -37,27 +39,7 @@ def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     assert name != "rkl2" or errors[-1] < 2e-6
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("name", SECOND)
-def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None:
-    """M_t / M_inf = 1 - 8 / pi^2 sum exp(-D (2 n + 1)^2 pi^2 t / 4 l^2) / (2 n + 1)^2, both faces kept up."""
-    n = 81
-    ones = np.ones((2, 1, n))
-    apart = Tortuosity(layers=0.0, beside=1.0, rim=1.0, gap=1.0, yarn=1.0, weave=1.0)
-    cells = Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, apart)
-    supply = np.zeros((1, 2, 1, n))
-    supply[..., [0, -1]] = 1.0
-    system, half = DyeSystem(cells, (Dye("blue", 1.0),), supply=supply), 0.5 * (n - 1)
-    for t in (80.0, 320.0, 1280.0):
-        end, report = run(name, system, 0 * ones, 0 * ones, t, 60)
-        odd = 2.0 * np.arange(60) + 1.0
-        share = 1.0 - (8.0 / (odd * np.pi) ** 2 * np.exp(-((odd * np.pi) ** 2) * t / (4.0 * half**2))).sum()
-        inside = end.phi[0, 0, 0, 1:-1].sum() + 0.5 * 2.0
-        assert inside / (n - 1) == pytest.approx(share, abs=2e-3)
-        assert report.supplied[0] == pytest.approx(end.phi.sum(), rel=1e-13)
-
-
-@pytest.mark.quick(kept_up=[False], name=["rkl2"])
+@pytest.mark.quick(kept_up=[True], name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("kept_up", [False, True])
 def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: bool) -> None:
@@ -139,17 +121,6 @@ def test_what_is_legal_but_extreme_is_done(name: str) -> None:
             assert report.status == "ok", case
             assert abs(report.mobile[0] + report.fixed[0] - phi.sum()) <= 2e-13 * phi.sum(), case
             assert end.phi.min() >= 0.0 and (end.phi[0] <= cells.mobile_room).all(), case
-
-
-@pytest.mark.quick(name=["rkl2"])
-@pytest.mark.parametrize("name", SECOND)
-def test_full_resist_lets_nothing_through(name: str) -> None:
-    cells = resisted(16, 20)
-    resist = np.where(np.indices(cells.fibre.shape)[2] == 9, 1.0, 0.0)
-    cells = replace(cells, resist=resist)
-    phi = np.where(np.indices(cells.fibre.shape)[2] < 9, 0.7 * cells.mobile_room, 0.0)
-    end, _ = run(name, dyed(cells, None), phi, 0 * phi, 1e4, 10)
-    assert not end.phi[..., 9:].any() and end.phi.sum() == pytest.approx(phi.sum(), rel=1e-13)
 
 
 @pytest.mark.quick(law=["langmuir"], name=["rkl2"])

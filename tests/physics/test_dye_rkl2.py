@@ -14,9 +14,6 @@ from nuno_dye.solvers.long_steps import split_steps
 from nuno_dye.solvers.rkl2 import MOST_STAGES, Rkl2, Rkl2Config, find_coefficients, find_stages
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 
-CONFIG = Rkl2Config()
-ONES = np.ones((2, 3, 3))
-
 
 def test_coefficients_sum_to_what_a_constant_rate_needs() -> None:
     """Y' = 1 is solved exactly, and Y' = t in its mean: what the method's order rests on."""
@@ -27,23 +24,6 @@ def test_coefficients_sum_to_what_a_constant_rate_needs() -> None:
             y.append(mu[j] * y[-1] + nu[j] * y[-2] + new[j] + old[j])
         assert y[-1] == pytest.approx(1.0, rel=1e-10)
         assert find_stages((s * s + s - 2) / 4 * (1 - 1e-12)) == s
-
-
-def test_a_point_spreads_as_the_closed_form_says() -> None:
-    n, errors = 121, []
-    open_cloth = Tortuosity(layers=0.0, beside=0.25, rim=1.0, gap=1.0, yarn=1.0, weave=1.0)
-    ones = np.ones((2, n, n))
-    system = DyeSystem(
-        Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, open_cloth, v_max=10.0), (Dye("blue", 1.0),)
-    )
-    phi, place = np.zeros((2, n, n)), np.arange(n) - n // 2
-    phi[:, n // 2, n // 2] = 1.0
-    for t in (20.0, 80.0):
-        end, _ = run("rkl2", system, phi, 0 * phi, t, 20)
-        fast, slow = (np.exp(-(place**2) / (4.0 * d * t)) / np.sqrt(4.0 * np.pi * d * t) for d in (1.0, 0.25))
-        exact = np.stack([slow[:, None] * fast, fast[:, None] * slow])
-        errors.append(np.abs(end.phi[0] - exact).max() / exact.max())
-    assert errors[1] < 0.01 and errors[0] / errors[1] > 3.0
 
 
 @pytest.mark.quick(name=["langmuir"], supplied=[True])

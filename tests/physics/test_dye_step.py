@@ -112,16 +112,3 @@ def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(isothe
     assert abs(mobile.sum() + bound.sum() - phi.sum()) <= 1e-13 * np.sqrt(steps) * phi.sum()
     assert mobile.min() >= 0.0 and bound.min() >= 0.0
     assert (mobile <= cells.mobile_room).all() and (bound <= cells.fixed_room).all()
-
-
-def test_full_resist_lets_nothing_in() -> None:
-    """B = 1 along a line keeps what is beyond it clean, whatever is supplied on this side."""
-    ones = np.ones((2, 24, 30))
-    resist = np.zeros_like(ones)
-    resist[:, :, 14] = 1.0
-    cells = replace(random_cells(24, 30), fibre=ones > 0, porosity=0.5 * ones, resist=resist)
-    phi = np.where(np.arange(30) < 14, cells.mobile_room, 0.0)
-    phi[:, ::2] *= 0.3
-    mobile, _ = run(phi, 0 * phi, cells, 1.0 / largest_sum(face_values(cells)), 0.0, "nothing", 500)
-    assert not mobile[:, :, 14:].any()
-    assert mobile.sum() == pytest.approx(phi.sum(), rel=1e-13)

@@ -84,7 +84,7 @@ def test_three_sound_solvers_pass_every_case() -> None:
     assert set(validate.count_posed(part, list(found.values())).values()) == {3}
 
 
-QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", "chain frequency 1"]
+QUICK = ["one step", "oscillator energy", "projectile", "momentum", "angular momentum", "rotation", "chain frequency 1"]
 
 
 def test_every_installed_solver_passes_the_quick_cases() -> None:
