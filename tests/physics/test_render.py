@@ -1,4 +1,4 @@
-"""Laws of light: radiance, shadows, textures and background against closed forms."""
+"""Pictures by rasterising: camera, visibility, light, shadows and textures against closed forms."""
 
 from __future__ import annotations
 
@@ -6,13 +6,193 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from nuno_render.config import Legend, RasterConfig
 from nuno_render.light.lighting import GROUND, KEY, SKY
-from nuno_render.raster.plugin import Raster, radiance
+from nuno_render.raster.plugin import Raster, radiance, rasterise, sample_offsets
 from nuno_schemas.camera import axes, frame
-from nuno_schemas.colour import colours, parse_hex, to_srgb
+from nuno_schemas.colour import colours, parse_hex, to_linear, to_srgb
 from nuno_schemas.drawing import Camera, Mesh
+from nuno_schemas.errors import BadInput
+
+
+def project(camera, points):
+    """(n, 2) picture coordinates, -1 to 1 on both axes."""
+    right, up, forward = axes(camera)
+    relative = points - camera.eye
+    depth = relative @ forward
+    assert (depth > 0).all()
+    slope = math.tan(camera.fov / 2)
+    aspect = camera.size[0] / camera.size[1]
+    return np.column_stack([relative @ right / depth / slope / aspect, relative @ up / depth / slope])
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 0.9, 4.0])
+@pytest.mark.parametrize("elevation", [-0.3, 0.4, math.pi / 2])
+@pytest.mark.parametrize("size", [(960, 720), (200, 700)])
+def test_points_fill_the_picture_up_to_the_margin(azimuth, elevation, size):
+    points = np.random.default_rng(3).normal(size=(300, 3)) * [1.0, 2.0, 0.5] + [10.0, -5.0, 2.0]
+    camera = frame(points, azimuth, elevation, size, fov=0.6, margin=0.1)
+    place = project(camera, points)
+    assert np.abs(place).max() < 0.8 + 1e-9
+    # Some axis touches its margin on both sides: nothing larger would fit.
+    touches = (place.max(axis=0) > 0.8 - 1e-9) & (place.min(axis=0) < -0.8 + 1e-9)
+    assert touches.any()
+
+
+def test_axes_are_a_right_handed_frame():
+    camera = frame(np.eye(3), 0.7, 0.3)
+    right, up, forward = axes(camera)
+    assert np.allclose(np.array([right, up, -forward]) @ np.array([right, up, -forward]).T, np.eye(3), atol=1e-14)
+    assert np.allclose(np.cross(right, up), -forward, atol=1e-14)
+
+
+def test_azimuth_zero_looks_along_y_and_turns_counter_clockwise():
+    points = np.array([[-1.0, -1, -1], [1, 1, 1]])
+    assert np.allclose(axes(frame(points, 0.0, 0.0))[2], [0, 1, 0])
+    assert np.allclose(axes(frame(points, math.pi / 2, 0.0))[2], [-1, 0, 0])
+
+
+def test_points_that_are_not_finite_do_not_count():
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    broken = np.vstack([points, [[np.nan, 0, 0], [np.inf, 0, 0]]])
+    assert np.array_equal(frame(points).eye, frame(broken).eye)
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.ones((1, 3)), np.full((4, 3), np.nan)])
+def test_no_extent_still_gives_a_camera(points):
+    camera = frame(points)
+    assert np.isfinite(camera.eye).all()
+    assert np.linalg.norm(camera.eye - camera.target) > 0
+
+
+@pytest.mark.parametrize("bad", [{"fov": 0.0}, {"fov": math.nan}, {"margin": 0.5}, {"size": (0, 10)}])
+def test_bad_arguments_are_refused(bad):
+    with pytest.raises(BadInput, match="camera"):
+        frame(np.eye(3), **bad)
+
+
+def test_camera_without_direction_is_refused():
+    for eye, up in ((np.zeros(3), [0.0, 0, 1]), (np.array([0, 0, 1.0]), [0.0, 0, 1])):
+        with pytest.raises(BadInput, match="camera"):
+            axes(Camera(eye, np.zeros(3), np.array(up), 0.5, (10, 10)))
+
+
+def test_srgb_transfer_is_inverted_and_meets_its_standard_values():
+    value = np.linspace(0, 1, 1001)
+    assert np.abs(to_srgb(to_linear(value)) - value).max() < 1e-6
+    assert abs(to_linear(0.5) - 0.21404114) < 1e-7
+    assert np.allclose(parse_hex("#ff8000"), [1.0, 0.21586, 0.0], atol=1e-5)
+
+
+def test_equal_steps_of_value_are_equal_steps_of_lightness():
+    # CIE 1976 lightness of the map's luminance: a straight line, to within 2 of 100.
+    value = np.linspace(0, 1, 101)
+    luminance = colours(value, 0.0, 1.0) @ [0.2126, 0.7152, 0.0722]
+    lightness = np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+    assert (np.diff(lightness) > 0).all()
+    line = lightness[0] + value * (lightness[-1] - lightness[0])
+    assert np.abs(lightness - line).max() < 2.0
+
+
+def test_limits_missing_values_and_empty_ranges():
+    low, high, missing = parse_hex("#440154"), parse_hex("#fde725"), parse_hex("#9a9a9a")
+    assert np.allclose(colours([-5.0, 2.0, np.nan, 9.0], 2.0, 3.0), [low, low, missing, high])
+    assert np.allclose(colours([1.0, 2.0], 1.0, 1.0), [low, low])
+
+
+SIZE = 64
+
+
+def draw(clip, faces, samples=1, order=None, near=1e-3, two_sided=True):
+    """Covered samples, and the owner (SIZE, SIZE, samples) of each."""
+    faces = np.asarray(faces, np.int32).reshape(-1, 3)
+    depth = np.zeros((SIZE, SIZE, samples), np.float32)
+    owner = np.full(depth.shape, -1, np.int32)
+    mesh, sides = np.zeros(len(faces), np.int32), np.array([two_sided])
+    covered = rasterise(np.asarray(clip, float), faces, mesh, sides, near, sample_offsets(samples), 128, depth, owner)
+    return covered, owner
+
+
+def flat(points, w=1.0):
+    """Homogeneous pixels of points (n, 2) at distance w."""
+    return np.column_stack([points, np.ones(len(points))]) * np.broadcast_to(w, len(points))[:, None]
+
+
+@pytest.mark.parametrize("samples", [1, 4, 8, 16])
+def test_area_matches_covered_samples(samples):
+    # Jarnik: a closed curve of length L >= 1 holds N lattice points with |N - A| < L. Each of the
+    # sample positions is one such lattice; rounding to 1/256 pixel moves the area by less than L/256.
+    random = np.random.default_rng(1)
+    for _ in range(200):
+        p = random.uniform(2, SIZE - 2, (3, 2))
+        area = 0.5 * abs(np.linalg.det(np.column_stack([p[1] - p[0], p[2] - p[0]])))
+        length = sum(np.linalg.norm(p[i] - p[i - 1]) for i in range(3))
+        covered, _ = draw(flat(p), [0, 1, 2], samples)
+        assert abs(covered - samples * area) < samples * (length + length / 256)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_triangulation_covers_every_sample_once(seed):
+    # Points on sample positions and on pixel corners too: the cases where rounding decides.
+    random = np.random.default_rng(seed)
+    points = random.uniform(0, SIZE, (150, 2))
+    points[:60] = np.floor(points[:60]) + 0.5
+    points[60:90] = np.floor(points[60:90] * 16) / 16
+    points = np.unique(np.vstack([points, [[-9, -9], [SIZE + 9, -9], [-9, SIZE + 9], [SIZE + 9, SIZE + 9]]]), axis=0)
+    rounded = np.round(points * 256) / 256
+    faces = Delaunay(rounded).simplices
+    faces[::2] = faces[::2, ::-1]  # orientation must not matter for two-sided cloth
+    for samples in (1, 8):
+        covered, owner = draw(flat(rounded), faces, samples)
+        assert covered == SIZE * SIZE * samples
+        assert (owner >= 0).all()
+
+
+def test_nearest_surface_wins_whatever_the_order():
+    # Two triangles that cross: 1/w is affine on the screen, so the front one follows from it.
+    p = np.array([[-40.0, -40.0], [260.0, -40.0], [-40.0, 260.0]])
+    depths = [np.array([2.0, 6.0, 3.0]), np.array([2.6, 2.0, 4.0])]
+    clip = np.vstack([flat(p, w) for w in depths])
+    _, owner = draw(clip, [[0, 1, 2], [3, 4, 5]])
+    _, swapped = draw(clip, [[3, 4, 5], [0, 1, 2]])
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    s, t = (x + 40) / 300, (y + 40) / 300
+    inverse = [(1 - s - t) / w[0] + s / w[1] + t / w[2] for w in depths]
+    clear = np.abs(inverse[0] - inverse[1]) > 1e-6
+    expected = np.where(inverse[0] > inverse[1], 0, 1)
+    assert 0.2 < expected.mean() < 0.8
+    assert (owner[..., 0] == expected)[clear].all()
+    assert (swapped[..., 0] == 1 - expected)[clear].all()
+
+
+def test_triangle_that_crosses_the_near_plane_covers_what_is_in_front():
+    # The floor y = 1 below an eye at the origin looks like the half plane under the horizon, up
+    # to where it ends; one corner lies far behind the eye.
+    focal, middle = 40.0, SIZE / 2
+    corners = np.array([[-400.0, 1.0, 50.0], [400.0, 1.0, 50.0], [0.0, 1.0, -400.0]])
+    x, y, z = corners.T
+    clip = np.column_stack([focal * x + middle * z, focal * y + middle * z, z])
+    _, owner = draw(clip, [0, 1, 2])
+    rows = np.arange(SIZE) + 0.5
+    distance = np.divide(focal, rows - middle, out=np.full(SIZE, np.inf), where=rows > middle)
+    seen = (owner[..., 0] == 0).all(axis=1)
+    assert (seen == (distance < 50.0)).all()
+    assert ((owner[..., 0] == 0).any(axis=1) == seen).all()
+
+
+def test_nothing_behind_the_eye_is_drawn():
+    clip = flat(np.array([[5.0, 5.0], [60.0, 5.0], [5.0, 60.0]]), -1.0)
+    assert draw(clip, [0, 1, 2])[0] == 0
+
+
+def test_one_sided_triangles_show_one_side():
+    p = flat(np.array([[5.0, 5.0], [60.0, 5.0], [5.0, 60.0]]))
+    front, back = draw(p, [0, 2, 1], two_sided=False)[0], draw(p, [0, 1, 2], two_sided=False)[0]
+    assert front == draw(p, [0, 1, 2])[0] > 0
+    assert back == 0
+
 
 PLAIN = {"ground": "none", "sheen": 0.0, "samples": 1}
 

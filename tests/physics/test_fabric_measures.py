@@ -1,22 +1,31 @@
-"""The same fabric on any mesh of triangles: a measured fabric's membrane hangs and pulls as its measures say."""
+"""A measured fabric behaves as measured on any mesh: sag, drop, membrane, forces, the size of its texture."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 from hanging_sheets import hanging_drop, sunk
+from nets import accelerations, make_system, wind_force
 from triangle_sheets import KINDS, square
 
+from nuno import registry
+from nuno.cloth.texture import texture_size
 from nuno.scene.files import SceneFiles
-from nuno_cloth.fabrics.energy import membrane_energy
+from nuno_cloth.fabrics.energy import elastic_energy, membrane_energy
+from nuno_cloth.fabrics.kes import minimise
+from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_cloth.models.membrane import build_elements
 from nuno_cloth.models.mesh import Mesh, MeshConfig
+from nuno_cloth.models.sheet import Sheet, SheetConfig
+from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.wind.plugin import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 
@@ -171,3 +180,92 @@ def test_a_mesh_has_a_membrane_of_a_measured_fabric_and_springs_where_they_are_a
     with pytest.raises(BadInput, match="constants per spring make no membrane") as caught:
         built(tmp_path, fabric=BY_HAND, tension="membrane")
     assert caught.value.field == "tension"
+
+
+G, DENSITY, LENGTH = 9.81, 0.2, 0.2
+DROP = {1.0: 0.123471, 3.0: 0.339648}
+"""Drop / length of the heavy cantilever at w L^3 / B, from theta'' = -Gamma (1 - s) cos theta."""
+
+
+def sag(gamma: float, rows: int) -> float:
+    """Drop / length of a strip of square cells whose first two rows are clamped.
+
+    The clamp holds the direction of the first step, which is the slope at its middle: the free
+    length starts there.
+    """
+    step = LENGTH / (rows - 1.5)
+    rigidity = DENSITY * G * LENGTH**3 / gamma
+    fabric = Measured(density=DENSITY, warp=4e3, weft=4e3, shear=4e2, bend_warp=rigidity, bend_weft=rigidity)
+    config = SheetConfig(size=(step, step * (rows - 1)), resolution=(2, rows), plane="xz", fabric=fabric)
+    piece = Sheet().build(config, None, 0)  # type: ignore[arg-type]
+    free = np.arange(piece.number) >= 4
+    x = piece.position.copy()
+
+    def evaluate(values: Float) -> tuple[float, Float]:
+        x[free] = values.reshape(-1, 3)
+        energy, gradient = elastic_energy(piece, x)
+        gradient[:, 1] += G * piece.mass
+        return energy + G * float(piece.mass @ x[:, 1]), gradient[free].ravel()
+
+    x[free] = minimise(evaluate, x[free].ravel(), 1e-14).reshape(-1, 3)
+    return -float(x[-2:, 1].mean()) / LENGTH
+
+
+@pytest.mark.parametrize(("gamma", "resolutions"), [(1.0, (8, 12, 16)), (3.0, (8, 12))])
+def test_a_clamped_strip_sags_as_the_elastica(gamma: float, resolutions: tuple[int, ...]) -> None:
+    """Order 2 +- 0.1, and 1.2 % at eight rows."""
+    errors = np.array([sag(gamma, rows) / DROP[gamma] - 1 for rows in resolutions])
+    order = -np.polyfit(np.log(np.array(resolutions) - 1.5), np.log(np.abs(errors)), 1)[0]
+    assert order == pytest.approx(2.0, abs=0.1)
+    assert np.abs(errors).max() < 0.012
+
+
+GARMENTS: list[tuple[Any, dict[str, Any]]] = [
+    (Sheet(), {"resolution": (9, 13), "size": (0.2, 0.3), "pin": ["top-row"], "fabric": "jacket"}),
+    (Skirt(), {"columns": 64, "rows": 16, "fullness": 1.3, "pleats": 8, "fabric": "trousers"}),
+    (Skirt(), {"columns": 6, "rows": 3, "length": 0.3, "fabric": {"density": 0.2, "structural": 50, "bending": 5}}),
+]
+
+
+@pytest.mark.parametrize(("model", "config"), GARMENTS)
+def test_compiled_forces_are_the_energies_gradients(model: Any, config: dict[str, Any]) -> None:
+    fabric = model.build(model.Config.model_validate(config), None, 0)
+    generator = np.random.default_rng(2)
+    x = fabric.position + generator.normal(0, 1e-3, fabric.position.shape)
+    still = np.zeros_like(x)
+    force = -elastic_energy(fabric, x)[1]
+    wind = Wind().prepare(WindConfig(velocity=(3.0, 1.0, -2.0)), fabric, 0)
+    push = ParticleWindForce().prepare(ParticleWindConfig(strength=1e-3, beta=0.3, gamma=0.8), fabric, 0)
+    blown = wind_force(wind.data, x, still)
+    expected = (force + blown + push.data[0].force) / fabric.mass[:, None]
+    got = accelerations(make_system(fabric, terms=(wind, push)), x, still)
+    free = ~fabric.pinned
+    assert got[free] == pytest.approx(expected[free], rel=1e-9, abs=1e-9 * np.abs(expected).max())
+    assert not got[fabric.pinned].any()
+
+
+def build_sheet(name: str, **config: object) -> Fabric:
+    model = registry.load("nuno.models", name)
+    made: Fabric = model.build(model.Config(**config), None, 0)
+    return made
+
+
+@pytest.mark.parametrize("cells", ["quads", "triangles"])
+def test_a_sheets_texture_is_as_large_as_the_sheet(cells: str) -> None:
+    sheet = build_sheet("sheet", size=(0.6, 0.4), resolution=(13, 9), plane="xz", cells=cells, fabric="denim")
+    assert texture_size(sheet) == pytest.approx((0.6, 0.4), rel=1e-6)
+
+
+def test_a_skirts_is_as_wide_as_its_mean_circle_and_as_high_as_it_is_long() -> None:
+    """u runs once round it; the mean is by area, which goes with the circle: int r^2 over int r."""
+    low, high, long = 0.2, 0.3, 0.4
+    skirt = build_sheet("skirt", waist_radius=low, hem_radius=high, length=long, columns=128, rows=33, fabric="denim")
+    mean = (high**3 - low**3) / 3.0 / ((high**2 - low**2) / 2.0)
+    width, height = texture_size(skirt)
+    assert width == pytest.approx(2.0 * np.pi * mean, rel=2e-3)
+    assert height == pytest.approx(long, rel=2e-3)
+
+
+def test_cloth_without_a_texture_has_none() -> None:
+    with pytest.raises(ValueError, match="without texture"):
+        texture_size(build_sheet("knit", form="tube", wales=8, courses=15))
