@@ -211,7 +211,7 @@ def uniform_stiffness(fabric: Fabric) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_springs_on_right_triangles_keep_the_measures(preset: str, files: Folder) -> None:
-    """A membrane does on any triangles: tests/physics/test_fabrics.py."""
+    """A membrane does on any triangles: tests/physics/test_fabric_measures.py."""
     config = {"file": "sheet.obj", "fabric": preset, "tension": "springs"}
     fabric, material = build(Mesh(), config, files), PRESETS[preset]
     assert uniform_stiffness(fabric) == pytest.approx((material.warp, material.weft, material.shear), rel=1e-6)

@@ -14,15 +14,18 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
+from nuno_bench.problem import piles
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as validation_page
+from nuno_bench.validation import suite
 from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import oscillator, statics
+from nuno_bench.validation.laws import contacts, oscillator, statics
 from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
 from nuno_integrators.explicit.rk4 import RK4
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.system import System
 
 GROUP = "nuno.integrators"
 SOUND = ["leapfrog", "rk4", "symplectic_euler"]
@@ -251,3 +254,42 @@ def elastica(gamma: float, steps: int = 400) -> float:
 @pytest.mark.parametrize("gamma", statics.DROP)
 def test_drops_of_the_cantilever_are_the_elasticas(gamma: int) -> None:
     assert elastica(gamma) == pytest.approx(statics.DROP[gamma], abs=2e-5)
+
+
+CASES = {case.name: case for case in contacts.laws}
+SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
+
+
+def outcome(case: str, solver: str = "symplectic_euler") -> Outcome:
+    return suite.check(CASES[case], registry.load("nuno.integrators", solver))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
+    """On grids and on irregular triangles; bits without contact are not asked of an adaptive method."""
+    found = [outcome(case, solver) for case in CASES]
+    unposed = {"cloth apart", "mesh apart"} if solver == "dopri5" else set()
+    assert {one.case: one.reason for one in found if one.verdict != "passed" and one.case not in unposed} == {}
+    assert {one.case for one in found if one.verdict == "unsupported"} == unposed
+    assert len(found) == 16
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", ["cloth slides", "mesh slide rate"])
+def test_a_friction_that_is_two_percent_off_is_found_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = piles.pile
+
+    def rougher(*pieces: Any, friction: float, **settings: Any) -> System:
+        return make(*pieces, friction=1.02 * friction, **settings)
+
+    monkeypatch.setattr(piles, "pile", rougher)
+    assert outcome(case).verdict == "failed"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", ["cloth momentum", "cloth heap", "mesh pile"])
+def test_cloth_that_does_not_meet_breaks_the_laws(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = piles.pile
+    monkeypatch.setattr(piles, "pile", lambda *pieces, **settings: make(*pieces, **settings | {"contact": False}))
+    assert outcome(case).verdict == "failed"

@@ -1,13 +1,21 @@
-"""Every link leads somewhere, every picture is there and is shown, and every page is found from the first."""
+"""The documentation: links, generated pages of the reference, and the site."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+
+from nuno import cli, registry
+from nuno.cli import main
+from nuno.scene.json_schema import PLACES
+from nuno_bench.cli import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -117,3 +125,91 @@ def test_broken_links_are_seen(tmp_path: Path) -> None:
     assert {(file.name, anchor) for file, anchor in links(page)} == {
         ("page.md", "a-b-c-d"), ("no.png", ""), ("gone.md", "")
     }  # fmt: skip
+
+
+REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
+
+
+@pytest.mark.parametrize("name", ["messages", "fields", "commands"])
+def test_a_page_is_as_made_now(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", f"--{name}"]) == 0
+    made = capsys.readouterr().out
+    assert (REFERENCE / f"{name}.md").read_text(encoding="utf-8") == made, (
+        f"nuno schema --{name} > docs/reference/{name}.md"
+    )
+
+
+@pytest.mark.parametrize("name", ["fields", "commands"])
+def test_each_field_and_argument_has_a_meaning(name: str) -> None:
+    rows = [line for line in (REFERENCE / f"{name}.md").read_text(encoding="utf-8").splitlines() if line[:3] == "| `"]
+    assert len(rows) > 100 and [row for row in rows if not row.rstrip("| ").rpartition(" | ")[2].strip("` ")] == []
+    assert [row for row in rows if re.search(r"\| +\|$", row)] == []
+
+
+def test_every_plugin_of_a_scene_has_its_fields() -> None:
+    """A section for each, and in it a row for each field of its Config."""
+    sections = re.split(r"^#{2,4} ", (REFERENCE / "fields.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    for group in set(PLACES.values()):
+        for name in registry.installed(group):
+            rows = [set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) for text in sections
+                    if text.startswith(f"{name} (")]  # fmt: skip
+            fields = {field.alias or key for key, field in registry.load(group, name).Config.model_fields.items()}
+            assert any(fields <= found for found in rows), (group, name)
+
+
+def test_every_command_is_there() -> None:
+    found = set(re.findall(r"^##+ nuno (.+)$", (REFERENCE / "commands.md").read_text(encoding="utf-8"), re.MULTILINE))
+    assert found == {*cli.COMMANDS, *(f"bench {kind}" for kind in COMMANDS)}
+
+
+def test_defaults_are_written_out() -> None:
+    """In whichever of argparse's formats they stand."""
+    text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
+    assert "%(" not in text and "%%" not in text and "(default: 60)" in text
+
+
+HELD = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*?\b(?:src|href)=\"([^\"]+)\"")
+"""What a browser fetches by itself."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("sphinx")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(folder)]
+    path = os.pathsep.join([*(str(ROOT / name) for name in ("schemas", "services", "plugins")), *sys.path])
+    ended = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path})
+    assert (ended.returncode, ended.stderr) == (0, ""), ended.stderr
+    return folder
+
+
+@pytest.mark.full
+def test_each_page_is_there_and_fetches_nothing_from_other_hosts(site: Path) -> None:
+    for page in DOCS.rglob("*.md"):
+        text = (site / page.relative_to(DOCS).with_suffix(".html")).read_text(encoding="utf-8")
+        fetched = HELD.findall(text)
+        assert fetched and [name for name in fetched if re.match(r"[a-z]+:|//", name)] == []
+    for style in site.rglob("*.css"):
+        assert re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", style.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.full
+def test_the_reference_holds_docstrings(site: Path) -> None:
+    import nuno
+    from nuno_testing.checks import OWN
+
+    text = (site / "reference" / "python.html").read_text(encoding="utf-8")
+    assert all(f'id="nuno.{name}"' in text for name in nuno.__all__)
+    text = (site / "reference" / "protocols.html").read_text(encoding="utf-8")
+    assert all(f">{check.__name__.replace('_', ' ')}<" in text for checks in OWN.values() for check in checks)
+
+
+@pytest.mark.full
+def test_formulas_are_drawn_by_the_browser(site: Path) -> None:
+    """Each of a page's formulas is MathML, and none is left as it was written."""
+    source = (DOCS / "explanation" / "methods.md").read_text(encoding="utf-8")
+    text = (site / "explanation" / "methods.html").read_text(encoding="utf-8")
+    blocks = source.count("$$") // 2
+    assert blocks > 10 and text.count('display="block"') == blocks
+    assert text.count("<math") == blocks + len(re.findall(r"\$[^$]+\$", source.replace("$$", "")))
+    assert "$" not in re.sub(r"<(code|script|style)\b.*?</\1>", "", text, flags=re.DOTALL)
