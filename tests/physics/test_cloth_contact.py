@@ -27,6 +27,13 @@ from nuno_schemas.fabric import Fabric, Float, State
 SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
 
+USUAL = 1.0 / 960.0
+"""Sixteen steps in a frame [s]."""
+THICKNESS = piles.THICKNESS
+IMPLICIT_SOLVERS = ("implicit_euler", "tr_bdf2")
+FRAME = 1.0 / 60.0
+
+
 def held() -> int:
     """Arrays that compiled code has made and not let go."""
     found = rtsys.get_allocation_stats()
@@ -161,23 +168,6 @@ def test_an_undamped_bounce_gains_no_energy() -> None:
     assert sum([damped.go(20) for _ in range(30)][-1].energy.values()) < 0.9 * begun
 
 
-def test_a_run_goes_on_from_a_checkpoint_in_the_same_bits() -> None:
-    """In the middle of contact, with anchors and plans, by a solver's memory alone."""
-    whole, cut = heap("symplectic_euler", 3), heap("symplectic_euler", 3)
-    for _ in range(8):
-        whole.go(10)
-    for _ in range(3):
-        cut.go(10)
-    on = heap("symplectic_euler", 3)
-    on.state.x[...], on.state.v[...], on.state.t = cut.state.x, cut.state.v, cut.state.t
-    for name, values in cut.memory.arrays.items():
-        on.memory.arrays[name] = values.copy()
-    for _ in range(5):
-        on.go(10)
-    assert cut.meeting.anchored.any()
-    assert (on.state.x.tobytes(), on.state.v.tobytes()) == (whole.state.x.tobytes(), whole.state.v.tobytes())
-
-
 def test_a_start_in_which_cloth_meets_is_refused() -> None:
     def refused(*pieces: object, **settings: object) -> BadInput:
         with pytest.raises(BadInput) as caught:
@@ -206,11 +196,6 @@ def test_objects_that_may_pass_through_each_other_do() -> None:
     fabric = join_fabrics([one, two], "both")
     objects = {"one": np.arange(64, dtype=np.int32), "two": np.arange(64, 128, dtype=np.int32)}
     Offset().prepare(OffsetConfig(), fabric, objects, np.eye(2, dtype=bool), DOWN)
-
-
-USUAL = 1.0 / 960.0
-"""Sixteen steps in a frame [s]."""
-THICKNESS = piles.THICKNESS
 
 
 def triangle(size: float, height: float, pinned: bool = False) -> Fabric:
@@ -349,22 +334,6 @@ def test_nothing_passes_through_in_long_steps() -> None:
     assert pile.meeting.so_far[CUT] < 0.02 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
-def test_xpbd_a_run_goes_on_from_a_checkpoint_in_the_same_bits() -> None:
-    """In the middle of contact, by a solver's memory alone."""
-    whole, cut, on = (heap("xpbd", 1, dt=USUAL) for _ in range(3))
-    for _ in range(8):
-        whole.go(10)
-    for _ in range(3):
-        cut.go(10)
-    on.state.x[...], on.state.v[...], on.state.t = cut.state.x, cut.state.v, cut.state.t
-    for name, values in cut.memory.arrays.items():
-        on.memory.arrays[name] = values.copy()
-    for _ in range(5):
-        on.go(10)
-    assert cut.meeting.anchored.any()
-    assert (on.state.x.tobytes(), on.state.v.tobytes()) == (whole.state.x.tobytes(), whole.state.v.tobytes())
-
-
 @pytest.mark.full
 def test_the_same_bits_whatever_the_threads() -> None:
     """Of two sheets of so many vertices that several threads step them."""
@@ -377,10 +346,6 @@ def test_the_same_bits_whatever_the_threads() -> None:
         assert pile.meeting.number[TOUCHING] > 1000
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]
-
-
-IMPLICIT_SOLVERS = ("implicit_euler", "tr_bdf2")
-FRAME = 1.0 / 60.0
 
 
 @pytest.mark.full
@@ -506,18 +471,22 @@ def test_a_fold_of_uneven_triangles_rests_on_itself() -> None:
     assert np.abs(pile.state.v).max() < 1e-2
 
 
-@pytest.mark.full
-def test_implicit_a_run_goes_on_from_a_checkpoint_in_the_same_bits() -> None:
-    """In the middle of contact, by a solver's memory alone."""
-    whole, cut, on = (heap("implicit_euler", 1, dt=0.25 * FRAME) for _ in range(3))
-    for _ in range(6):
-        whole.go(2)
+@pytest.mark.quick(solver=["symplectic_euler", "xpbd"])
+@pytest.mark.parametrize(
+    ("solver", "seed", "dt", "steps"),
+    [("symplectic_euler", 3, 2e-4, 10), ("xpbd", 1, USUAL, 10), ("implicit_euler", 1, 0.25 * FRAME, 2)],
+)
+def test_a_run_goes_on_from_a_checkpoint_in_the_same_bits(solver: str, seed: int, dt: float, steps: int) -> None:
+    """In the middle of contact, with anchors and plans, by a solver's memory alone."""
+    whole, cut, on = (heap(solver, seed, dt=dt) for _ in range(3))
+    for _ in range(8):
+        whole.go(steps)
     for _ in range(3):
-        cut.go(2)
+        cut.go(steps)
     on.state.x[...], on.state.v[...], on.state.t = cut.state.x, cut.state.v, cut.state.t
     for name, values in cut.memory.arrays.items():
         on.memory.arrays[name] = values.copy()
-    for _ in range(3):
-        on.go(2)
+    for _ in range(5):
+        on.go(steps)
     assert cut.meeting.anchored.any()
     assert (on.state.x.tobytes(), on.state.v.tobytes()) == (whole.state.x.tobytes(), whole.state.v.tobytes())

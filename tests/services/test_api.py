@@ -18,12 +18,6 @@ from nuno.supervision.supervisor import Supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import Scene
 
-
-def test_the_module_lists_what_it_offers() -> None:
-    assert {"run", "open", "Result"} <= set(dir(nuno))
-    assert all(callable(getattr(nuno, name)) for name in nuno.__all__)
-
-
 REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
     "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
     "an override's form": (lambda _: nuno.run(CHAIN, "solver"), 'for example "solver.dt=1ms"'),
@@ -125,14 +119,6 @@ def test_a_recording_goes_with_its_result(tmp_path: Path, temporary: Path) -> No
     assert path.is_file()
     assert [frame.number for frame in frames] == list(range(6))
     del frames
-    assert list(temporary.iterdir()) == []
-
-
-def test_a_recording_that_was_asked_for_stays(tmp_path: Path, temporary: Path) -> None:
-    write_chain(tmp_path)
-    nuno.run(CHAIN, roots=[tmp_path], record=tmp_path / "kept.mcap")
-    with nuno.open(tmp_path / "kept.mcap") as recording:
-        assert recording.complete
     assert list(temporary.iterdir()) == []
 
 

@@ -140,39 +140,6 @@ def test_a_scene_larger_than_memory_is_refused_before_it_is_built(refused: Refus
     assert psutil.Process().memory_info().rss - before < 500 * 2**20
 
 
-def test_the_same_estimate_without_that_machine(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Memory:
-        available = 100_000
-
-    monkeypatch.setattr(psutil, "virtual_memory", Memory)
-    assert "400 vertices" in refused.run(objects=sheet(resolution=[20, 20]))
-    write_net(refused.folder / "net.npz", 300, pinned=np.zeros(300, bool))
-    monkeypatch.setattr(Memory, "available", 10_000)
-    assert "300 vertices" in refused.run(objects=of_file("net.npz"))
-
-
-NETS: dict[str, tuple[dict[str, Any], str]] = {
-    "nan": ({"x": np.full((3, 3), np.nan)}, "x[0, 0]: not a finite number"),
-    "inf": ({"v": np.full((3, 3), np.inf)}, "v[0, 0]: not a finite number"),
-    "zero mass": ({"m": np.array([1.0, 0, 1])}, "m[1]: a mass must be positive"),
-    "negative mass": ({"m": np.array([1.0, 1, -1])}, "m[2]: a mass must be positive"),
-    "spring to itself": ({"springs": np.array([[0, 1], [2, 2]])}, "springs[1]: a spring from a vertex to itself"),
-    "index too large": ({"springs": np.array([[0, 1], [1, 3]])}, "springs[1, 1]: no such vertex"),
-    "index -1": ({"springs": np.array([[0, 1], [1, -1]])}, "springs[1, 1]: no such vertex"),
-    "duplicate": ({"springs": np.array([[0, 1], [1, 0]])}, "springs[1]: the same two vertices as springs[0]"),
-    "unknown key": ({"masses": np.ones(3)}, "masses: unknown array"),
-}
-
-
-@pytest.mark.parametrize("fault", NETS)
-def test_bad_nets_name_file_place_and_who_named_them(fault: str, refused: Refused, tmp_path: Path) -> None:
-    change, words = NETS[fault]
-    write_net(tmp_path / "bad.npz", **change)
-    said = refused.run(objects=of_file("bad.npz"))
-    assert f"{tmp_path / 'bad.npz'}: {words}" in said
-    assert f"{tmp_path / 'scene.yaml'}:" in said
-
-
 FILES: dict[str, tuple[str, str, bytes | None, str]] = {
     "missing net": ("net", "bad.npz", None, "no such file"),
     "empty net": ("net", "bad.npz", b"", "not a readable .npz file"),
