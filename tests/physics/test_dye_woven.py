@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from pattern_files import write_image
+from pattern_files import Folder, write_image
 from pydantic import ValidationError
 
 from nuno_dye.cloths.woven import MOST_CELLS, VaryConfig, WovenConfig, YarnConfig, build_cells, lay_evenly, lay_measured
@@ -260,16 +260,6 @@ Spacing=0.04
 1=1
 2=2
 """
-
-
-class Folder:
-    """Files of one folder."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-
-    def resolve(self, name: str) -> Path:
-        return self.root / name
 
 
 def build(root: Path, dyes: int = 1, **scene: Any) -> tuple[Cells, DyeState]:
