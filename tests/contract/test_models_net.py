@@ -167,13 +167,6 @@ def test_not_a_number_is_refused(files: Folder) -> None:
     assert caught.value.field == "mu[1]"
 
 
-def test_the_reason_for_one_half_is_given(files: Folder) -> None:
-    np.savez(files.root / "bad.npz", **(arrays() | {"mu": np.array([0.7, 0.0])}))  # type: ignore[arg-type]
-    with pytest.raises(BadInput) as caught:
-        build(Net(), {"file": "bad.npz"}, files)
-    assert "energy" in str(caught.value) and "1/2" in str(caught.value)
-
-
 def test_a_net_holds_the_files_yarns(files: Folder) -> None:
     np.savez(files.root / "yarns.npz", **arrays())  # type: ignore[arg-type]
     fabric = build(Net(), {"file": "yarns.npz"}, files)

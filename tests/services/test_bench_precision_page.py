@@ -16,14 +16,13 @@ from dye_scene import write_scene as write_dyed
 from line_net import problem_of, reference_of, write_net
 from precision_sweeps import swept
 from rrd import columns
-from scenes import BALL, write_scene
 
 from nuno.cli import main
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
 from nuno_bench.precision.command import _own
 from nuno_bench.precision.compare import Result, compare, read, summary
-from nuno_bench.precision.page import Findings, orders, over_frames, over_wall_time, report, tabs
+from nuno_bench.precision.page import Findings, over_frames, over_wall_time, report, tabs
 from nuno_bench.precision.point import POINT, Error, Point, choice_rows, judge, measure_errors
 from nuno_bench.problem.dye import DyeProblem
 from nuno_bench.problem.observe import POSITIONS, Problem
@@ -69,13 +68,6 @@ def test_a_figure_can_be_saved_as_a_file_of_its_own(found: Findings) -> None:
     assert [name for _, name in links] == ["precision-line-positions.svg", "precision-line-observed.svg"]
     for data, _ in links:
         assert ElementTree.fromstring(base64.b64decode(data)).tag == "{http://www.w3.org/2000/svg}svg"
-
-
-@pytest.mark.full
-def test_where_there_is_contact_orders_are_not_left_to_speak_for_themselves(tmp_path: Path, found: Findings) -> None:
-    over_ball = problem_of(write_scene(tmp_path, bodies=BALL))
-    assert "over a jump no method has its order" not in orders(found).caption
-    assert "over a jump no method has its order" in orders(replace(found, problem=over_ball)).caption
 
 
 @pytest.mark.full
