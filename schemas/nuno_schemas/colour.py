@@ -79,7 +79,9 @@ def names() -> dict[str, str]:
     """Return the 148 named colours of CSS (CSS Color 4, section 6.1), each as "#rrggbb"."""
     from PIL import ImageColor  # takes longer to load than a small scene to read
 
-    return {name: str(written) for name, written in ImageColor.colormap.items()}
+    # Not the values of colormap: Pillow puts what it has parsed in their place.
+    rgb = {name: ImageColor.getrgb(name)[:3] for name in ImageColor.colormap}
+    return {name: f"#{red:02x}{green:02x}{blue:02x}" for name, (red, green, blue) in rgb.items()}
 
 
 def as_hex(text: str) -> str:

@@ -1,19 +1,29 @@
-"""Images lie as a viewer shows them, and keep their light, whatever is made of them."""
+"""Images keep their light and lie as a viewer shows them; colours by name."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import jsonschema
+import matplotlib.colors
 import numpy as np
 import pytest
+import yaml
 from model_files import Folder
 from PIL import Image
+from pydantic import TypeAdapter, ValidationError
 
+from nuno.scene import shipped
+from nuno.scene.json_schema import scene_schema
 from nuno_cloth.models.placement import find_texture
 from nuno_dye.cloths.photograph_cloth import read_photograph
+from nuno_dye.picture import YarnsPictureConfig
 from nuno_dye.supplies.resist import read_image
-from nuno_schemas.colour import read_rgb
+from nuno_render.config import PictureConfig
+from nuno_schemas.colour import as_hex, names, read_rgb
 from nuno_schemas.errors import BadInput
+from nuno_schemas.parts import Colour
+from nuno_schemas.scene import Scene
 
 TURN = 0x112
 """EXIF's orientation."""
@@ -101,3 +111,50 @@ def test_a_texture_that_cannot_be_read_is_refused_before_anything_starts(name: s
     with pytest.raises(BadInput, match="cannot be read as an image") as caught:
         find_texture(name, Folder(tmp_path))
     assert (caught.value.field, caught.value.value) == ("texture", name)
+
+
+SCENE = shipped.scenes("")["drape-over-sphere"].read_text()
+
+
+def coloured(colour: str) -> dict[str, object]:
+    scene = yaml.safe_load(SCENE)
+    scene["objects"][0]["colour"] = colour
+    return dict(scene)
+
+
+def test_the_names_are_those_of_css() -> None:
+    """Also once Pillow has parsed one of them."""
+    Image.new("RGB", (1, 1), "white")
+    assert names() == {name: written.lower() for name, written in matplotlib.colors.CSS4_COLORS.items()}
+    assert len(names()) == 148
+
+
+@pytest.mark.parametrize("written", ["indianred", "IndianRed", "INDIANRED"])
+def test_a_scene_by_name_is_the_scene_in_numbers(written: str) -> None:
+    assert Scene.model_validate(coloured(written)) == Scene.model_validate(coloured("#cd5c5c"))
+
+
+def test_plugins_take_names_too() -> None:
+    assert YarnsPictureConfig.model_validate({"ground": "linen"}).ground == "#faf0e6"
+    config = PictureConfig.model_validate({"background": ["white", "#102030"], "ground_colour": "tan"})
+    assert (config.background, config.ground_colour) == (("#ffffff", "#102030"), "#d2b48c")
+
+
+@pytest.mark.parametrize("name", ["darkslategrey", "rebeccapurple", "tan"])
+def test_a_letter_too_few_is_answered_with_the_name(name: str) -> None:
+    with pytest.raises(ValueError, match=f"did you mean '{name}'"):
+        as_hex(name[:-1])
+
+
+@pytest.mark.parametrize("wrong", ["#12345", "#1234567", "#12345g", "#fff", "", "12345z", "#red"])
+def test_what_is_near_no_name_is_told_how_colours_are_written(wrong: str) -> None:
+    with pytest.raises(ValueError, match="not a colour; write red, green and blue as #rrggbb"):
+        as_hex(wrong)
+    with pytest.raises(ValidationError):
+        TypeAdapter(Colour).validate_python(wrong)
+
+
+def test_editors_know_names_and_numbers_and_no_others() -> None:
+    validator = jsonschema.Draft202012Validator(scene_schema())
+    assert all(validator.is_valid(coloured(good)) for good in ("indianred", "#cd5c5c", "#CD5C5C"))
+    assert not any(validator.is_valid(coloured(bad)) for bad in ("indianrd", "#cd5c5", "cd5c5c"))

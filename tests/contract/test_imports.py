@@ -129,6 +129,12 @@ def test_no_circle_of_the_hosts_parts() -> None:
     assert circle(imports) == []
 
 
+def test_no_test_imports_another_test() -> None:
+    """What tests share is a helper module or a fixture."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        assert not [name for name in imported(path) if name.startswith("test_")], path
+
+
 def test_the_bus_imports_nothing_above_it() -> None:
     """It imports the standard library, libraries, the schemas, and itself."""
     bus = [path for name, path in MODULES.items() if name.startswith("nuno.bus")]

@@ -115,6 +115,8 @@ OF_FEW = {
     # Grains without springs, and wind on an implicit step: kernels that nothing else needs.
     checks.what_falls_on_a_body_comes_to_rest_on_it: ("penalty",),
     forces.an_implicit_step_ends_where_its_equation_says: (),
+    # Wind compiled once more, for two threads.
+    forces.any_number_of_threads_gives_the_same_bits: (),
 }
 """Checks of which the cases of these plugins alone are quick."""
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nuno.plugin_contract import registry
+from nuno_bench import piles
 from nuno_bench.piles import DOWN, Oracle, pile, sheet
 from nuno_contact.offset.contact_state import ContactState
 from nuno_schemas.fabric import Fabric, Float, Memory, State
@@ -49,3 +50,21 @@ class Pile:
     def meeting(self) -> ContactState:
         """The term itself."""
         return next(term for term in self.memory.work.packed.bodies if isinstance(term, ContactState))  # type: ignore[attr-defined]
+
+
+def heap(solver: str, seed: int, contact: bool = True, dt: float = 2e-4) -> Pile:
+    """Three uneven sheets that fly at each other, one of them held, faster than a step can see."""
+    rng = np.random.default_rng(seed)
+    damping, friction = rng.uniform(0.0, 1.0, 2)
+    pieces = piles.heap(seed)
+    return Pile(*pieces, solver=solver, dt=dt, contact=contact, damping=damping, friction=friction)
+
+
+def sliding(friction: float, slope: float, **settings: Any) -> Pile:
+    """A sheet that lies on a held one, gravity tilted by its slope [rad] towards +x."""
+    return Pile(*piles.incline(), gravity=piles.tilted(slope), friction=friction, **settings)
+
+
+def pace(pile: Pile) -> Float:
+    """Mean velocity of the free vertices [m/s]."""
+    return np.asarray(pile.state.v[~pile.fabric.pinned].mean(axis=0))

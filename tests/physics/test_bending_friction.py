@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nets import make_system
-from test_fabric_meshes import KINDS, square
+from triangle_sheets import KINDS, square
 
 from nuno.plugin_contract import registry
 from nuno.simulation.cloth.join import join_fabrics
@@ -168,7 +168,7 @@ def test_pieces_that_are_joined_have_the_same_forces() -> None:
 
 def swung(solver: str, steps: int, **settings: Any) -> tuple[State, Float]:
     """A curled piece, bending and friction, let go of for 20 ms; what its friction remembers."""
-    from test_mesh_bending import plate
+    from triangle_sheets import plate
 
     flat = piece("irregular", 7)
     cloth = replace(flat, bending=plate(flat.position, flat.faces, MATERIAL, 0.0).bending)

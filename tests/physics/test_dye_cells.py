@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dye_reference import random_cells
 from pydantic import ValidationError
-from test_dye_diffusion import random_cells
 
 from nuno_dye.cloths.cells import CellsCloth, CellsConfig
 from nuno_dye.laws.isotherms import FreundlichConfig, LangmuirConfig, PartitionConfig

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dye_runs import run
-from test_dye_resist import Folder
+from pattern_files import Folder
 
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.laws.diffusivity import face_values

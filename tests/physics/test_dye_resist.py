@@ -1,4 +1,4 @@
-"""What keeps dye out: images of every bit depth, lines, patterns; where it is and how much it leaves."""
+"""What keeps dye out or is dyed before weaving: images, lines and patterns, folded packets, ikat."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ import math
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from dye_runs import SOLVERS
+from pattern_files import SIZE, Folder, write_image
 from pydantic import TypeAdapter, ValidationError
 
+from nuno_dye.cloths.woven_cloth import Ikat, WovenCloth, WovenClothConfig
+from nuno_dye.laws.isotherms import Langmuir
+from nuno_dye.supplies.regions import Disc, Polygon, Rectangle, Stroke, contains, cover
 from nuno_dye.supplies.resist import (
     Binding,
+    Folded,
     ImageResist,
     Paste,
     Resist,
@@ -24,26 +30,10 @@ from nuno_dye.supplies.resist import (
     read_image,
     stretch,
 )
-from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
+from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold, fold_cells
+from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-
-SIZE = 1e-4
-
-
-class Folder:
-    """Files of one folder."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-
-    def resolve(self, name: str) -> Path:
-        return self.root / name
-
-
-def write_image(path: Path, values: Float) -> None:
-    """Write B (ny, nx) as a grey PNG of 16 bits, which `read_image` reads again within 2^-17."""
-    Image.fromarray(np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)).save(path, format="PNG")
 
 
 def png(path: Path, values: np.ndarray, depth: int, kind: int, clear: int | None = None) -> Path:
@@ -297,3 +287,230 @@ def test_the_edge_of_a_stencil_has_no_stairs_in_cells_finer_than_its_pixels(n: i
         for found in (stretch(image, (times * n, times * n)), np.kron(image, np.ones((times, times))))
     )
     assert smooth * n < 0.1 + math.sqrt(0.5) / times and stairs * n > 0.5
+
+
+SHAPE = 96, 120
+"""Cells: 9.6 mm down, 12 mm across."""
+BLOT = {"shape": "polygon", "points": [[0.0003, 0.0004], [0.0014, 0.0007], [0.0011, 0.0019]]}
+SIDE, HEIGHT = 0.0041, 0.0041 * math.sqrt(0.75)
+
+
+def draw(root: Path, *folds: dict[str, Any], **pressed: Any) -> Float:
+    item = Folded.model_validate({"folds": folds, **(pressed or {"clamps": [BLOT]})})
+    return find_resist(item, SHAPE, SIZE, Folder(root))
+
+
+def test_pleats_of_whole_cells_mirror_the_resist_to_the_last_bit(tmp_path: Path) -> None:
+    """At every fold of both directions, and the first panel is the packet."""
+    across, down = {"fold": "pleats", "number": 6}, {"fold": "pleats", "width": 0.0024, "angle": math.pi / 2}
+    alone = cover(Polygon.model_validate(BLOT), SHAPE, SIZE)
+    for folds in ((across,), (across, down), (down, across)):
+        found = draw(tmp_path, *folds)
+        panels = found.reshape(96, 6, 20)
+        assert np.array_equal(panels[:, 0], alone[:, :20]) or len(folds) == 2
+        assert (panels[:, ::2] == panels[:, :1]).all() and (panels[:, 1::2] == panels[:, :1, ::-1]).all()
+        if len(folds) == 2:
+            rows = found.reshape(4, 24, 120)
+            assert (rows[::2] == rows[:1]).all() and (rows[1::2] == rows[:1, ::-1]).all()
+            assert np.array_equal(rows[0, :, :20], alone[:24, :20])
+
+
+def mirrors(kind: str) -> list[tuple[Float, float]]:
+    """Fold lines as (normal, distance of the line from the corner along it)."""
+    oblique = np.array([math.cos(0.4), math.sin(0.4)])
+    if kind == "pleats":
+        return [(oblique, k * SIDE) for k in (1, 2, 3)]
+    if kind == "right":
+        slopes = [np.array([1.0, s]) / math.sqrt(2.0) for s in (1.0, -1.0)]
+        return [(np.eye(2)[0], SIDE), (np.eye(2)[1], 2 * SIDE), (slopes[0], math.sqrt(2.0) * SIDE), (slopes[1], 0.0)]
+    numbers = {0.0: (1, 2), math.pi / 3: (1, 2, 3), -math.pi / 3: (-1, 0, 1)}
+    return [(np.array([math.cos(a), math.sin(a)]), k * HEIGHT) for a, those in numbers.items() for k in those]
+
+
+@pytest.mark.parametrize("kind", ["pleats", "right", "equilateral"])
+def test_a_place_and_its_mirror_image_at_any_fold_lie_upon_each_other(kind: str) -> None:
+    """Folding brings no two places farther apart, so the cell that an image falls into lies no farther from the place
+    on the packet than its middle does from the image on the cloth: half a cell's diagonal, a 230th of a side.
+    """
+    fold = {"fold": "pleats", "width": SIDE, "angle": 0.4} if kind == "pleats" else {
+        "fold": "triangles", "side": SIDE, "kind": kind}  # fmt: skip
+    folded = Folded.model_validate({"folds": [fold], "clamps": [BLOT]})
+    fine = SIZE / 4
+    shape = 4 * SHAPE[0], 4 * SHAPE[1]
+    u = np.stack(fold_cells(folded.folds, shape, fine), axis=-1)
+    y, x = np.indices(shape)
+    place = (np.stack([x, y], axis=-1) + 0.5) * fine
+    for normal, distance in mirrors(kind):
+        image = place - 2.0 * ((place @ normal) - distance)[..., None] * normal
+        cell = np.floor(image / fine).astype(int)
+        there = ((cell >= 0) & (cell < shape[::-1])).all(axis=-1)
+        assert there.sum() > 1000
+        near = cell[there]
+        off = np.linalg.norm((near + 0.5) * fine - image[there], axis=1)
+        apart = np.linalg.norm(u[near[:, 1], near[:, 0]] - u[there], axis=1)
+        assert (apart <= off + 1e-12).all()
+
+
+def test_a_packet_of_triangles_is_one_triangle_and_covers_it() -> None:
+    """Its corners are said: of places of 12 mm x 9.6 mm all lie in it, evenly."""
+    for kind, corners in (
+        ("equilateral", [[0, 0], [0, SIDE], [HEIGHT, SIDE / 2]]),
+        ("right", [[0, 0], [SIDE, 0], [SIDE, SIDE]]),
+    ):
+        folds = Folded.model_validate(
+            {"folds": [{"fold": "triangles", "side": SIDE, "kind": kind}], "clamps": [BLOT]}
+        ).folds
+        u, v = fold_cells(folds, (384, 480), SIZE / 4)
+        middle = np.mean(corners, axis=0)
+        wide = Polygon(points=[tuple(middle + (1 + 1e-9) * (np.array(c) - middle)) for c in corners])
+        assert contains(wide, u, v).all()
+        half = Polygon(points=[tuple(middle + math.sqrt(0.5) * (np.array(c) - middle)) for c in corners])
+        assert contains(half, u, v).mean() == pytest.approx(0.5, abs=0.04)
+
+
+def test_boards_on_folded_cloth_are_the_ready_pattern_of_squares(tmp_path: Path) -> None:
+    squares = Shibori.model_validate({"pattern": {"pattern": "squares", "side": 0.00127}, "fold": [5, 4]})
+    board = {
+        "shape": "rectangle",
+        "low": [0.0012 - 0.000635, 0.0012 - 0.000635],
+        "high": [0.0012 + 0.000635, 0.0012 + 0.000635],
+    }
+    folds = {"fold": "pleats", "number": 5}, {"fold": "pleats", "number": 4, "angle": "90 deg"}
+    assert np.array_equal(draw(tmp_path, *folds, clamps=[board]), find_resist(squares, SHAPE, SIZE, Folder(tmp_path)))
+
+
+def test_stitches_press_every_other_length_along_their_line(tmp_path: Path) -> None:
+    """Around a corner, too: 4 mm and 3 mm of stitches of 0.5 mm, 0.4 mm wide."""
+    line = {"points": [[0.002, 0.003], [0.006, 0.003], [0.006, 0.006]], "width": 0.0004, "length": 0.0005}
+    found = draw(tmp_path, stitches=[line])
+    assert np.array_equal(found[28:32, 20:58], np.tile([1.0] * 5 + [0.0] * 5, (4, 4))[:, :38])
+    assert np.array_equal(found[32:60, 58:62], np.tile([1.0] * 5 + [0.0] * 5, (4, 3)).T[2:])
+    outside = np.ones(SHAPE, bool)
+    outside[28:32, 20:62] = outside[28:60, 58:62] = False
+    assert not found[outside].any()
+
+
+@pytest.mark.parametrize(
+    "region",
+    [
+        Disc(centre=(0.004, 0.005), diameter=0.006),
+        Rectangle(low=(0.001, 0.002), high=(0.005, 0.0083)),
+        Polygon(points=((0.001, 0.001), (0.011, 0.002), (0.003, 0.009), (0.003, 0.0), (0.008, 0.008))),
+        Stroke(points=((0.001, 0.001), (0.011, 0.002), (0.003, 0.009)), width=0.0011),
+    ],
+)
+def test_places_are_in_a_part_as_cells_are(region: Any) -> None:
+    y, x = np.indices(SHAPE)
+    assert np.array_equal(contains(region, (x + 0.5) * SIZE, (y + 0.5) * SIZE), cover(region, SHAPE, SIZE))
+
+
+def test_what_is_no_packet_is_refused(tmp_path: Path) -> None:
+    pleats = {"fold": "pleats", "number": 6}
+    for item, words in (({"folds": [pleats]}, "add clamps or stitches"),
+                        ({"folds": [pleats | {"width": 1e-3}], "clamps": [BLOT]}, "either a number or a width"),
+                        ({"folds": [{"fold": "pleats"}], "clamps": [BLOT]}, "either a number or a width")):  # fmt: skip
+        with pytest.raises(ValidationError, match=words):
+            Folded.model_validate(item)
+    beside = {"shape": "disc", "centre": [0.004, 0.004], "diameter": 0.001}
+    with pytest.raises(BadInput, match=r"(?s)clamps\[1\]: beside the packet.*0\.00195, 0\.00955"):
+        draw(tmp_path, pleats, clamps=[BLOT, beside])
+    with pytest.raises(BadInput, match=r"folds\[1\]: folded finer than a cell"):
+        draw(tmp_path, pleats, {"fold": "pleats", "number": 21})
+
+
+BANDS = {"pattern": "bands", "period": "1 mm", "width": "0.4 mm"}
+PITCH = {"warp": 6, "weft": 5}
+"""Cells."""
+CLOTH = {
+    "cells": [120, 100], "cell_size": "0.05 mm", "tau3": {"I": 0.1, "II": 0.1, "III": 0.1},
+    "warp": {"width": 4, "gap": 2}, "weft": {"width": 3, "gap": 2, "porosity": 0.7},
+}  # fmt: skip
+
+
+def build(
+    root: Path, *ikat: dict[str, Any], dyes: tuple[str, ...] = ("blue",), seed: int = 3
+) -> tuple[Cells, DyeState]:
+    config = WovenClothConfig.model_validate(CLOTH | {"ikat": ikat})
+    return WovenCloth().build(config, Folder(root), seed, dyes)
+
+
+def lines(root: Path, yarns: str, seed: int = 3, **item: Any) -> Float:
+    """(n, m) the share of V_d that each of a system's yarns holds, along it."""
+    cells, state = build(root, {"yarns": yarns, "amount": 1} | item, seed=seed)
+    layer = 1 if yarns == "warp" else 0
+    share = state.fixed[0, layer] / np.where(cells.fibre[layer], cells.fixed_room[layer], 1.0)
+    share = (share.T if layer else share).reshape(-1, PITCH[yarns], 100 if layer else 120)
+    fibre = share[:, 1:-1]  # between half gaps of a cell
+    assert (fibre == fibre[:, :1]).all(), "a yarn is dyed through"
+    assert not share[:, 0].any() and not share[:, -1].any(), "and gaps are not"
+    return np.asarray(fibre[:, 0])
+
+
+@pytest.mark.parametrize("yarns", ["warp", "weft"])
+def test_ikat_dyes_one_system_s_yarns_alone_and_as_much_of_them_as_is_said(yarns: str, tmp_path: Path) -> None:
+    item = {"yarns": yarns, "pattern": BANDS, "amount": 0.5, "loose": 0.25, "dye": "blue"}
+    cells, state = build(tmp_path, item, dyes=("red", "blue"))
+    layer = 1 if yarns == "warp" else 0
+    for amounts, share, room in ((state.fixed, 0.5, cells.fixed_room), (state.phi, 0.25, cells.mobile_room)):
+        assert not amounts[0].any() and not amounts[1, 1 - layer].any()
+        assert amounts[1, layer].sum() == pytest.approx(0.4 * share * room[layer][cells.fibre[layer]].sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("yarns", ["warp", "weft"])
+def test_each_yarn_is_off_along_itself_by_what_its_seed_says(yarns: str, tmp_path: Path) -> None:
+    """Bands are as wide and as far apart as before; a yarn's own lie up to `shift` from the others'."""
+    even = lines(tmp_path, yarns, pattern=BANDS)
+    assert (even == even[0]).all() and (even[0] == (np.arange(even.shape[1]) % 20 < 8)).all()
+    shifted = lines(tmp_path, yarns, pattern=BANDS, shift="0.2 mm")
+    found = [next(k for k in range(-10, 10) if (np.roll(even[0], k) == line).all()) for line in shifted]
+    assert min(found) < -1 and max(found) > 1 and max(map(abs, found)) <= 4
+    assert np.array_equal(shifted, lines(tmp_path, yarns, pattern=BANDS, shift="0.2 mm"))
+    assert not np.array_equal(shifted, lines(tmp_path, yarns, pattern=BANDS, shift="0.2 mm", seed=4))
+
+
+def test_patterns_go_along_and_across_yarns(tmp_path: Path) -> None:
+    """Lozenges cover half of the cloth; bands that lean are later on each further yarn, by tan of the angle."""
+    lozenges = lines(tmp_path, "warp", pattern={"pattern": "diamonds", "along": "5 mm", "across": "3 mm"})
+    assert lozenges.mean() == pytest.approx(0.5, abs=0.02)
+    assert np.array_equal(lozenges, lozenges[::-1]) and np.array_equal(lozenges, lozenges[:, ::-1])
+    leaning = lines(tmp_path, "warp", pattern=BANDS | {"angle": -np.arctan(2 / 3)})
+    for k, line in enumerate(leaning):
+        assert np.array_equal(line, np.roll(leaning[0], 4 * k)), "6 cells further on, 4 cells later"
+
+
+def test_an_image_dyes_where_it_is_black(tmp_path: Path) -> None:
+    """Read at each yarn's middle; a shift of a yarn moves what lies on it, by shares of cells too."""
+    values = np.random.default_rng(1).random((100, 120))
+    write_image(tmp_path / "a.png", values)
+    image = {"pattern": "image", "file": "a.png"}
+    assert np.abs(lines(tmp_path, "warp", pattern=image) - (1.0 - values[:, 3::6].T)).max() < 2e-5
+    assert np.abs(lines(tmp_path, "weft", pattern=image) - (1.0 - values[2::5])).max() < 2e-5
+    ramp = np.linspace(0.0, 1.0, 100)
+    write_image(tmp_path / "a.png", np.tile(ramp[:, None], 120))
+    off = 99.0 * (lines(tmp_path, "warp", pattern=image, shift="0.2 mm") - (1.0 - ramp))[:, 10:-10]
+    assert np.ptp(off, axis=1).max() < 5e-3, "a yarn is off by the same all along"
+    assert off.min() < -2.0 and off.max() > 2.0 and np.abs(off).max() < 4.01
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_was_dyed_before_weaving_does_not_run(name: str, tmp_path: Path) -> None:
+    """To the last bit, beside another dye's loose dye that does."""
+    items = ({"pattern": BANDS, "amount": 0.5}, {"pattern": BANDS, "dye": "red", "amount": 0, "loose": 0.5})
+    cells, state = build(tmp_path, *items, dyes=("blue", "red"))
+    law = Langmuir().prepare(Langmuir.Config(K=0.1))
+    dyes = tuple(Dye(name, 5e-10, 0.5, law) for name in ("blue", "red"))
+    system, before = DyeSystem(cells, dyes), (state.fixed.copy(), state.phi.copy())
+    plugin, config, _ = SOLVERS[name]
+    memory = plugin.prepare(config, system, state)
+    assert plugin.advance(system, state, memory, 5, 1.0).status == "ok"
+    assert np.array_equal(state.fixed[0], before[0][0]) and not state.phi[0].any()
+    assert (state.phi[1] != before[1][1]).any() and state.fixed[1].any()
+
+
+def test_what_is_no_ikat_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"(?s)ikat\[1\].dye.*did you mean 'blue'"):
+        build(tmp_path, {"pattern": BANDS}, {"pattern": BANDS, "dye": "bleu"})
+    for item, words in (({"pattern": BANDS, "yarns": "both"}, "'warp' or 'weft'"), ({}, "pattern"),
+                        ({"pattern": BANDS, "shift": -1.0}, "greater than or equal to 0")):  # fmt: skip
+        with pytest.raises(ValidationError, match=words):
+            TypeAdapter(Ikat).validate_python(item)

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dye_reference import LAWS, dyed, face_flows, kept, random_cells, resisted, start
 from dye_runs import SOLVERS, limit, run
 from pydantic import ValidationError
-from test_dye_diffusion import random_cells
-from test_dye_explicit import LAWS, dyed
-from test_dye_step import face_flows, resisted, start
-from test_dye_upkeep import kept
 
 from nuno_dye.laws.diffusivity import Curve, amount, curve_of, potential, potentials
 from nuno_dye.laws.power import log
@@ -89,23 +86,6 @@ def test_explicit_steps_equal_a_plain_loop() -> None:
             phi[donor] -= flow
             phi[receiver] += flow
     assert np.abs(ours.phi[0] - phi).max() < 1e-12
-
-
-@pytest.mark.quick(name=["explicit"])
-@pytest.mark.parametrize(("name", "density"), [("explicit", 0), ("rkl2", 100), ("sdirk2", 100)])
-def test_sources_spread_as_the_closed_form_says(name: str, density: int) -> None:
-    """The error falls with the square of the cells' size."""
-    law, mean, errors = WeiszZollinger(phi0=0.1, cap=2.0), 0.5, []
-    for n in (16, 32):
-        duration = 0.9 * mean / (0.1 * (np.pi / n) ** 2)
-        system = chain(n, law)
-        steps = density or int(np.ceil(duration / (0.5 * limit(system))))
-        begun = sources(n, mean, 0.3)
-        end, report = run(name, system, begun, 0 * begun, duration, steps)
-        exact = sources(n, mean, 1.2)
-        assert report.status == "ok"
-        errors.append(float(np.abs(end.phi[0] - exact).max() / exact.max()))
-    assert errors[0] < 6e-3 and errors[0] / errors[1] > 3.0
 
 
 @pytest.mark.quick(name=["explicit"])

@@ -8,7 +8,7 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 from nets import make_fabric, make_system, random_net
-from test_sliding import GAP, STILL, G, World, body, loose
+from sliding_world import GAP, STILL, G, World, body, loose
 
 from nuno.plugin_contract import registry
 from nuno_cloth.wind import ParticleWindForce

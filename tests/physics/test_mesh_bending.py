@@ -10,44 +10,25 @@ import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 from nets import make_system
-from test_fabric_meshes import KINDS, square
+from triangle_sheets import KINDS, matrix, plate, square
 
 from nuno.simulation.cloth.join import join_fabrics
 from nuno_cloth.fabrics.kes import bending_energy
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
-from nuno_cloth.models.triangles import face_areas, yarn_axes
+from nuno_cloth.models.triangles import yarn_axes
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Fabric, Float
 
 PLATE = Material(0.1, 1e3, 1e3, 1e2, 2e-5, 1e-5)
 ISOTROPIC = replace(PLATE, bend_warp=1e-5)
 FREE_SQUARE = np.array([13.468, 19.596, 24.270])
 """Frequencies of a free square plate, omega a^2 sqrt(rho / B), nu = 0.3 (Leissa 1973, J. Sound Vib. 31, 257-293)."""
-
-
-def plate(points: Float, faces: Int, material: Material, angle: float = 90.0) -> Fabric:
-    """A flat piece whose warp makes an angle [degrees] with x."""
-    x = np.column_stack([points, np.zeros(len(points))]) if points.shape[1] == 2 else points
-    turn = np.radians(angle)
-    axes = yarn_axes(x[faces], np.array([np.cos(turn), np.sin(turn), 0.0]))
-    share = np.repeat(face_areas(x[faces]) * material.density / 3, 3)
-    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    bending = build_bending(material, x[faces], faces, *axes, np.zeros(len(x), bool))
-    return Fabric("plate", x, 0.0 * x, mass, np.zeros(len(x), bool), faces, bending=bending)
-
-
-def matrix(fabric: Fabric) -> scipy.sparse.csc_matrix:
-    """(n, n) second derivatives of the energy along any axis."""
-    assert fabric.bending is not None
-    (i, j), w = fabric.bending.pairs.T, fabric.bending.weight
-    entries = np.concatenate([w, w, -w, -w]), (np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i]))
-    return scipy.sparse.coo_matrix(entries, (fabric.number, fabric.number)).tocsc()
 
 
 def crumpled(fabric: Fabric) -> Float:

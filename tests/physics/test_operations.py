@@ -13,7 +13,7 @@ from nuno_schemas.operation import Outcome, Surface
 
 INSTALLED = sorted(registry.installed("nuno.operations"))
 OPERATIONS = [name for name in INSTALLED if name in ("pressure", "repair", "smooth", "untangle")]
-"""Those that need no settings; lines are drawn in test_wrinkle_mesh.py, cloth is held in test_holding.py."""
+"""Those that need no settings; lines are drawn in test_wrinkle.py, cloth is held in test_holding.py."""
 X, FACES = leg_mesh(24)
 
 

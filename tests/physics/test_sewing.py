@@ -1,4 +1,4 @@
-"""Patterns in triangles, and sewn: areas and lengths of the cloth that was cut, and one surface without a flaw."""
+"""Patterns in triangles, and sewn: curves, areas and lengths of the cloth as cut, one surface, prints."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from sewing_patterns import FEW, REAL, back, front, panel, pattern, read, read_pattern, stitch, tube
 from sewn_surface import angles, areas, lengths, loops, require_surface
 
 from nuno.scene.files import SceneFiles
+from nuno_cloth.models.pattern import lay_out
 from nuno_cloth.models.triangles import find_edges
+from nuno_cloth.sewing.curves import Arc, Bezier, Curve, area_under, draw, length_of, spread, turning_of
 from nuno_cloth.sewing.pattern import Pattern, find_openings
 from nuno_cloth.sewing.refine import close_short
 from nuno_cloth.sewing.sew import Sewn, sew
@@ -247,3 +252,110 @@ def test_it_is_the_same_to_the_last_bit_on_any_number_of_threads(threads: str, t
     )
     found.add(done.stdout.strip())
     assert len(found) == 1
+
+
+START, END = np.array([0.1, 0.2]), np.array([0.5, -0.1])
+CURVES = {
+    "quadratic": Bezier(np.array([[0.0, 0.0], [0.3, 0.4], [0.5, 0.0]])),
+    "cubic": Bezier(np.array([[0.0, 0.0], [0.1, 0.3], [0.4, 0.2], [0.5, -0.1]])),
+    "with an inflection": Bezier(np.array([[0.0, 0.0], [0.3, 0.3], [0.2, -0.3], [0.5, 0.0]])),
+    "quarter": Arc.between(np.array([1.0, 0.0]), np.array([0.0, 1.0]), 1.0, large=False, right=True),
+    "three quarters": Arc.between(np.array([1.0, 0.0]), np.array([0.0, 1.0]), 1.0, large=True, right=True),
+}
+
+
+def sides(points: np.ndarray) -> np.ndarray:
+    return np.asarray(np.hypot(*np.diff(points, axis=0).T))
+
+
+def test_a_parabola_has_its_closed_length_and_two_thirds_of_its_triangle() -> None:
+    """y = x^2 from -1 to 1: length sqrt(5) + asinh(2) / 2; over its chord 2/3 of the control points' triangle."""
+    curve = Bezier(np.array([[-1.0, 1.0], [0.0, -1.0], [1.0, 1.0]]))
+    assert length_of(curve) == pytest.approx(np.sqrt(5.0) + np.arcsinh(2.0) / 2.0, rel=1e-9)
+    closed = area_under(curve) + area_under(Bezier(np.array([[1.0, 1.0], [-1.0, 1.0]])))
+    assert closed == pytest.approx(2.0 / 3.0 * 2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("right", "large"), [(r, big) for r in (False, True) for big in (False, True)])
+def test_an_arc_is_on_its_circle_and_bulges_to_its_side(right: bool, large: bool) -> None:
+    radius = 0.3
+    arc = Arc.between(START, END, radius, large, right)
+    t = np.linspace(0.0, 1.0, 21)
+    np.testing.assert_allclose(arc.at(np.array([0.0, 1.0])), [START, END], atol=1e-15)
+    np.testing.assert_allclose(np.hypot(*(arc.at(t) - arc.centre).T), radius, rtol=1e-14)
+    chord = END - START
+    way = arc.at(np.array([0.5]))[0] - START
+    assert (chord[0] * way[1] - chord[1] * way[0] < 0.0) == right
+    angle = 2.0 * np.arcsin(0.5 * np.hypot(*chord) / radius)
+    assert length_of(arc) == pytest.approx(radius * (2.0 * np.pi - angle if large else angle), rel=1e-12)
+
+
+def test_an_arc_too_small_to_reach_says_what_would() -> None:
+    with pytest.raises(ValueError, match=r"at least 0\.25"):
+        Arc.between(START, END, 0.2, large=False, right=True)
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_slopes_and_bends_are_derivatives(name: str) -> None:
+    curve, t, h = CURVES[name], np.linspace(0.1, 0.9, 5), 1e-5
+    np.testing.assert_allclose(curve.slope(t), (curve.at(t + h) - curve.at(t - h)) / (2 * h), atol=1e-8)
+    np.testing.assert_allclose(curve.bend(t), (curve.slope(t + h) - curve.slope(t - h)) / (2 * h), atol=1e-7)
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_points_part_a_curve_into_equal_arcs(name: str) -> None:
+    curve = CURVES[name]
+
+    def between(a: float, b: float) -> float:
+        return float(quad(lambda t: float(np.hypot(*curve.slope(np.array([t]))[0])), a, b, epsabs=1e-13)[0])
+
+    t = spread(curve, 7)
+    arcs = [between(a, b) for a, b in pairwise(t)]
+    np.testing.assert_allclose(arcs, between(0.0, 1.0) / 7, rtol=1e-9)
+    assert length_of(curve) == pytest.approx(between(0.0, 1.0), rel=1e-10)
+
+
+@pytest.mark.parametrize("name", CURVES)
+@pytest.mark.parametrize("finer", [1, 2, 5])
+def test_a_polygon_is_as_long_as_its_curve(name: str, finer: int) -> None:
+    curve: Curve = CURVES[name]
+    n = finer * int(np.ceil(turning_of(curve) / (np.pi / 3)))
+    points = draw(curve, n)
+    assert sides(points).sum() == pytest.approx(length_of(curve), rel=1e-7)
+    np.testing.assert_array_equal(points[[0, -1]], curve.at(np.array([0.0, 1.0])))
+    assert sides(points).max() < 1.15 * sides(points).min()
+
+
+def test_a_circles_polygon_misses_half_the_area_of_an_inscribed_one() -> None:
+    """Sector minus polygon: R^2 (theta - sin theta) / 2 a side inscribed, half of it where it is as long as the arc."""
+    curve, n = CURVES["quarter"], 40
+    assert isinstance(curve, Arc)
+    points = draw(curve, n)
+    (x, y), (dx, dy) = points[:-1].T, np.diff(points, axis=0).T
+    missed = area_under(curve) - 0.5 * float((x * dy - y * dx).sum())
+    theta = 0.5 * np.pi / n
+    assert missed == pytest.approx(0.5 * n * (theta - np.sin(theta)) / 2.0, rel=0.1)
+
+
+@pytest.mark.quick(garment=FEW, grain=[30.0])
+@pytest.mark.parametrize("grain", [0.0, 30.0])
+@pytest.mark.parametrize("garment", REAL)
+def test_triangles_lie_in_the_image_as_they_are_cut(shared_data: Path, garment: str, grain: float) -> None:
+    """Sides of triangles along the warp and the weft are those of the panel, at one scale, also along seams."""
+    sewn = sew(read_pattern(SceneFiles(shared_data / "patterns"), f"{garment}.json"), 0.03)
+    cosine, sine = np.cos(np.radians(grain)), np.sin(np.radians(grain))
+    x, y = sewn.warp.T
+    sewn = replace(sewn, warp=np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1))
+    uv, unit = lay_out(sewn)
+    assert uv.min(axis=0) == pytest.approx([0.0, 0.0]) and uv.max() == pytest.approx(1.0)
+
+    cut, shown = (points[np.roll(sewn.faces, -1, axis=1)] - points[sewn.faces] for points in (sewn.flat, uv))
+    warp = sewn.warp[sewn.panel][:, None]
+    weft = np.stack([warp[..., 1], -warp[..., 0]], axis=-1)
+    expected = np.stack([(cut * weft).sum(axis=-1), (cut * warp).sum(axis=-1)], axis=-1)
+    assert np.abs(shown - expected / unit).max() < 1e-12
+
+    low, high = (
+        np.array([f(uv[sewn.faces[sewn.panel == k], 0]) for k in range(len(sewn.names))]) for f in (np.min, np.max)
+    )
+    assert (low[1:] >= high[:-1] - 1e-12).all()

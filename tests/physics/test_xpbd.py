@@ -1,4 +1,4 @@
-"""XPBD: backward Euler's step in the limit of many sweeps, its order and its softness with one."""
+"""XPBD: backward Euler's step in the limit of many sweeps, bodies, and what is solved side by side."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_world import G
-from nets import make_system, start
-from xpbd_nets import DOWN, advance, chain, sheet
+from contact_world import G, contact_for, geometry, move, plane
+from nets import make_fabric, make_system, random_net, start
+from xpbd_nets import DOWN, POSES, STILL, advance, chain, sheet
 
+import nuno_integrators.packing
 from nuno_integrators.explicit.adaptive import Dop853
 from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.packing import pack
 from nuno_integrators.xpbd import XPBD
-from nuno_schemas.system import Term
+from nuno_kernels.forces.constraints import find_batches, pack_constraints
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Springs
+from nuno_schemas.system import Carried, Term
 
 
 @pytest.mark.full
@@ -124,3 +129,163 @@ def test_no_stiffness_and_no_step_is_too_much(k):
         assert report.status == "ok"
         assert report.energy["kinetic"] < 0.5 * system.fabric.mass.sum() * (G * frame / 60.0) ** 2
     assert -0.7 < state.x[:, 1].min() < -0.2
+
+
+@pytest.mark.parametrize("iterations", [1, 8])
+@pytest.mark.parametrize("dt", [1e-3, 1.0 / 60.0])
+def test_a_vertex_at_rest_sinks_m_g_over_k_at_any_step(dt, iterations):
+    contact = contact_for(geometry(plane()), np.array([1e-2]), 1e4)
+    move(contact, 1.0)
+    fabric = make_fabric(np.array([[0.0, 1e-3, 0.0]]), mass=1e-2)
+    system = make_system(fabric, DOWN, 20.0, (Term("contact", (contact,)),))
+    state = advance(system, int(1.0 / dt), dt, POSES, iterations=iterations)
+    assert -state.x[0, 1] == pytest.approx(1e-2 * G / 1e4, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.2])
+def test_an_incline_holds_or_lets_go_as_coulomb_says(share):
+    mu, k, mass = 0.4, 1e5, 1e-2
+    alpha = np.arctan(share * mu)
+    contact = contact_for(geometry(plane(), friction=mu), np.array([mass]), k)
+    move(contact, 1.0)
+    gravity = G * np.array([np.sin(alpha), -np.cos(alpha), 0.0])
+    fabric = make_fabric(np.array([[0.0, -mass * G * np.cos(alpha) / k, 0.0]]), mass=mass)
+    system = make_system(fabric, gravity, terms=(Term("contact", (contact,)),))
+    half, end = (advance(system, steps, 1.0 / 400, POSES).x[0] for steps in (200, 400))
+    if share < 1.0:
+        assert abs(end[0] - half[0]) < 1e-12
+        assert end[0] < 1e-4
+    else:
+        assert end[0] == pytest.approx(0.5 * G * (np.sin(alpha) - mu * np.cos(alpha)), rel=0.01)
+    assert end[1] == pytest.approx(-mass * G * np.cos(alpha) / k, rel=1e-6)
+
+
+def draped(n):
+    """A sheet that falls on a slope with friction."""
+    fabric = replace(sheet(n), pinned=np.zeros(n * n, bool))
+    fabric = replace(fabric, position=fabric.position[:, [0, 2, 1]] + np.array([0.0, 1e-3, 0.0]))
+    shape = geometry(plane(normal=(0.1, 0.995, 0.0)), friction=0.4)
+    contact = contact_for(shape, fabric.mass, 500.0)
+    move(contact, 1.0)
+    return make_system(fabric, DOWN, 0.7, (Term("contact", (contact,)),))
+
+
+def test_contact_and_friction_are_solved_together_with_the_cloth():
+    system = draped(8)
+    poses = STILL, replace(STILL, t=0.08)
+    ours = advance(system, 40, 2e-3, poses, iterations=300)
+    exact = advance(system, 40, 2e-3, poses, plugin=ImplicitEuler(), residual=1e-10)
+    assert (ours.x @ [0.1, 0.995, 0.0] < 0.0).sum() > 15, "it touches"
+    assert np.abs(ours.x - exact.x).max() < 2e-8
+
+
+def test_bound_vertices_end_where_their_body_is_and_pull_the_rest():
+    fabric = chain(5, 1e3, 1e-2)
+    local = fabric.position[:1].copy()
+    carried = Carried(np.array([0], np.int32), local, np.array([0], np.int32))
+    system = make_system(fabric, carried=(carried,))
+    moved = Poses(0.5, np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
+    state = advance(system, 500, 1e-3, (STILL, moved))
+    np.testing.assert_allclose(state.x[0], [0.0, 1.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(state.v[0], [0.0, 2.0, 0.0], atol=1e-14)
+    assert state.x[-1, 1] > 0.2
+
+
+def test_forces_without_constraint_state_their_limit_and_act():
+    """A drag of 400 1/s written in Python: (1 - 400 h) a step, stable below 2 / 400 s."""
+
+    def drag(x, v, t, out):
+        out -= 400.0 * 1e-3 * v
+
+    fabric = replace(chain(1, 1e7, 1e-3), velocity=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    fabric = replace(fabric, springs=None)
+    system = make_system(fabric, terms=(Term("python", drag),))
+    limit = XPBD().limit(XPBD.Config(), system, start(system)).dt
+    assert 0.9 * 2.0 / 400 < limit <= 2.0 / 400
+    state = advance(system, 10, 1e-3)
+    assert state.v[1, 0] == pytest.approx(0.6**10, rel=1e-12)
+
+
+@pytest.mark.full
+def test_any_number_of_threads_gives_equal_bytes(monkeypatch):
+    """Of springs that lie in runs and of others."""
+    monkeypatch.setattr(nuno_integrators.packing, "PARALLEL_FROM", 0)
+    fabric = sheet(66, shuffle=0.5)
+    runs, lists, _ = pack_constraints(pack(make_system(fabric)), False).kinds
+    assert len(runs.task) > 50 and lists.ends.shape[1] > 1000
+    ends = []
+    for threads in (1, 2):
+        contact = contact_for(geometry(plane((0, -0.002, 0)), friction=0.3), fabric.mass, 500.0)
+        system = make_system(fabric, DOWN, 0.1, (Term("contact", (contact,)),), threads=threads)
+        state, plugin = start(system), XPBD()
+        memory = plugin.prepare(plugin.Config(iterations=2), system, state)
+        assert (memory.work.packed.threads is None) == (threads == 1)
+        plugin.advance(system, state, memory, POSES, 10, 2e-3)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("shuffle", [0.0, 0.5, 1.0])
+def test_what_is_solved_side_by_side_shares_no_vertex_and_nothing_is_lost(shuffle):
+    fabric = sheet(80, shuffle=shuffle)
+    c = pack_constraints(pack(make_system(fabric)), False)
+    vertices = [set() for _ in range(int(c.colour[-1]))]
+    found = []
+    *runs, lists, hinges = c.kinds
+    for each in runs:
+        for batch, group in enumerate(vertices):
+            for i, j, count in each.task[each.start[batch] : each.start[batch + 1], :3]:
+                assert j - i >= 8
+                found += [(i + q, j + q) for q in range(count)]
+                group.update(range(i, i + count), range(j, j + count))
+    bent = []
+    for part, out in ((lists, found), (hinges, bent)):
+        for batch, group in enumerate(vertices):
+            for p in range(part.start[batch], part.start[batch + 1], 8):
+                lanes = [tuple(part.ends[:, q]) for q in range(p, p + 8) if len(set(part.ends[:, q])) > 1]
+                used = [vertex for lane in lanes for vertex in lane]
+                assert len(used) == len(set(used))
+                out += lanes
+                group.update(part.ends[:, p : p + 8].ravel().tolist())
+    assert sorted(tuple(sorted(map(int, pair))) for pair in found) == sorted(
+        tuple(sorted(pair)) for pair in fabric.springs.pairs().tolist()
+    )
+    assert sorted(tuple(map(int, q)) for q in bent) == sorted(map(tuple, fabric.hinges.quads().tolist()))
+    for first, last in zip(c.colour[:-1], c.colour[1:], strict=True):
+        used = [vertex for group in vertices[first:last] for vertex in group]
+        assert len(used) == len(set(used))
+
+
+def test_a_sheet_has_three_colours_and_chaos_two(monkeypatch):
+    """Blocks, even seams, odd seams; where there are too many sets of blocks to tell apart, one batch crosses."""
+    rows = np.array([[0, 0], [0, 1], [1, 1], [1, 2], [2, 3], [2, 2], [3, 3]])
+    (batch,), colour = find_batches([rows])
+    assert colour.tolist() == [0, 4, 6, 7]
+    assert batch.tolist() == [0, 4, 1, 6, 5, 2, 3]
+    monkeypatch.setattr("nuno_kernels.forces.constraints.MOST_BATCHES", 5)
+    (batch,), colour = find_batches([rows])
+    assert colour.tolist() == [0, 4, 5]
+    assert batch.tolist() == [0, 4, 1, 4, 4, 2, 3]
+
+
+def test_a_vertex_of_a_hundred_springs_is_coloured_too():
+    """More than a mask holds: the rest go alone. All springs pull alike, and the middle stays."""
+    n = 101
+    angle = np.linspace(0.0, 2.0 * np.pi, n - 1, endpoint=False)
+    x = np.concatenate([np.zeros((1, 3)), np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], 1)])
+    pairs = np.stack([np.zeros(n - 1, np.int32), np.arange(1, n, dtype=np.int32)], 1)
+    springs = Springs.from_pairs(pairs, np.full(n - 1, 10.0), np.full(n - 1, 0.9), np.zeros(n - 1))
+    system = make_system(make_fabric(x, springs, None, 1e-2))
+    (lists,) = pack_constraints(pack(system), False).kinds
+    assert (lists.ends[0] != lists.ends[1]).sum() == n - 1
+    ours = advance(system, 10, 5e-3, iterations=1000)
+    exact = advance(system, 10, 5e-3, plugin=ImplicitEuler(), residual=1e-12)
+    assert np.abs(ours.x - exact.x).max() < 1e-9
+
+
+def test_a_random_net_is_solved_as_well():
+    position, springs = random_net(40, 200, 3, c=0.2)
+    system = make_system(make_fabric(position, springs, mass=0.1), DOWN, 0.3)
+    ours = advance(system, 5, 1e-2, iterations=1000)
+    exact = advance(system, 5, 1e-2, plugin=ImplicitEuler(), residual=1e-12)
+    assert np.abs(ours.x - exact.x).max() < 1e-9

@@ -1,19 +1,26 @@
-"""`import nuno` in a script or a notebook."""
+"""import nuno in a script or a notebook: runs, scenes as objects, and what is done with recordings."""
 
 from __future__ import annotations
 
+import argparse
+import csv
 import inspect
 import signal
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 from scenes import CHAIN, write_chain, write_scene
 
 import nuno
+from nuno.api.export import ExportRequest
 from nuno.cli import main
+from nuno.cli.export import add_arguments
 from nuno.recording.writer import part_of
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.plan import Plan
@@ -21,12 +28,7 @@ from nuno.runtime.supervisor import Supervisor
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import Scene
-
-
-def test_the_module_lists_what_it_offers() -> None:
-    assert {"run", "open", "Result"} <= set(dir(nuno))
-    assert all(callable(getattr(nuno, name)) for name in nuno.__all__)
-
+from nuno_schemas.scene import Scene as Fields
 
 REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
     "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
@@ -132,14 +134,6 @@ def test_a_recording_goes_with_its_result(tmp_path: Path, temporary: Path) -> No
     assert list(temporary.iterdir()) == []
 
 
-def test_a_recording_that_was_asked_for_stays(tmp_path: Path, temporary: Path) -> None:
-    write_chain(tmp_path)
-    nuno.run(CHAIN, roots=[tmp_path], record=tmp_path / "kept.mcap")
-    with nuno.open(tmp_path / "kept.mcap") as recording:
-        assert recording.complete
-    assert list(temporary.iterdir()) == []
-
-
 def test_a_run_that_fails_keeps_its_recording_and_one_that_is_refused_leaves_nothing(
     tmp_path: Path, temporary: Path
 ) -> None:
@@ -176,6 +170,141 @@ def test_ctrl_c_ends_the_caller_too_and_keeps_the_recording(
     assert str(kept) in str(caught.value)
     with nuno.open(kept) as recording:
         assert recording.metadata["end"]["state"] == "interrupted"
+
+
+WRITTEN = CHAIN | {"duration": "100 ms"}
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> nuno.Scene:
+    write_chain(tmp_path)
+    return nuno.Scene(WRITTEN, roots=[tmp_path])
+
+
+@pytest.fixture
+def result(chain: nuno.Scene) -> nuno.Result:
+    return nuno.run(chain)
+
+
+def test_a_scene_has_its_fields_as_meant_and_as_written(chain: nuno.Scene) -> None:
+    assert (chain.duration, chain.solver.plugin, chain.seed) == (0.1, "symplectic_euler", 0)
+    assert chain.fields.duration == chain.duration
+    assert (chain["duration"], chain["objects.chain.model.file"]) == ("100 ms", "chain.npz")
+    assert set(Fields.model_fields) <= set(dir(chain)) and "solver.dt" in chain._ipython_key_completions_()
+    assert yaml.safe_load(str(chain)) == WRITTEN
+    with pytest.raises(KeyError, match=r"solver\.dtt"):
+        chain["solver.dtt"]
+    with pytest.raises(AttributeError, match="durations"):
+        _ = chain.durations
+
+
+def test_a_copy_is_changed_and_its_original_is_not(chain: nuno.Scene, tmp_path: Path) -> None:
+    """Copies of copies, too; the last change counts. They run to the same bits as overrides of the call do."""
+    changed = chain.copy({"solver.plugin": "rk4"}, duration=0.06).copy("duration=40 ms")
+    assert (changed.duration, changed.solver.plugin) == (0.04, "rk4")
+    assert (chain.duration, chain.solver.plugin) == (0.1, "symplectic_euler") and WRITTEN["duration"] == "100 ms"
+    direct = nuno.run(CHAIN, {"solver.plugin": "rk4"}, duration=0.04, roots=[tmp_path])
+    assert nuno.run(changed).digest == direct.digest
+    assert nuno.run(chain, {"solver.plugin": "rk4"}, duration=0.04).digest == direct.digest
+    # What it was made of is its own.
+    given = CHAIN | {"solver": dict(CHAIN["solver"])}
+    kept = nuno.Scene(given, roots=[tmp_path])
+    given["solver"]["dt"] = "never"
+    assert nuno.run(kept).t == pytest.approx(0.1)
+
+
+def test_a_plan_is_that_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_scene(tmp_path, duration=0.1)
+    plan = nuno.plan(path)
+    assert main(["plan", str(path)]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("time")]
+    assert [line for line in str(plan).splitlines() if not line.startswith("time")] == told
+    assert dict(plan)["services"] == "simulation, recorder"
+
+
+def test_a_recording_is_verified_and_gone_on_with(result: nuno.Result, tmp_path: Path) -> None:
+    """By its result, its file, or open; on to the bits of a run as long."""
+    for recording in (result, result.path, result.recording):
+        assert nuno.verify(recording).compared == 6
+    longer = nuno.resume(result, duration="200 ms")
+    assert longer.t == pytest.approx(0.2)
+    write_chain(tmp_path)
+    assert longer.digest == nuno.run(CHAIN, duration=0.2, roots=[tmp_path]).digest
+    with longer.recording as recording:
+        assert [frame.number for frame in recording.frames()] == list(range(11))
+
+
+def test_files_are_those_of_the_command_line(result: nuno.Result, tmp_path: Path) -> None:
+    files = nuno.export(result, npz=tmp_path / "a.npz", csv=tmp_path / "a.csv", frame=3)
+    assert main(["export", str(result.path), "--npz", str(tmp_path / "b.npz"), "--frame", "3"]) == 0
+    assert files == [tmp_path / "a.npz", tmp_path / "a.csv"]
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_the_table_is_that_of_the_file(result: nuno.Result, tmp_path: Path) -> None:
+    table = result.to_dataframe()
+    nuno.export(result, csv=tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert [name.split(" ")[0] for name in rows[0]] == list(table.columns)
+    np.testing.assert_array_equal(np.array(rows[1:], float), table.to_numpy(float))
+
+
+def test_plots_are_of_the_series(result: nuno.Result) -> None:
+    axes, table = result.plot("energy", "stretch"), result.to_dataframe()
+    drawn = {str(line.get_label()).partition(" [")[0]: line.get_data() for line in axes.lines}
+    assert {str(line.get_label()).partition(" [")[2] for line in axes.lines} == {"J]", "1]"}
+    assert set(drawn) == {name for name in table if name.startswith("energy_")} | {"stretch"}
+    for name, (t, values) in drawn.items():
+        np.testing.assert_array_equal(t, table["t"])
+        np.testing.assert_array_equal(values, table[name])
+
+
+def test_pictures_are_of_a_frame_and_a_side(tmp_path: Path) -> None:
+    """Of a sheet in the x-y plane, seen as wide from the front and the back, and as a line from its sides."""
+    model = {"plugin": "sheet", "resolution": [5, 5], "size": [0.4, 0.4], "pin": ["top-row"]}
+    objects: list[dict[str, Any]] = [{"name": "sheet", "colour": "#ff0000", "model": model}]
+    result = nuno.run(write_scene(tmp_path, objects=objects, duration=0.04))
+    wide = {}
+    for side in ("front", "back", "left", "right"):
+        image = np.asarray(result.picture(side, 0, "view.elevation=0deg", size=(120, 120)), np.int64)
+        red = (image[..., 0] > 2 * image[..., 1]).any(axis=0)
+        wide[side] = int(red.sum())
+    assert wide["front"] == wide["back"] > 10 * max(wide["left"], wide["right"])
+    assert "data:image/png;base64," in result._repr_html_()
+
+
+REFUSED: dict[str, tuple[Callable[[nuno.Result], object], str]] = {
+    "no such series": (lambda one: one.plot("enrgy"), "did you mean 'energy'"),
+    "no such side": (lambda one: one.picture("fromt"), "did you mean 'front'"),
+    "no such file": (lambda one: nuno.export(one, pgn="a.png"), "did you mean 'png'"),
+    "nothing": (lambda one: nuno.export(one, frame=1), "nothing to export was asked for"),
+    "no such colour": (lambda one: nuno.export(one, png="a.png", colour="strech"), "did you mean 'stretch'"),
+    "no such frame": (lambda one: nuno.export(one, png="a.png", frame=99), "frame: no such frame"),
+    "another ending": (lambda one: nuno.export(one, png="a.jpg"), "must end in .png"),
+    "the end": (lambda one: nuno.resume(one), '"duration=0.2s"'),
+    "another solver": (lambda one: nuno.resume(one, {"solver.dt": 1}), "cannot change when a run goes on"),
+    "no recording": (lambda one: nuno.verify("nowhere.mcap"), "nowhere.mcap: cannot be read"),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_refusals_are_in_the_words_of_the_call(
+    fault: str, result: nuno.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, words = REFUSED[fault]
+    with pytest.raises(BadInput) as caught:
+        call(result)
+    assert words in str(caught.value) and "--" not in str(caught.value)
+    assert not list(tmp_path.glob("a.*"))
+
+
+def test_export_takes_every_flag_of_the_command() -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    names = {action.dest for action in parser._actions} - {"help", "recording", "progress"}
+    assert names == set(ExportRequest.model_fields)
 
 
 def test_a_result_does_not_answer_from_the_file_of_another_run(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ import pytest
 from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno_bench.problem import advance_all
-from nuno_bench.report import page, plots
-from nuno_bench.report.page import Result, number
+from nuno_bench.report import page
+from nuno_bench.report.page import Result
 from nuno_bench.speed import command as speed
 from nuno_bench.speed import steps as meshes
 from nuno_bench.speed import timing
@@ -101,18 +101,6 @@ def test_page_escapes_text_and_needs_nothing_from_outside() -> None:
     assert not re.search(r"src=|href=\"(?!data:)|https?://|@import|url\(", html)
 
 
-def test_words_between_backticks_are_code_and_escaped() -> None:
-    html = page.render("t", "l", [("", ["`a<b` is set", page.Table(("h",), [["`x` or y"]], "by `z`")])])
-    assert "<p><code>a&lt;b</code> is set</p>" in html
-    assert "<td><code>x</code> or y</td>" in html and "by <code>z</code></p>" in html
-
-
-def test_page_marks_failures() -> None:
-    html = page.render("t", "l", [("", [page.Table(("outcome",), [["diverged at 2 s"], ["done"]], "c")])])
-    assert '<td class="bad">diverged at 2 s</td>' in html
-    assert "<td>done</td>" in html
-
-
 def test_figure_marks_a_curve_that_ended_early() -> None:
     plots = pytest.importorskip("nuno_bench.report.plots")
     pytest.importorskip("matplotlib")
@@ -140,13 +128,6 @@ def test_only_the_measured_section_of_a_page_is_replaced(tmp_path: Path) -> None
     assert "new" not in path.read_text()
 
 
-def test_numbers_read_well() -> None:
-    shown = [number(value) for value in (0.0, 0.123456, 1234.5, -2.0, 1.5e-7, 3e12)]
-    assert shown == ["0", "0.123", "1,234", "-2", "1.5e-07", "3e+12"]
-    lines = page.Table(("a", "n"), [["x", "1"], ["yy", "22"]]).text().splitlines()
-    assert lines[2:] == ["x    1", "yy  22"]
-
-
 @pytest.mark.parametrize(
     "arguments",
     [["speed", "grid-25"], ["speed", "sheet-32", "--repeats", "0"], ["integrators", "hanging-sheet"], ["nothing"]],
@@ -156,10 +137,6 @@ def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureF
     refused: Any = main(["bench", *arguments])
     assert refused == 2
     assert "error: " in capsys.readouterr().err
-
-
-def test_forty_curves_of_a_figure_are_told_apart() -> None:
-    assert len({(plots.COLOURS[i % len(plots.COLOURS)], plots.marker_of(i)) for i in range(40)}) == 40
 
 
 def test_a_solver_that_fails_in_its_first_frame_has_taken_time() -> None:

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dye_scene import CELL, D0, TAU3, write_scene
+from dye_scene import CELL, D0, TAU3
+from dye_wave import MODE, N, write_wave
 from precision_sweeps import points_of, swept
 
 from nuno.cli import main as nuno_main
@@ -23,8 +24,6 @@ from nuno_bench.reference import make_dye_reference
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float
-
-N, MODE = 12, 2
 
 
 class Extrapolated(Explicit):
@@ -61,25 +60,6 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         registry, "entry_points", lambda group: own if group == DyeProblem.group else known(group=group)
     )
-
-
-def write_wave(folder: Path, **fields: Any) -> Path:
-    """A cosine over even cells of both layers, which keeps its shape and decays; nothing is fixed, no limit binds."""
-    shape = (2, N, N)
-    up = np.zeros(shape, bool)
-    up[1] = True
-    wave = np.cos(math.pi * MODE * (np.arange(N) + 0.5) / N)
-    data = {
-        "fibre": np.ones(shape, bool),
-        "up": up,
-        "porosity": np.full(shape, 0.5),
-        "tau1": np.ones(shape),
-        "resist": np.zeros(shape),
-        "phi": np.broadcast_to(0.25 + 0.1 * np.outer(wave, wave), shape).copy(),
-        "fixed": np.zeros(shape),
-    }
-    dyes = [{"name": "blue", "D0": D0}]
-    return write_scene(folder, data=data, dyes=dyes, name="wave", duration=80.0, frame_rate=0.1, **fields)
 
 
 def decay(t: Float) -> Float:

@@ -1,4 +1,4 @@
-"""What a precision sweep says: files, judgements and choices that follow from the points."""
+"""What a precision sweep writes: files, judgements, comparisons of two sweeps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import csv
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,11 +16,12 @@ from dye_scene import write_scene as write_dyed
 from line_net import problem_of, reference_of, write_net
 from precision_sweeps import swept
 from rrd import columns
-from scenes import BALL, write_scene
 
+from nuno.cli import main
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
-from nuno_bench.precision.command import Findings, _own, orders, over_frames, over_wall_time, report, tabs
+from nuno_bench.precision.command import Findings, _own, over_frames, over_wall_time, report, tabs
+from nuno_bench.precision.compare import SweepResult, compare, read, summary
 from nuno_bench.precision.sweep import POINT, Error, SolverPoint, choice_rows, judge, measure_errors
 from nuno_bench.problem import POSITIONS, DyeProblem, Problem
 
@@ -65,13 +66,6 @@ def test_a_figure_can_be_saved_as_a_file_of_its_own(found: Findings) -> None:
     assert [name for _, name in links] == ["precision-line-positions.svg", "precision-line-observed.svg"]
     for data, _ in links:
         assert ElementTree.fromstring(base64.b64decode(data)).tag == "{http://www.w3.org/2000/svg}svg"
-
-
-@pytest.mark.full
-def test_where_there_is_contact_orders_are_not_left_to_speak_for_themselves(tmp_path: Path, found: Findings) -> None:
-    over_ball = problem_of(write_scene(tmp_path, bodies=BALL))
-    assert "over a jump no method has its order" not in orders(found).caption
-    assert "over a jump no method has its order" in orders(replace(found, problem=over_ball)).caption
 
 
 @pytest.mark.full
@@ -155,3 +149,99 @@ def test_what_only_one_of_the_scenes_has_is_refused_before_anything_runs(
     assert not (tmp_path / "out").exists()
     assert _own("drop,mobile", Problem.observables) == ["drop"]
     assert _own("drop,mobile", DyeProblem.observables) == ["mobile"]
+
+
+FLOOR = 1e-8
+
+
+def written_point(setting: str, error: float = 1e-3, times: tuple[float, ...] = (1.0, 1.05, 0.95)) -> SolverPoint:
+    errors = {"drop": Error(error, error, error), "energy": Error(1e-5, 1e-5, 1e-5)}
+    return SolverPoint("rk4", setting, "fixed steps", 4, 1.0, False, "done", "", times, {"steps": 10}, errors)
+
+
+def result(*points: SolverPoint) -> SweepResult:
+    return SweepResult("net", {one.key: one for one in points}, {"drop": FLOOR, "energy": FLOOR}, {})
+
+
+def changed(a: SolverPoint, b: SolverPoint) -> tuple[str, ...]:
+    return compare(result(a), result(b))[0].changed
+
+
+def test_the_same_result_has_no_change() -> None:
+    one = result(written_point("a"), written_point("b"))
+    assert all(not change.changed for change in compare(one, one))
+    assert all((change.row()[6], change.row()[9]) == ("1", "1") for change in compare(one, one))
+
+
+def test_an_error_that_doubles_is_found_in_its_quantity() -> None:
+    change = compare(result(written_point("a")), result(written_point("a", error=2e-3)))[0]
+    assert change.changed == ("error",) and change.quantity == "drop"
+    assert change.errors == (1e-3, 2e-3) and change.row()[6] == "2"
+    assert changed(written_point("a", error=2e-3), written_point("a")) == ("error",)
+
+
+def test_errors_at_the_floor_are_not_compared() -> None:
+    assert changed(written_point("a", error=0.4 * FLOOR), written_point("a", error=2.0 * FLOOR)) == ()
+    assert changed(written_point("a", error=0.4 * FLOOR), written_point("a", error=20.0 * FLOOR)) == ("error",)
+
+
+def test_a_time_has_changed_only_beyond_the_repeats() -> None:
+    assert changed(written_point("a"), written_point("a", times=(2.0, 2.1, 1.9))) == ("time",)
+    assert changed(written_point("a"), written_point("a", times=(0.5, 0.6, 0.5))) == ("time",)
+    # Twice as slow by the median, but one repeat was as fast.
+    assert changed(written_point("a"), written_point("a", times=(2.0, 2.1, 1.0))) == ()
+    # Taken once: who knows its spread.
+    assert changed(written_point("a"), written_point("a", times=(5.0,))) == ()
+    # Apart, but by less than a tenth.
+    assert changed(written_point("a", times=(1.0, 1.01)), written_point("a", times=(1.05, 1.06))) == ()
+
+
+def test_an_outcome_that_changed_is_found_without_errors() -> None:
+    lost = replace(written_point("a"), outcome="diverged", errors={}, seconds=(0.1,))
+    change = compare(result(written_point("a")), result(lost))[0]
+    assert change.changed == ("outcome",)
+    assert change.errors is None and change.times == (1.0, 0.1) and change.row()[9] == "0.1"
+
+
+def test_points_of_one_result_only_are_named() -> None:
+    first, second = result(written_point("a"), written_point("b")), result(written_point("b"), written_point("c"))
+    said = " ".join(summary(first, second, compare(first, second)))
+    assert "1 points in both" in said
+    assert "Only in A: rk4 a." in said and "Only in B: rk4 c." in said
+
+
+def write(path: Path, *points: SolverPoint, scene: str = "net") -> Path:
+    floors = {name: asdict(Error(FLOOR, FLOOR, FLOOR)) for name in ("drop", "energy")}
+    data = {"about": {"date": "today"}, "scene": scene, "reference": {"how": "", "floors": floors}}
+    path.write_text(json.dumps(data | {"points": [asdict(one) for one in points]}))
+    return path
+
+
+def test_files_are_compared_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a = write(tmp_path / "a.json", written_point("a"), written_point("b"))
+    b = write(tmp_path / "b.json", written_point("a"), written_point("b", error=3e-3, times=(3.0, 3.3)))
+    assert read(a).points == result(written_point("a"), written_point("b")).points
+    assert main(["bench", "compare", str(a), str(b), "--html", str(tmp_path / "page.html")]) == 0
+    said = capsys.readouterr().out
+    assert "0 in outcome, 1 in error, 1 in time" in said
+    assert "error, time" in said and "3.15" in said
+    assert "error, time" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"points": [{}], "reference": {"floors": {}}}', '{"points": 3}'])
+def test_another_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str) -> None:
+    good, other = write(tmp_path / "a.json", written_point("a")), tmp_path / "other.json"
+    other.write_text(content)
+    assert main(["bench", "compare", str(good), str(other)]) == 2
+    assert "no result of a precision sweep" in capsys.readouterr().err
+
+
+def test_results_without_anything_in_common_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a = write(tmp_path / "a.json", written_point("a"))
+    for b, said in (
+        (write(tmp_path / "b.json", written_point("b")), "no point in common"),
+        (write(tmp_path / "c.json", written_point("a"), scene="skirt"), "two scenes"),
+        (tmp_path / "nowhere.json", "cannot be read"),
+    ):
+        assert main(["bench", "compare", str(a), str(b)]) == 2
+        assert said in capsys.readouterr().err

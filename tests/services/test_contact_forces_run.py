@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rrd import read, write
 from scenes import BALL, write_scene
-from test_viewer_file import read, write
 from viewer_run import RATE, messages
 
 import nuno

@@ -1,4 +1,4 @@
-"""`dye.solver: auto`: the promise kept, the same choice every time, recorded as if written by hand."""
+"""What a dyeing records and which solver it takes: auto keeps its promise, amounts come at their interval."""
 
 from __future__ import annotations
 
@@ -6,20 +6,27 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import garment_scene
 import numpy as np
 import pytest
 from dye_closed_forms import CASES, promised_error
 from dye_scene import CELL, TAU3, arrays, write_scene
+from PIL import Image
 
 import nuno
+from nuno.cli import main
 from nuno.dye.run import DyeRun
+from nuno.recording.reader import Recording
 from nuno.replay.verification import verify
+from nuno.runtime import supervisor
+from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.simulation.solver_selection.selection import PROMISE
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.messages import CONCENTRATION, DYE_STATUS
 
 RED = {"name": "red", "D0": "0.7 mm^2/h"}
 
@@ -136,3 +143,89 @@ def test_what_auto_chooses_cannot_be_given(override: str, said: str, tmp_path: P
 def test_accuracy_beside_a_named_solver_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="accuracy chooses the solver of the dye"):
         read(tmp_path, "dye.solver=rkl2", "accuracy=normal")
+
+
+def frames(recording: Recording) -> list[int]:
+    """Those whose amounts are there."""
+    marks = recording.marks(DYE_STATUS.name)
+    return [marks[message.log_time][0] for message in recording.messages([CONCENTRATION.name])]
+
+
+def amounts(recording: Recording) -> list[bytes]:
+    return [message.payload for message in recording.messages([CONCENTRATION.name])]
+
+
+RARE = {"dye_every": "5.4 s"}
+"""Each third frame."""
+
+
+@pytest.fixture(scope="module")
+def rare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rare")
+    return nuno.run(write_scene(folder, record=RARE), record=folder / "run.mcap").path
+
+
+def test_amounts_come_at_their_interval_and_at_the_end(rare: Path) -> None:
+    with nuno.open(rare) as recording:
+        assert recording.complete and frames(recording) == [0, 3, 6, 9, 10]
+        assert recording.counts[DYE_STATUS.name] == 11 and verify(recording).compared == 11
+        shown = amounts(recording)
+    every = nuno.run(write_scene(rare.parent), record=rare.with_name("every.mcap")).recording
+    assert frames(every) == list(range(11))
+    assert shown == [amounts(every)[frame] for frame in (0, 3, 6, 9, 10)]
+
+
+def test_an_interval_longer_than_services_may_lag_behind_holds_nothing_up(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, record={"dye_every": "1 h"}), record=tmp_path / "run.mcap")
+    assert result.recording.complete and frames(result.recording) == [0, 10]
+
+
+def test_a_resumed_run_records_what_an_unbroken_one_does(tmp_path: Path) -> None:
+    """From a checkpoint at frame 4, of which the amounts are recorded for that."""
+    record = RARE | {"checkpoint_every": "7.2 s"}
+    whole = nuno.run(write_scene(tmp_path, record=record), record=tmp_path / "whole.mcap").recording
+    assert frames(whole) == [0, 3, 4, 6, 8, 9, 10]
+    part = nuno.run(write_scene(tmp_path, record=record), "duration=7.2 s", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "on.mcap", resume=part.path)
+    assert supervisor.supervise(scene_file.read(write_scene(tmp_path, record=record)), options).state == "done"
+    with nuno.open(tmp_path / "on.mcap") as resumed:
+        assert frames(resumed) == frames(whole) and amounts(resumed) == amounts(whole)
+        assert verify(resumed).frame is None
+
+
+def test_a_garment_s_dye_is_as_rare_as_asked(tmp_path: Path) -> None:
+    scene = garment_scene.write(tmp_path, record={"dye_every": 0.06})
+    result = nuno.run(scene, record=tmp_path / "run.mcap")
+    assert result.recording.complete and frames(result.recording) == [0, 3, 6, 9, 10]
+    assert verify(result.recording).dyed == 11
+
+
+def test_exports_take_what_is_there(rare: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(rare), "--gif", str(tmp_path / "a.gif"), "--png", str(tmp_path / "a.png")]) == 0
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.n_frames == 5  # type: ignore[attr-defined]
+    assert main(["export", str(rare), "--png", str(tmp_path / "b.png"), "--frame", "6"]) == 0
+    capsys.readouterr()
+    assert main(["export", str(rare), "--png", str(tmp_path / "c.png"), "--frame", "7"]) == 2
+    assert "the nearest is frame 6" in capsys.readouterr().err
+    assert main(["export", str(rare), "--png", str(tmp_path / "c.png"), "--frame", "11"]) == 2
+    assert "no such frame" in capsys.readouterr().err
+
+
+def test_a_replay_from_between_begins_with_what_was_there(rare: Path, tmp_path: Path) -> None:
+    from rrd import read
+
+    for start, shown in ((0.0, 5), (8.0, 4)):
+        target = tmp_path / f"{start:g}.rrd"
+        assert main(["replay", str(rare), "--fast", "--start", str(start), "--save", str(target)]) == 0
+        assert len(read(target, "/dye/picture", "EncodedImage:blob")) == shown
+
+
+def test_a_plan_counts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for record in ({}, RARE):
+        assert main(["plan", str(write_scene(tmp_path, record=record))]) == 0
+        said.append(next(line for line in capsys.readouterr().out.splitlines() if line.startswith("storage")))
+    sizes = [float(line.split()[1]) for line in said]
+    # Float32 of 11 frames or of 5, and one checkpoint of float64.
+    assert sizes[1] / sizes[0] == pytest.approx((8 * 5 + 16) / (8 * 11 + 16), rel=0.01)

@@ -122,7 +122,7 @@ def test_a_gltf_file_holds_that_frame_s_texture(run: Path) -> None:
 
 
 def test_the_viewer_s_file_has_its_textures_and_curves(run: Path) -> None:
-    from test_viewer_file import read
+    from rrd import read
 
     from nuno.viewer.dyed import TEXTURE_PIXELS
 
@@ -146,7 +146,7 @@ def test_the_viewer_s_file_has_its_textures_and_curves(run: Path) -> None:
 
 def test_a_texture_that_comes_before_its_object_is_worn(run: Path, tmp_path: Path) -> None:
     """zenoh keeps no order between topics."""
-    from test_viewer_file import read
+    from rrd import read
 
     from nuno.viewer.dyed import viewer_painter
     from nuno.viewer.file import RerunFile

@@ -1,4 +1,4 @@
-"""Exports read back equal to what was recorded."""
+"""Exports read back equal to what was recorded, far from the origin too, in the colours that are asked for."""
 
 from __future__ import annotations
 
@@ -8,37 +8,32 @@ import io
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from exported import picture, png, seen
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
 import nuno
-from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
+from nuno.cli import main
+from nuno.exports.animations import export_animation
+from nuno.exports.cloth import ShownPiece, body_vertices, cut_pieces, read_bodies, read_pieces
 from nuno.exports.meshes import export_mesh, export_meshes
-from nuno.exports.paint import CLOTHS
+from nuno.exports.paint import CLOTHS, PLAIN, paint_stretch
+from nuno.exports.pictures import Colour, Painter, _cloth_mesh, export_picture
 from nuno.exports.tables import export_csv, export_npz
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import STATE
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import BODIES, GEOMETRY, STATE
 
 FRAMES = 20
 SHEET = Sheet()
-
-
-def picture(width: int = 8, height: int = 4) -> Image.Image:
-    values = np.arange(width * height * 3, dtype=np.uint8).reshape(height, width, 3)
-    return Image.fromarray(values)
-
-
-def png(image: Image.Image) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, "PNG")
-    return stream.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +49,6 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "plain.mcap"
     write(path, SHEET, FRAMES)
     return path
-
-
-def seen(recording: Path, number: int) -> np.ndarray:
-    """Positions of a frame as recorded: float32 about an origin."""
-    with open_recording(recording) as opened:
-        return next(f.x for f in opened.frames() if f.number == number)
 
 
 def test_npz_is_the_last_checkpoint_and_nothing_else(path: Path, tmp_path: Path) -> None:
@@ -285,3 +274,215 @@ def test_a_disk_that_cannot_be_written_is_refused_in_words(
         monkeypatch.setattr(Path, "unlink", fail)
         with pytest.raises(BadInput, match="cannot write there: Read-only file system"):
             export_csv(recording, tmp_path / "a.csv")
+
+
+SIZE = (96, 64)
+
+
+def painted(path: Path, colour: Colour) -> tuple[Painter, np.ndarray | None, bool]:
+    """The painter, the colours of the cloth's vertices, and whether it shows an image."""
+    with open_recording(path) as recording:
+        frames = list(recording.frames())
+        painter = Painter(recording, frames[-1:], SIZE, colour=colour)
+        mesh = painter.meshes(frames[-1])[0]
+    return painter, mesh.colours, mesh.image is not None
+
+
+@pytest.fixture(scope="module")
+def coloured_plainly(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plain") / "run.mcap"
+    write(path, Sheet(), 3)
+    return path
+
+
+@pytest.fixture(scope="module")
+def by_stretch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of a scene that shows stretch."""
+    path = tmp_path_factory.mktemp("stretch") / "run.mcap"
+    write(path, Sheet(), 3, scene={"name": "waving", "view": {"colour": "stretch"}})
+    return path
+
+
+@pytest.fixture(scope="module")
+def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("textured")
+    data = io.BytesIO()
+    Image.new("RGB", (4, 4), "#208040").save(data, "PNG")
+    write(folder / "run.mcap", Sheet(), 3, {"check.png": data.getvalue()}, texture="check.png")
+    return folder / "run.mcap"
+
+
+def test_cloth_without_a_colour_has_one_by_its_place_or_shows_its_stretch(
+    coloured_plainly: Path, by_stretch: Path
+) -> None:
+    with open_recording(coloured_plainly) as recording:
+        last = list(recording.frames())[-1]
+        piece = Painter(recording, [last], SIZE).pieces(last.t)[0]
+    stretch = paint_stretch(piece.stretch(last.x))
+    for path, colour in ((by_stretch, "auto"), (by_stretch, "stretch"), (coloured_plainly, "stretch")):
+        painter, colours, _ = painted(path, colour)  # type: ignore[arg-type]
+        assert colours is not None and np.array_equal(colours, stretch)
+        assert painter.legend is not None
+    for path, colour, own in (
+        (coloured_plainly, "auto", CLOTHS[0]),
+        (coloured_plainly, "cloth", CLOTHS[0]),
+        (by_stretch, "cloth", PLAIN),
+    ):
+        painter, colours, _ = painted(path, colour)  # type: ignore[arg-type]
+        assert colours is not None and np.array_equal(colours, np.tile(parse_hex(own), (piece.stop, 1)))
+        assert painter.legend is None
+
+
+def test_links_of_a_net_show_their_own_stretch() -> None:
+    edges, x = np.array([[0, 1], [1, 2]], np.int32), np.array([[0.0, 0.0, 0.0], [1.01, 0.0, 0.0], [2.51, 0.0, 0.0]])
+    net = ShownPiece("net", 0, 3, np.zeros((0, 3), np.int32), edges, np.ones(2), None, None, None)
+    colours = _cloth_mesh(net, x).colours
+    assert colours is not None
+    assert np.allclose(colours.reshape(2, -1, 3), paint_stretch(np.array([0.01, 0.5]))[:, None], rtol=1e-12)
+
+
+def test_cloth_with_a_texture_can_show_its_stretch(textured: Path) -> None:
+    for colour in ("auto", "cloth"):
+        painter, colours, image = painted(textured, colour)  # type: ignore[arg-type]
+        assert image and colours is None and painter.legend is None
+    painter, colours, image = painted(textured, "stretch")
+    assert not image and colours is not None and painter.legend is not None
+
+
+def test_the_command_passes_it_on_to_pictures_and_animations(coloured_plainly: Path, tmp_path: Path) -> None:
+    shown = {}
+    for colour in ("auto", "cloth", "stretch"):
+        png, gif = tmp_path / f"{colour}.png", tmp_path / f"{colour}.gif"
+        asked = [
+            "export",
+            str(coloured_plainly),
+            "--png",
+            str(png),
+            "--gif",
+            str(gif),
+            "--size",
+            "96x64",
+            "--colour",
+            colour,
+        ]
+        assert main(asked) == 0
+        shown[colour] = png.read_bytes(), gif.read_bytes()
+    assert shown["auto"] == shown["cloth"]
+    assert shown["auto"][0] != shown["stretch"][0]
+    assert shown["auto"][1] != shown["stretch"][1]
+
+
+def test_another_colour_is_refused_before_anything_is_written(
+    coloured_plainly: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(coloured_plainly), "--png", str(tmp_path / "a.png"), "--colour", "red"]) == 2
+    assert "auto" in capsys.readouterr().err
+    with pytest.raises(BadInput, match="painted"):
+        export_animation(coloured_plainly, tmp_path / "a.gif", SIZE, colour="red")  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+FAR = np.array([1e6, -1e6, 1e6 + 0.25])
+FEW_FRAMES = 5
+
+
+class Moved(Sheet):
+    """The same sheet, somewhere else."""
+
+    def __init__(self, shift: Float) -> None:
+        super().__init__()
+        self.shift = shift
+
+    def x(self, t: float) -> Float:
+        return super().x(t) + self.shift
+
+
+@pytest.fixture(scope="module")
+def sheet() -> Sheet:
+    return Moved(FAR)
+
+
+@pytest.fixture(scope="module")
+def far_recording(sheet: Sheet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    far_recording = tmp_path_factory.mktemp("far") / "run.mcap"
+    write(far_recording, sheet, FEW_FRAMES)
+    return far_recording
+
+
+def placed(far_recording: Path) -> Float:
+    """Positions of the cloth in a mesh file, wherever its nodes are."""
+    scene = trimesh.load(far_recording, process=False, maintain_order=True, force="scene")
+    name = "cloth" if "cloth" in scene.geometry else next(iter(scene.geometry))
+    node = next(node for node in scene.graph.nodes_geometry if scene.graph[node][1] == name)
+    return np.asarray(scene.geometry[name].vertices + scene.graph[node][0][:3, 3], np.float64)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_mesh_files_hold_what_was_recorded(far_recording: Path, sheet: Sheet, tmp_path: Path, suffix: str) -> None:
+    """To the last bit; and the recording is within float32 of the cloth's size, not of its distance."""
+    with open_recording(far_recording) as recording:
+        frames = list(recording.frames())
+    each = export_meshes(far_recording, tmp_path / "frames", suffix)
+    for frame, out in zip(frames, [*each[:-1], export_mesh(far_recording, tmp_path / f"out{suffix}")], strict=True):
+        found = placed(out)
+        assert np.array_equal(found, frame.x)
+        assert np.abs(found - sheet.x(frame.t)).max() < 2e-7
+
+
+def test_bodies_stand_with_the_cloth(far_recording: Path, tmp_path: Path) -> None:
+    """The capsule is a million metres away from this cloth, and exactly where it is."""
+    scene = trimesh.load(export_mesh(far_recording, tmp_path / "out.glb", 0), process=False, force="scene")
+    offset = scene.graph["bodies"][0][:3, 3]
+    assert np.array_equal(offset, np.round(FAR + np.array([0.0, 1.0, 0.0])))
+    points = scene.geometry["bodies"].vertices + offset
+    assert points.mean(axis=0) == pytest.approx([0.5, 0.3, -0.4], abs=0.2)
+
+
+def test_tables_and_arrays_hold_every_bit(far_recording: Path, sheet: Sheet, tmp_path: Path) -> None:
+    t = (FEW_FRAMES - 1) / RATE
+    with np.load(export_npz(far_recording, tmp_path / "a.npz")) as arrays:
+        assert arrays["x"].tobytes() == sheet.x(t).tobytes()
+    with open_recording(far_recording) as recording:
+        series = recording.series()
+    with export_csv(far_recording, tmp_path / "a.csv").open(newline="") as stream:
+        assert [float(row["depth [m]"]) for row in csv.DictReader(stream)] == series["depth"].tolist()
+
+
+def test_a_picture_shows_the_same_cloth(tmp_path: Path) -> None:
+    """Without the body, which stays where it is: two scenes that differ by their place only."""
+    pictures = []
+    for name, shift in (("near", np.zeros(3)), ("far", np.round(FAR))):
+        writer = RecordingWriter(tmp_path / f"{name}.mcap", metadata(), {})
+        for item in items(Moved(shift), 2):
+            if item[0] not in (GEOMETRY.name, BODIES.name):
+                writer.write(*item)
+        out = export_picture(writer.finish({}), tmp_path / f"{name}.png", 1, (96, 64))
+        with Image.open(out) as image:
+            pictures.append(np.asarray(image, np.float64))
+    assert np.ptp(pictures[0]) > 100.0
+    assert np.abs(pictures[0] - pictures[1]).max() <= 2.0
+
+
+def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
+    """Its positions are float32, 6 cm apart there; what the cloth looks like is not."""
+    from nuno.viewer.cloth import Cloth
+
+    shown: list[Any] = []
+
+    class Kept:
+        def log(self, far_recording: str, what: Any, **_: object) -> None:
+            shown.append(what)
+
+    near = Sheet()
+    arrays = {"faces": near.faces, "edges": near.edges, "edge_rest": near.edge_rest}
+    text = {"vertices": near.number, "objects": [{"name": "cloth", "start": 0, "stop": near.number}]}
+    (piece,) = cut_pieces(arrays, text, by_stretch=True)
+    cloth, looks = Cloth(Kept(), "cloth", piece, lambda far_recording: None), []
+    for x in (near.x(0.1), near.x(0.1) + FAR):
+        cloth.log(x)
+        parts = (shown[-1].vertex_normals, shown[-1].vertex_colors)
+        normals, colours = (np.array(part.as_arrow_array().to_pylist()) for part in parts)
+        looks.append((normals, colours[:, None] >> np.array([24, 16, 8]) & 255))
+    (normals, colours), (far_normals, far_colours) = looks
+    assert np.abs(normals - far_normals).max() < 2e-6
+    assert len(np.unique(colours, axis=0)) > 3 and np.abs(colours - far_colours).max() < 8

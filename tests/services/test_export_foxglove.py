@@ -12,11 +12,11 @@ import jsonschema
 import numpy as np
 import pytest
 from dye_scene import write_scene as write_dye_scene
+from exported import FAR, picture, png, write_items
 from foxglove_file import Heard, known_at, placed, read, schemas, vectors
 from persons import skinned
-from recorded_sheet import RATE, Item, Sheet, items, metadata, write
+from recorded_sheet import RATE, Sheet, items, write
 from scenes import write_scene
-from test_export import picture, png
 
 import nuno
 from nuno.bus.encodings import decode_arrays, encode_arrays
@@ -26,7 +26,6 @@ from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
 from nuno.exports.foxglove import describe, export_foxglove
 from nuno.exports.paint import paint_stretch
 from nuno.recording.reader import open_recording
-from nuno.recording.writer import RecordingWriter
 from nuno_schemas import messages
 from nuno_schemas.bodies import Poses
 from nuno_schemas.colour import to_srgb
@@ -35,16 +34,9 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATUS, Header, Topic
 
 pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support, of nuno[dev]")
+
 FRAMES = 5
 SHEET = Sheet()
-FAR = np.array([1e6, -1e6, 1e6 + 0.25])
-
-
-def write_items(path: Path, found: list[Item]) -> None:
-    writer = RecordingWriter(path, metadata(), {})
-    for topic, header, payload in found:
-        writer.write(topic, header, payload)
-    writer.finish({})
 
 
 @pytest.fixture(scope="module")

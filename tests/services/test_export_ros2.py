@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from exported import FAR, picture, png, write_items
+from foxglove_file import Heard, placed, vectors
 from persons import skinned
 from recorded_sheet import RATE, Sheet, items, write
 from scenes import write_scene
-from test_export import picture, png
-from test_export_foxglove import FAR, Heard, placed, vectors, write_items
 
 import nuno
 from nuno.cli import main

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exported import picture, png, seen
 from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 from scenes import write_scene
-from test_export import picture, png, seen
 
 import nuno
 from nuno.cli import main

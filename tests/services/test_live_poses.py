@@ -1,9 +1,11 @@
-"""Bodies that another program moves while a run goes on: where they are then, whatever that program sends."""
+"""Bodies that another program moves while a run goes on: poses, lockstep, and who moves them."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import shlex
 import subprocess
 import sys
 import threading
@@ -14,46 +16,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doc_pages import ROOT, blocks
+from live_hand import LONG, SHEET, START, hand, places, poses, send
 from live_run import Live as LiveRun
 from live_run import Run
 from scenes import write_scene
-from test_readme import ROOT, blocks
 
 import nuno
-from nuno.bus.sessions import spoke
+from nuno.bus.sessions import free_port, spoke
+from nuno.cli import main
 from nuno.collision.live import read_poses
-from nuno.collision.messages import POSES_QUERY, decode_poses
+from nuno.collision.messages import POSES_QUERY
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
 from nuno.report.show import lines
+from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import resumed_scene
+from nuno.simulation.run import Simulation
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.live import Live
-from nuno_schemas.messages import BODIES, Event
-
-SHEET = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "pin": ["top-row"]}
-START = [0.0, 0.0, 0.2]
-LONG = 60.0
-"""A silence that no test lasts for [s]."""
-
-
-def hand(folder: Path, **motion: Any) -> Path:
-    """A sheet that hangs, and a ball in front of it that waits for poses of its own in each of 20 frames."""
-    moved = {"plugin": "topic", "frames": "poses", "position": START, "silence": LONG, "fastest": 50.0} | motion
-    ball = {"name": "hand", "collider": {"plugin": "sphere", "radius": 0.03}, "motion": moved}
-    objects = [{"name": "cloth", "model": SHEET}]
-    return write_scene(folder, objects=objects, bodies=[ball], solver="symplectic_euler", duration=0.4)
-
-
-def poses(number: int = 20) -> list[tuple[list[float], list[float]]]:
-    """The ball goes through where the sheet hangs, and turns."""
-    turns = np.linspace(0.0, 1.0, number)
-    return [
-        ([0.01 * i, 0.0, 0.2 - 0.02 * i], [float(np.cos(a)), 0.0, float(np.sin(a)), 0.0]) for i, a in enumerate(turns)
-    ]
+from nuno_schemas.messages import Event
+from nuno_schemas.system import StepReport
 
 
 def drive(folder: Path, scene: Path, sent: Sequence[tuple[list[float], list[float]]], name: str = "run") -> Run:
@@ -66,21 +53,6 @@ def drive(folder: Path, scene: Path, sent: Sequence[tuple[list[float], list[floa
         run.control("resume")
         assert run.join().state == "done"
     return run
-
-
-def places(path: Path) -> np.ndarray:
-    """(frames, 3) where the ball was."""
-    with open_recording(path) as recording:
-        return np.array([decode_poses(one.payload).translation[0] for one in recording.messages([BODIES.name])])
-
-
-def send(run: Run, key: str, *payloads: bytes | dict[str, Any]) -> None:
-    """What a program that knows nothing of nuno does."""
-    with spoke(run.endpoint) as session:
-        for payload in payloads:
-            session.put(key, payload if isinstance(payload, bytes) else json.dumps(payload).encode())
-        run.control("resume")
-        run.join()
 
 
 def test_each_frame_has_the_poses_that_were_sent_for_it(tmp_path: Path) -> None:
@@ -291,6 +263,247 @@ def test_joints_keep_together_on_their_way() -> None:
                 break
         assert left == 0.0
         assert (live.translation.tolist(), live.rotation.tolist()) == (goal.tolist(), turns[1].tolist())
+
+
+def in_lockstep(scene: Path, record: Path) -> str:
+    """The digest of a run whose ball takes hold of the sheet at one frame and lets go at another, with whatever has
+    come before each of them.
+    """
+    changes = {6: "attach: {body: hand, vertices: [40]}", 12: "release: {body: hand}"}
+    run = Run(scene, record)
+    with nuno.drive(run.run, "hand", wait=LONG) as ball, nuno.watch(run.run, "sim/status") as heard:
+        for frame, (position, rotation) in enumerate(poses(), 1):
+            if frame in changes:
+                assert ball.add(changes[frame])["vertices"] == 1
+            ball.send(position, rotation)
+            next((one for one in heard if one.frame >= frame), None)
+    assert run.join().state == "done"
+    told = run.report["followed"]["hand"]
+    assert (told["used"], told["without"]) == (20, 0) and told["silence"] < LONG
+    return str(run.report["digest"])
+
+
+def test_a_program_in_step_ends_in_the_same_bits(tmp_path: Path) -> None:
+    """What is added between two poses changes the cloth between their two frames, and is answered at once."""
+    scene = hand(tmp_path)
+    digests = [in_lockstep(scene, tmp_path / f"{name}.mcap") for name in ("one", "two")]
+    assert digests[0] == digests[1]
+    for name in ("one", "two"):
+        with open_recording(tmp_path / f"{name}.mcap") as recording:
+            added = [event.frame for event in recording.events() if event.text == "add"]
+        assert added == [5, 11]
+    assert nuno.verify(tmp_path / "one.mcap").frame is None
+
+
+def test_a_frame_that_waits_can_be_paused_and_stopped(tmp_path: Path) -> None:
+    """It has the next poses all the same; and a run that is stopped ends in order, with what came for its bodies."""
+    run = Run(hand(tmp_path), tmp_path / "run.mcap")
+    with nuno.drive(run.run, "hand", wait=LONG) as ball:
+        ball.send(*poses()[0])
+        run.wait(lambda: run.frame >= 1)
+        assert run.control("pause")["frame"] == 1
+        ball.send(*poses()[1])
+        assert run.control("status")["frame"] == 1
+        run.control("resume")
+        run.wait(lambda: run.frame >= 2)
+        assert run.stop().state == "stopped"
+    assert places(run.record)[1:].tolist() == [position for position, _ in poses()[:2]]
+    assert run.report["followed"]["hand"]["used"] == 2
+
+
+def test_a_program_that_has_died_and_poses_for_nobody_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the key that is listened to, once each."""
+    monkeypatch.setattr("nuno.collision.live.WAITING_AFTER", 0.3)
+    run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    key = f"nuno/{run.run}/poses/hand"
+    sent = [json.dumps({"position": p, "rotation": r}) for p, r in poses()[:2]]
+    with spoke(run.endpoint) as session:
+        for name in (key, key.replace("hand", "hnd"), key):
+            for payload in sent:
+                session.put(name, payload)
+        run.control("resume")
+        run.wait(lambda: run.frame >= 4)
+        time.sleep(1.0)
+        run.stop()
+    with open_recording(run.record) as recording:
+        said = [event.text for event in recording.events() if event.kind == "warning"]
+    assert sum(f"poses come for 'hnd', and no body follows them: hand by {key}" in text for text in said) == 1
+    assert sum(f"no poses of frame 5 by {key} yet" in text and "has the program" in text for text in said) == 1
+
+
+def test_silence_that_ends_a_run_is_no_service_that_died(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It ends in order: with its report, what came for its bodies, and a checkpoint to go on from."""
+    run = Run(hand(tmp_path, silence=0.2, silent="stop"), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    send(run, f"nuno/{run.run}/poses/hand", *({"position": p, "rotation": r} for p, r in poses()[:7]))
+    outcome = run.join()
+    assert outcome.state == "failed" and outcome.error == ""
+    assert outcome.problem.startswith("failed: the body hand has heard nothing for 0.2")
+    assert run.report["followed"]["hand"]["used"] == 7
+    with nuno.open(run.record) as recording:
+        assert recording.last_checkpoint().frame == 7
+    with pytest.raises(RunFailed, match=r"^failed: the body hand has heard nothing for .*silent: stop"):
+        nuno.run(hand(tmp_path, silence=0.01, silent="stop"), record=tmp_path / "stopped.mcap")
+    assert main(["info", str(tmp_path / "stopped.mcap")]) == 0
+    said = capsys.readouterr().out
+    assert "0 poses came" in said and "silent: stop" in said and "1 sent, 1 recorded" in said
+
+
+def test_bodies_are_waited_for_together(tmp_path: Path) -> None:
+    """A frame waits as long as the longest silence, not as long as all of them."""
+    moved = {"plugin": "topic", "frames": "poses", "silence": 0.3}
+    ball = {"collider": {"plugin": "sphere", "radius": 0.03}, "motion": moved}
+    bodies = [{"name": name} | ball for name in ("left", "right")]
+    cloth = [{"name": "cloth", "model": SHEET}]
+    scene = write_scene(tmp_path, objects=cloth, bodies=bodies, solver="symplectic_euler", duration=0.06)
+    done = nuno.run(scene, progress=False)
+    assert done.report["followed"]["left"]["without"] == done.report["followed"]["right"]["without"] == 3
+    assert 0.9 <= done.report["parts_seconds"]["bodies"] < 1.5
+
+
+def test_by_the_clock_silence_begins_with_the_first_poses(tmp_path: Path) -> None:
+    """Until then the body waits where the scene has it, whatever silence brings later."""
+    early = nuno.run(hand(tmp_path, frames="clock", silence=0.1, silent="stop"), progress=False)
+    assert early.state == "done" and early.report["followed"]["hand"]["without"] == 20
+    run = Run(hand(tmp_path, frames="clock", silence=0.1, silent="stop"), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    send(run, f"nuno/{run.run}/poses/hand", {"position": [0.0, 0.0, 0.1], "rotation": [1, 0, 0, 0]})
+    assert run.join().state == "failed" and "silent: stop" in run.join().problem
+
+
+@pytest.mark.full
+def test_the_documentations_environment_is_the_same_after_each_reset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, whatever became of the one before: given up on its way, or gone to its end."""
+    tool = tmp_path / "nuno"
+    tool.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m nuno "$@"\n')
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", os.pathsep.join([str(tmp_path), os.environ["PATH"]]))
+    (program,) = blocks(ROOT / "docs" / "how-to" / "robots.md", "python")
+    known: dict[str, Any] = {}
+    exec(program.replace("300\n", "12\n").replace("duration=3 s", "duration=0.12 s"), known)
+    env, seen = known["Env"](runs.new_id("env")), list[Any]()
+    for steps in (4, 11):
+        seen.append([env.reset()])
+        for number in range(steps):
+            x, reward, over = env.step([0.0, -0.1, 0.3 - 0.03 * number])
+            seen[-1].append(x)
+    env.close()
+    assert over and env.run.poll() is not None and reward > 0.0
+    assert all((one == other).all() for one, other in zip(*seen, strict=False))
+
+
+def test_a_run_is_waited_for_until_it_takes_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling and all: what is sent and added then is not lost."""
+    rehearse, compiled = Simulation.rehearse, threading.Event()
+
+    def slowly(simulation: Simulation) -> None:
+        compiled.wait(1.0)
+        compiled.set()
+        rehearse(simulation)
+
+    monkeypatch.setattr(Simulation, "rehearse", slowly)
+    run = Run(hand(tmp_path), tmp_path / "run.mcap")
+    with nuno.drive(run.run, "hand", wait=LONG) as ball:
+        assert compiled.is_set()
+        said = ball.add("attach: {body: hand, vertices: [40]}")
+        assert said == {"vertices": 1, "held": 1} and all(type(number) is int for number in said.values())
+        for position, rotation in poses():
+            ball.send(position, rotation)
+    assert run.join().state == "done" and run.report["followed"]["hand"]["used"] == 20
+
+
+def test_the_first_hold_is_rehearsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that what its steps need is compiled before the first frame; nothing is left of it."""
+    plain, rehearsed = (Simulation.with_bodies(scene_file.read(hand(tmp_path)), 1) for _ in range(2))
+    measure, held = Simulation.measure, list[int]()
+
+    def note(simulation: Simulation, poses: Poses | None) -> StepReport:
+        held.append(len(simulation.fabric.bindings))
+        return measure(simulation, poses)
+
+    monkeypatch.setattr(Simulation, "measure", note)
+    rehearsed.rehearse()
+    assert held == [1] and rehearsed.changes == [] and not rehearsed.fabric.bindings
+    for simulation in (plain, rehearsed):
+        simulation.step()
+        simulation.add("attach: {body: hand, vertices: [40]}")
+    assert plain.step().digest == rehearsed.step().digest
+
+
+def test_a_run_of_another_folder_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of a stranger's run is moved, though `last` leads to it elsewhere."""
+    for name in ("notes", "here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "notes"))
+    monkeypatch.chdir(tmp_path / "there")
+    with runs.announced("other", "tcp/127.0.0.1:1"):
+        monkeypatch.chdir(tmp_path / "here")
+        assert runs.find("last")[0] == "other"
+        for wait in (0.0, 0.2):
+            with pytest.raises(BadInput, match="no such run is going on"):
+                nuno.drive("last", "hand", wait=wait)
+
+
+def test_another_hosts_hub_is_waited_for(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    deployment = Deployment(listen=endpoint, run="late")
+    loaded = scene_file.read(hand(tmp_path))
+    late = threading.Timer(0.7, supervisor.supervise, (loaded, Options(record=tmp_path / "run.mcap"), deployment))
+    late.start()
+    with nuno.drive("late", "hand", connect=endpoint, wait=LONG) as ball:
+        for position, rotation in poses():
+            ball.send(position, rotation)
+    late.join()
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        assert recording.last_checkpoint().frame == 20
+
+
+def test_a_body_that_moves_by_itself_is_refused(tmp_path: Path) -> None:
+    moved = {"plugin": "topic", "frames": "poses", "silence": LONG, "key": "robot/hand"}
+    ball = {"collider": {"plugin": "sphere", "radius": 0.03}}
+    bodies = [{"name": "table"} | ball, {"name": "hand", "motion": moved} | ball]
+    scene = write_scene(
+        tmp_path, objects=[{"name": "cloth", "model": SHEET}], bodies=bodies, solver="symplectic_euler", duration=0.4
+    )
+    run = Run(scene, tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    with pytest.raises(BadInput, match=r"table has no motion: {plugin: topic}(.|\n)*or take hand"):
+        nuno.drive(run.run, "table", wait=LONG)
+    with nuno.drive(run.run, "hand") as driving:  # by the key that the scene names
+        for _ in range(20):
+            driving.send([0.0, 0.0, 0.2])
+        run.control("resume")
+        assert run.join().state == "done"
+    assert run.report["followed"]["hand"]["used"] == 20
+    bare = Run(write_scene(tmp_path), tmp_path / "bare.mcap", paused=True)
+    bare.wait_until_paused()
+    with pytest.raises(BadInput, match="the run has no bodies"):
+        nuno.drive(bare.run, "hand")
+    bare.stop()
+
+
+def test_what_cannot_be_followed_is_not_sent(tmp_path: Path) -> None:
+    """It is refused where it is said: by the rules of the run, and with the body's joints."""
+    run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    with nuno.drive(run.run, "hand") as ball:
+        for position, rotation, said in (
+            ([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0], "a rotation of no length"),
+            ([1e7, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], "out of this world"),
+            ([np.nan, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], "position: not finite"),
+            ("hello", [1.0, 0.0, 0.0, 0.0], "position: no numbers"),
+            ([[0.0] * 3] * 2, [[1.0, 0.0, 0.0, 0.0]] * 2, "another skeleton"),
+            ([[0.0] * 3] * 2, [1.0, 0.0, 0.0, 0.0], "of another shape"),
+        ):
+            with pytest.raises(BadInput, match=said):
+                ball.send(position, rotation)
+    for late in (lambda: ball.send([0.0, 0.0, 0.2]), lambda: ball.add("release: {body: hand}")):
+        with pytest.raises(BadInput, match="closed"):
+            late()
+    assert run.stop().state == "stopped" and run.report["followed"]["hand"]["heard"] == 0
 
 
 @pytest.mark.parametrize(

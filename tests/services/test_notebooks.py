@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib
 import pytest
-from test_readme import ROOT, blocks
+from doc_pages import ROOT, blocks
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from doc_pages import ROOT, blocks
 from refusals import sheet
 from scenes import write_scene
 
@@ -18,20 +19,14 @@ import nuno
 import nuno_bench.cli
 from nuno.cli import COMMANDS, main, parser_of
 
-ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
-import durations  # noqa: E402
+import durations
 
 PAGES = [
     ROOT / "README.md",
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "tutorials"),  # test_tutorials.py
 ]
 START, TOUR = "docs/start/index.md", "docs/start/tour.md"
-
-
-def blocks(page: Path, language: str) -> list[str]:
-    """Fenced code of a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def commands(page: Path) -> list[list[str]]:

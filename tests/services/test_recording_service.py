@@ -1,4 +1,4 @@
-"""The recorder service: everything that was sent is in the file, or the file says what is not."""
+"""The recorder: everything that was sent is in the file, or the file says what is not."""
 
 from __future__ import annotations
 
@@ -15,24 +15,28 @@ from typing import Any
 
 import pytest
 import zenoh
-from recorded_sheet import REPORT_TEXT, Item, Sheet, items
+from live_run import Run
+from recorded_sheet import REPORT_TEXT, Item, Sheet, items, metadata
 from scenes import write_scene
 
 import nuno
 from nuno.bus.health import Watch
-from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.messages import Bus, Inbox, Message, Publisher
 from nuno.bus.sessions import free_port, hub
+from nuno.cli import main
 from nuno.recorder import service
+from nuno.recording.gaps import count_gaps, find_lacks, shortcoming
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
-from nuno.recording.writer import part_of, topic_of
+from nuno.recording.writer import RecordingWriter, part_of, topic_of
+from nuno.report.show import lines
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import describe_run
 from nuno.simulation.run import Simulation
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
+from nuno_schemas.messages import REPORT, STATE, STATUS, Ack, Header, Topic
 
 RUN = "waving-run"
 
@@ -296,3 +300,82 @@ def test_the_last_word_of_a_service_that_failed_is_waited_for(
     with open_recording(path) as recording:
         said = [json.loads(m.payload)["text"] for m in recording.messages() if m.topic == "run/event/simulation"]
         assert "on fire" in said[-1] and recording.metadata[END]["missing"] == "{}"
+
+
+LOST = {7, 8, 9, 15}
+"""Frames whose state vanishes."""
+
+
+@pytest.fixture(scope="module")
+def lossy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of a run in which messages vanish between publisher and recorder, without a word."""
+    folder = tmp_path_factory.mktemp("lossy")
+    real = Publisher.put
+
+    def put(self: Publisher, payload: bytes, frame: int = -1, t: float = 0.0, digest: str = "") -> None:
+        if self.topic is STATE and frame in LOST:
+            self.sent += 1
+        else:
+            real(self, payload, frame, t, digest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Publisher, "put", put)
+        run = Run(write_scene(folder), folder / "lossy.mcap")
+        assert run.join().problem == f"failed: {run.record} is not whole: it lacks 4 of sim/state"
+    assert run.report["lost"] == {STATE.name: len(LOST)}
+    assert ("INCOMPLETE", "the recording lacks 4 of sim/state") in lines(run.report)
+    return folder / "lossy.mcap"
+
+
+def test_every_gap_is_found_in_the_file(lossy: Path) -> None:
+    with open_recording(lossy) as recording:
+        assert not recording.complete
+        assert find_lacks(recording).missing == {STATE.name: len(LOST)}
+        assert count_gaps(recording.messages()) == {STATE.name: len(LOST)}
+        assert shortcoming(recording) == "INCOMPLETE: missing: 4 of sim/state"
+        warnings = [json.loads(m.payload)["text"] for m in recording.messages(["run/event/recorder"])]
+    assert warnings == ["3 of sim/state never came: the recording is incomplete"]
+
+
+def test_commands_say_what_is_missing(lossy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = str(lossy)
+    assert main(["info", name]) == 0
+    shown = capsys.readouterr().out
+    assert "done, INCOMPLETE: missing: 4 of sim/state" in shown
+    assert main(["info", name, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["complete"], facts["cut"], facts["missing"]) == (False, False, {STATE.name: 4})
+    csv = lossy.with_suffix(".csv")
+    for command in (["verify", name], ["replay", name, "--fast", "--no-view"], ["export", name, "--csv"]):
+        assert main([*command, *([str(csv)] if command[0] == "export" else [])]) == 0
+        assert f"{lossy}: INCOMPLETE: missing: 4 of sim/state\n" in capsys.readouterr().err
+
+
+def test_of_a_run_that_was_killed_the_file_itself_tells(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path, metadata(), {})
+    for topic, header, payload in items(Sheet(), 20):
+        if not (topic == STATUS.name and header.seq in LOST):
+            writer.write(topic, header, payload)
+    writer._flush()  # as by time
+    with open_recording(part_of(path)) as recording:
+        assert shortcoming(recording).startswith("INCOMPLETE: its run goes on, and is recorded up to 0.38 s; missing:")
+    writer._stream.close()  # then the process is killed
+    with open_recording(part_of(path)) as recording:
+        assert find_lacks(recording).missing == {STATUS.name: 4}
+        text = shortcoming(recording)
+        assert text.startswith("INCOMPLETE: cut short at 0.38 s, and read up to its last whole chunk; missing: 4 of ")
+
+
+def test_whole_recordings_have_no_gap(tmp_path: Path) -> None:
+    """Nor have those of a run that went on from a checkpoint, where numbers begin anew."""
+    folder = tmp_path
+    nuno.run(write_scene(folder), record=folder / "a.mcap")
+    assert main(["run", "--resume", str(folder / "a.mcap"), "--record", str(folder / "b.mcap"), "--no-view",
+                 "--set", "duration=0.7"]) == 0  # fmt: skip
+    for name, frames in (("a.mcap", 26), ("b.mcap", 36)):
+        with open_recording(folder / name) as recording:
+            assert recording.counts[STATE.name] == frames
+            assert count_gaps(recording.messages()) == {}
+            assert find_lacks(recording).missing == {}
+            assert shortcoming(recording) == ""

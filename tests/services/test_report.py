@@ -108,20 +108,6 @@ def test_energy_goes_only_where_there_is_something_to_take_it(result: nuno.Resul
     assert text.endswith("J by damping")
 
 
-def test_a_resumed_runs_report_is_of_the_whole_recording(
-    result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    target = tmp_path / "on.mcap"
-    command = ["run", "--resume", str(result.path), "--set", "duration=1.2", "--record", str(target), "--no-view"]
-    assert main([*command, "--report"]) == 0
-    with nuno.open(target) as recording:
-        assert recording.report()["began"] == 1.0
-        assert recording.report()["simulated_seconds"] == pytest.approx(0.2)
-        assert recording.report()["energy"][0] == result.report["energy"][0]
-    assert "resumed     at 1 s; time, " in capsys.readouterr().out
-    assert rows(result.report, "resumed") == []
-
-
 def test_a_report_is_a_few_lines_unless_all_is_asked_for(
     result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -157,3 +143,38 @@ def test_a_run_whose_service_dies_on_its_way_is_not_said_to_have_been_prepared(
     said = capsys.readouterr().out
     assert "5 frames are recorded" in said and "prepared" not in said
     assert "the simulation service died: OSError: the loom is on fire" in said
+
+
+@pytest.mark.parametrize(("name", "drawn", "fields"), [
+    ("relaxes", 1.3, {"gravity": [0, 0, 0], "damping": 200.0}),
+    ("relaxes, then falls and is drawn out", 1.3, {"damping": {"first": 200.0, "over": "0.2 s", "last": 0.0}}),
+    ("is drawn out from the start", 1.0, {}),
+])  # fmt: skip
+def test_frames_in_which_cloth_relaxes_are_left_out(
+    name: str, drawn: float, fields: dict[str, Any], tmp_path: Path
+) -> None:
+    scene = write_scene(tmp_path, **fields)
+    with np.load(tmp_path / "chain.npz") as chain:
+        np.savez(tmp_path / "chain.npz", **dict(chain) | {"x": drawn * chain["x"]})
+    result = nuno.run(scene, record=tmp_path / "run.mcap")
+    with result.recording as recording:
+        every = recording.series()["stretch"]
+    rises = np.flatnonzero(~(np.diff(every) <= 0.0)) + 1
+    counted = every[rises[0] :] if len(rises) else every[-1:]
+    assert result.report["start_stretch"] == every[0] == pytest.approx(drawn - 1.0)
+    assert result.report["stretch"] == counted.max()
+    assert (name == "relaxes") == (len(rises) == 0) and (drawn == 1.0) == (counted.max() == every.max())
+
+
+def test_a_resumed_runs_report_is_of_the_whole_recording(
+    result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "on.mcap"
+    command = ["run", "--resume", str(result.path), "--set", "duration=1.2", "--record", str(target), "--no-view"]
+    assert main([*command, "--report"]) == 0
+    with nuno.open(target) as recording:
+        assert recording.report()["began"] == 1.0
+        assert recording.report()["simulated_seconds"] == pytest.approx(0.2)
+        assert recording.report()["energy"][0] == result.report["energy"][0]
+    assert "resumed     at 1 s; time, " in capsys.readouterr().out
+    assert rows(result.report, "resumed") == []

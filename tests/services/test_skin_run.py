@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from persons import person_file, skinned
-from test_viewer_file import read, write
+from rrd import read, write
 from viewer_run import messages
 
 from nuno.cli import main

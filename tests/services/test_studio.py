@@ -51,30 +51,6 @@ def test_scenes_of_the_folder_and_those_with_nuno_are_listed(desk: Desk) -> None
             ask(desk, "open", scene=name)
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        ("damping: 0.5", "damping: -1"),
-        ("damping: 0.5", "dampin: 0.5"),
-        ("fabric: silk", "fabric: sillk"),
-        ("plugin: sheet", "plugin: sheat"),
-        ("[40 cm, 40 cm]", "[40 cm, 40 kg]"),
-        ("resolution: [9, 9]", "resolution: [9]"),
-        ("name: cloth ", "nam: cloth "),
-        ("duration: 0.4 s", "duration: [0.4 s"),
-        ("objects:", "bodies: [{name: a, collider: {plugin: sphere}, friction: many}]\nobjects:"),
-    ],
-)
-def test_a_mistake_has_the_very_words_of_the_command_line(desk: Desk, before: str, after: str) -> None:
-    text = SHEET.replace(before, after)
-    assert text != SHEET
-    Path(FILE).write_text(text)
-    with pytest.raises(BadInput) as refused:
-        scene_file.read(Path(FILE))
-    (mistake,) = about(desk, "check", text)["mistakes"][:1]
-    assert (mistake["words"], mistake["line"]) == (str(refused.value), refused.value.line)
-
-
 @pytest.mark.parametrize("odd", [[], {}, [[]], 3, None, True, "x" * 5000], ids=lambda odd: str(odd)[:9])
 def test_a_request_of_another_kind_is_refused_in_words(desk: Desk, odd: object) -> None:
     Path("a.npz").write_bytes((shipped.folder() / "pendulum.npz").read_bytes())

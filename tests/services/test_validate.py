@@ -14,14 +14,17 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
+from nuno_bench import piles
 from nuno_bench.sweep.executor import Executor
+from nuno_bench.validation import command as suite
 from nuno_bench.validation import command as validate
-from nuno_bench.validation import oscillator, statics
+from nuno_bench.validation import contacts, oscillator, statics
 from nuno_bench.validation.law import Case, Measurement, Outcome, Unsupported
 from nuno_integrators.explicit.fixed_step import RK4
 from nuno_kernels.step.acceleration import evaluate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.system import System
 
 GROUP = "nuno.integrators"
 SOUND = ["leapfrog", "rk4", "symplectic_euler"]
@@ -83,11 +86,13 @@ def test_three_sound_solvers_pass_every_case() -> None:
     assert set(validate.count_posed(part, list(found.values())).values()) == {3}
 
 
-QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", "chain frequency 1"]
+QUICK = ("one step", "oscillator energy", "momentum", "angular momentum", "rotation", "chain frequency 1")
 
 
-def test_every_installed_solver_passes_the_quick_cases() -> None:
-    found = outcomes(QUICK, [])
+@pytest.mark.quick(case=QUICK)
+@pytest.mark.parametrize("case", [*QUICK, "projectile", "order, net"])
+def test_every_installed_solver_passes(case: str) -> None:
+    found = outcomes([case], [])
     assert {key: o.reason for key, o in found.items() if o.verdict == "failed"} == {}
     assert {s for _, s in found} == set(registry.installed(GROUP))
 
@@ -250,3 +255,47 @@ def elastica(gamma: float, steps: int = 400) -> float:
 @pytest.mark.parametrize("gamma", statics.DROP)
 def test_drops_of_the_cantilever_are_the_elasticas(gamma: int) -> None:
     assert elastica(gamma) == pytest.approx(statics.DROP[gamma], abs=2e-5)
+
+
+CASES = {case.name: case for case in contacts.laws}
+SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
+
+
+def outcome(case: str, solver: str = "symplectic_euler") -> Outcome:
+    return suite.check(CASES[case], registry.load("nuno.integrators", solver))
+
+
+@pytest.mark.parametrize("case", ["mesh slide rate", "mesh pile", "mesh momentum"])
+def test_symplectic_euler_keeps_the_laws_of_cloth_contact(case: str) -> None:
+    assert outcome(case).verdict == "passed"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
+    """On grids and on irregular triangles; bits without contact are not asked of an adaptive method."""
+    found = [outcome(case, solver) for case in CASES]
+    unposed = {"cloth apart", "mesh apart"} if solver == "dopri5" else set()
+    assert {one.case: one.reason for one in found if one.verdict != "passed" and one.case not in unposed} == {}
+    assert {one.case for one in found if one.verdict == "unsupported"} == unposed
+    assert len(found) == 16
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", ["cloth slides", "mesh slide rate"])
+def test_a_friction_that_is_two_percent_off_is_found_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = piles.pile
+
+    def rougher(*pieces: Any, friction: float, **settings: Any) -> System:
+        return make(*pieces, friction=1.02 * friction, **settings)
+
+    monkeypatch.setattr(piles, "pile", rougher)
+    assert outcome(case).verdict == "failed"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", ["cloth momentum", "cloth heap", "mesh pile"])
+def test_cloth_that_does_not_meet_breaks_the_laws(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = piles.pile
+    monkeypatch.setattr(piles, "pile", lambda *pieces, **settings: make(*pieces, **settings | {"contact": False}))
+    assert outcome(case).verdict == "failed"

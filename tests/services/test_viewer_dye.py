@@ -14,7 +14,7 @@ import pytest
 from dye_scene import arrays, write_scene
 from numpy.typing import NDArray
 from PIL import Image
-from test_viewer_file import read
+from rrd import read
 
 import nuno
 from nuno.bus.encodings import decode_arrays

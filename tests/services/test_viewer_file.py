@@ -1,10 +1,9 @@
-"""Rerun files: every frame, unchanged; what cannot be written is refused before a run starts."""
+"""Rerun files: every frame unchanged, textures, crossings and tension; what cannot be written is refused."""
 
 from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,46 +11,33 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from rrd import read, write, write_all
+from scenes import write_scene
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
+import nuno
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
+from nuno.cli import main
 from nuno.collision.surfaces import surface, vertex_normals
 from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import INSET, paint_yarns
 from nuno.recording.writer import part_of
-from nuno.viewer.cloth import pack
+from nuno.scene import scene_file
+from nuno.simulation.cloth import build
+from nuno.simulation.cloth.yarns import SPAN, Tensions, structural_edges, tension_arrays
+from nuno.viewer.cloth import pack, read_image
 from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import require
+from nuno.viewer.service import with_own_textures
+from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, FABRIC, STATE
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.messages import BODIES, FABRIC, PENETRATION, STATE, Penetration
 from nuno_schemas.scene import View
 
 CLOTH = "/world/cloth/sheet"
-
-
-def write_all(file: RerunFile, fed: Iterable[Fed]) -> Path:
-    for message in fed:
-        file.feed(*message)
-    return file.finish()
-
-
-def write(path: Path, fed: Iterable[Fed]) -> Path:
-    return write_all(RerunFile(path, "run"), fed)
-
-
-def read(path: Path, entity: str, column: str, static: bool = False) -> dict[int, Any]:
-    """The column's values by frame number (0 for static ones)."""
-    import rerun.chunk
-
-    found: dict[int, Any] = {}
-    for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        if chunk.entity_path == entity and chunk.is_static == static and column in batch.schema.names:
-            frames = [0] * len(batch) if static else batch["frame"].to_pylist()
-            found |= {f: v for f, v in zip(frames, batch[column].to_pylist(), strict=True) if v is not None}
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -297,3 +283,179 @@ def test_a_file_that_cannot_be_finished_keeps_no_name(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not (tmp_path / "run.rrd").exists()
+
+
+YARNS = [
+    {"name": "soft", "k": 1.0, "lock": 0.2, "k_lock": 8.0, "mu": 0.1},
+    {"name": "stiff", "k": 10.0, "lock": 0.5, "k_lock": 30.0},
+]
+
+
+def two_knits(folder: Path) -> Fabric:
+    """A tube, whose yarns are rings, and a panel, pulled about so that some links have locked."""
+    models = [{"plugin": "knit", "wales": 4, "courses": 5, "form": form, "yarns": YARNS} for form in ("tube", "panel")]
+    objects = [{"name": f"knit{i}", "model": model} for i, model in enumerate(models)]
+    return build.build_fabric(scene_file.read(write_scene(folder, objects=objects)))[0]
+
+
+def moved(fabric: Fabric) -> Float:
+    return fabric.position * 1.4 + 1e-4 * np.random.default_rng(2).normal(size=fabric.position.shape)
+
+
+def test_tension_is_that_of_the_forces(tmp_path: Path) -> None:
+    fabric = two_knits(tmp_path)
+    assert fabric.springs is not None
+    x, pairs = moved(fabric), fabric.springs.pairs()
+    rest = fabric.springs.per_spring(fabric.springs.rest)
+    stretch = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0
+    arrays = tension_arrays(fabric) | {"edge_rest": rest.astype(np.float32)}
+    expected = link_tensions(fabric, x)
+    for mine in (pairs[:, 0] < 48, pairs[:, 0] >= 48):  # each object by itself: yarns do not reach across
+        found = Tensions.read(arrays, mine)
+        assert found is not None and found.most == pytest.approx(30.0 * rest.max())
+        assert np.abs(found(stretch[mine]) - expected[mine]).max() < 1e-6 * expected.max()
+    assert (stretch > 0.5).any() and (stretch < 0.2).any()
+
+
+def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None:
+    from rrd import columns
+
+    from nuno.viewer.cloth import TABLE
+    from nuno.viewer.file import RerunFile
+
+    fabric = two_knits(tmp_path)
+    assert fabric.springs is not None
+    x = moved(fabric)
+    edges, rest = structural_edges(fabric)
+    arrays: dict[str, Any] = {"faces": fabric.faces, "edges": edges, "edge_rest": rest.astype(np.float32)}
+    arrays |= {"pinned": fabric.pinned} | tension_arrays(fabric)
+    cloth = {"name": "knits", "start": 0, "stop": fabric.number, "colour": "#202020"}
+    told = encode_arrays(arrays, {"vertices": fabric.number, "scene": "two", "objects": [cloth]})
+    file = RerunFile(tmp_path / "run.rrd", "run", View(links="tension"))
+    file.feed(FABRIC.name, 0, 0.0, told)
+    file.feed(STATE.name, 0, 0.0, encode_points(x, 0.0))
+    path = file.finish()
+    colours = np.array(columns(path, "LineStrips3D:colors")["/world/cloth/knits/springs"][0])
+    share = np.maximum(link_tensions(fabric, x) / (30.0 * rest.max()), 1.0 / SPAN)
+    place = np.round(255.0 * (1.0 + np.log10(share) / np.log10(SPAN))).astype(int)
+    beside = np.stack([TABLE[np.clip(place + k, 0, 255)] for k in (-1, 0, 1)])  # positions there are float32
+    assert (colours == beside).any(axis=0).all() and np.ptp(place) > 100
+    about = columns(path, "TextDocument:text")["/about"][0][0]
+    assert f"{30.0 * rest.max():.3g} N" in about
+
+
+def test_the_legend_has_the_colours_of_the_tensions_at_its_ticks() -> None:
+    from nuno.viewer.bridge import SIDE, TOP, tension_legend, ticks
+    from nuno.viewer.cloth import TABLE
+
+    bar = tension_legend(2.0)[TOP + 1, SIDE:-SIDE].astype(int)
+    assert [tension for _, tension in ticks(2.0)] == pytest.approx([0.002, 0.02, 0.2, 2.0])
+    for share, tension in ticks(2.0):
+        place = round(255.0 * (1.0 + np.log10(tension / 2.0) / np.log10(SPAN)))
+        painted = int(TABLE[place]) >> np.array([24, 16, 8]) & 255
+        assert np.abs(bar[round(share * (len(bar) - 1))] - painted).max() <= 3
+
+
+PIXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A recording of a sheet with an image, which is gone from the disk since."""
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    Image.fromarray(PIXELS).save(folder / "image.png")
+    model = {"plugin": "sheet", "resolution": [4, 4], "texture": "image.png"}
+    scene = write_scene(folder, objects=[{"name": "cloth", "model": model}], duration=0.1)
+    nuno.run(scene, record=tmp_path / "run.mcap")
+    (folder / "image.png").unlink()
+    return tmp_path / "run.mcap"
+
+
+def test_a_replay_is_saved_with_the_recordings_own_image(recording: Path, tmp_path: Path) -> None:
+    import rerun.chunk
+
+    saved = tmp_path / "again.rrd"
+    assert main(["replay", str(recording), "--fast", "--save", str(saved)]) == 0
+    column = "Mesh3D:albedo_texture_buffer"
+    batches = (chunk.to_record_batch() for chunk in rerun.chunk.RrdReader(saved).stream().to_chunks())
+    found = [batch[column].to_pylist() for batch in batches if column in batch.schema.names]
+    assert np.ravel(found).tolist() == PIXELS.ravel().tolist()
+
+
+def test_a_live_view_of_a_replay_is_given_an_image_that_is_there(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+
+    class Watched:
+        """Reads the image as soon as a view hears of it."""
+
+        pid, page, error, shown, skipped = None, "", "", 0, 0
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
+            if topic == FABRIC.name:
+                seen.append(read_image(decode_arrays(payload)[1]["objects"][0]["texture"]))
+
+        def finish(self, stays: bool = True) -> None:
+            pass
+
+    monkeypatch.setattr("nuno.viewer.service.LiveView", Watched)
+    assert main(["replay", str(recording), "--fast", "--view", "web"]) == 0
+    assert len(seen) == 1
+    assert np.array_equal(seen[0], PIXELS)
+
+
+@pytest.mark.parametrize(
+    ("texture", "own"),
+    [
+        ("/elsewhere/scene/image.png", "/here/image.png"),
+        ("/elsewhere/scene/prints/leaf.png", "/here/prints/leaf.png"),
+        ("/elsewhere/scene/leaf.png", "leaf.png (not among the scene's files)"),
+        ("/etc/secret.png", "secret.png (not among the scene's files)"),
+        (None, None),
+    ],
+)
+def test_a_message_picks_no_file_but_the_scenes_own(texture: str | None, own: str | None) -> None:
+    files = {name: Path("/here") / name for name in ("image.png", "prints/leaf.png")}
+    payload = fabric(*sheet(3, 3), texture=texture)
+    arrays, text = decode_arrays(with_own_textures(payload, files))
+    before, _ = decode_arrays(payload)
+    assert text["objects"][0]["texture"] == own
+    assert {name: values.tobytes() for name, values in arrays.items()} == {
+        name: values.tobytes() for name, values in before.items()
+    }
+
+
+def test_what_is_no_fabric_message_is_left_for_the_views_to_refuse() -> None:
+    assert with_own_textures(b"noise", {}) == b"noise"
+
+
+def test_cloth_that_passes_through_cloth_is_marked_in_those_frames_alone(tmp_path: Path) -> None:
+    """With whose cloth it is; and the least distance is a curve in millimetres, with a gap where none was found."""
+    places, found = [(0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9)], dict[int, Penetration]()
+    objects = [("sheet", "scarf"), ("sheet", "sheet"), ("scarf", "sheet")]
+    for frame, number in enumerate((0, 3, 1, 0, 0)):
+        distance = 0.0 if number else 5e-4 if frame == 0 else None
+        found[frame] = Penetration(
+            frame=frame, t=frame / RATE, depth=0.0, vertex=-1, inside=0, mean=0.0, seconds=0.0, crossings=number,
+            places=places[:number], objects=objects[:number], distance=distance,
+        )  # fmt: skip
+    fed = [
+        (topic, frame, t, found[frame].model_dump_json().encode() if topic == PENETRATION.name else payload)
+        for topic, frame, t, payload in messages(5)
+    ]
+    path = write(tmp_path / "run.rrd", fed)
+    between, itself = "/world/crossings/scarf/sheet", "/world/crossings/sheet/sheet"
+    assert read(path, between, "Points3D:positions") == {
+        1: [pytest.approx(places[0]), pytest.approx(places[2])], 2: [pytest.approx(places[0])],
+    }  # fmt: skip
+    assert read(path, itself, "Points3D:positions") == {1: [pytest.approx(places[1])]}
+    labels = [read(path, entity, "Points3D:labels")[1] for entity in (between, itself)]
+    assert labels == [["scarf passes through sheet"], ["sheet passes through itself"]]
+    assert {e: list(read(path, e, "Clear:is_recursive")) for e in (between, itself)} == {between: [3], itself: [2]}
+    curve = read(path, "/plots/distance", "Scalars:scalars")
+    assert [curve[frame][0] for frame in range(5)] == pytest.approx([0.5, 0.0, 0.0, np.nan, np.nan], nan_ok=True)

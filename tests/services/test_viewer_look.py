@@ -1,4 +1,4 @@
-"""The picture in the viewer: cloth in the middle, coloured and shaded, on a plain background."""
+"""Pictures in the viewer: cloth in the middle, coloured, on a plain background; dyed cloth whole and upright."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dye_scene import arrays, write_scene
 from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import messages
 
+import nuno
 from nuno.bus.sessions import free_port
+from nuno.cli import main
 from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
 from nuno_schemas.scene import View
@@ -92,3 +95,31 @@ def test_cloth_shows_the_range_of_its_stretch(picture: NDArray[np.int64]) -> Non
     bright = (green > red + 40) & (green > blue + 20)
     assert violet.sum() > 200
     assert bright.sum() > 200
+
+
+def test_the_picture_is_whole_and_dye_is_where_it_was_given(tmp_path: Path) -> None:
+    """A drop in the upper left corner, which blocked faces keep there."""
+    data = arrays(60, 80)
+    data["phi"], data["resist"] = np.zeros_like(data["phi"]), np.zeros_like(data["resist"])
+    data["fibre"] = np.ones_like(data["fibre"])
+    cloth = {
+        "plugin": "cells", "file": "cells.npz", "cell_size": "0.05 mm",
+        "tau3": {"I": 0, "II": 0, "III": 0, "IV": 0, "V": 0},
+        "supply": [{"kind": "drop", "place": ["1 mm", "0.75 mm"], "diameter": "1 mm"}],
+    }  # fmt: skip
+    colour = {"light": "#ffffff", "mid": "#ff4040", "dark": "#e00000", "full": 0.1}
+    dyes = [{"name": "red", "D0": "1.93 mm^2/h", "colour": colour}]
+    scene = write_scene(tmp_path, data=data, cloth=cloth, dyes=dyes, picture={"texture": None})
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
+    picture = look(tmp_path / "run.rrd", 18.0, "2D", "dye_time")
+    height, width, _ = picture.shape
+    red = picture[..., 0] - picture[..., 1:].max(axis=2) > 100
+    white = picture.min(axis=2) > 250
+    rows, columns = np.nonzero(white | red)
+    shown = columns.max() + 1 - columns.min(), rows.max() + 1 - rows.min()
+    assert shown[0] / shown[1] == pytest.approx(80 / 60, rel=0.02), "cut, or not in proportion"
+    assert max(shown[0] / width, shown[1] / height) > 0.9
+    y, x = (place.mean() for place in np.nonzero(red))
+    assert (x - columns.min()) / shown[0] == pytest.approx(1 / 4, abs=0.02)
+    assert (y - rows.min()) / shown[1] == pytest.approx(0.75 / 3, abs=0.02)

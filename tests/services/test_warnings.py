@@ -1,7 +1,8 @@
-"""What makes a run doubtful before its first step is said by the plan, by the run, in its report and to Python."""
+"""What makes a run doubtful is said by the plan, before the run, in its report and to Python."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -90,15 +91,6 @@ def test_cloth_that_hardly_touches_is_not_said_to_start_inside(
     scene = write_scene(tmp_path, **ball(0.3, 0.0049))
     assert "WARNING" not in told(capsys, "plan", str(scene))
     assert nuno.run(scene, record=tmp_path / "run.mcap").report["warnings"] == []
-
-
-def test_a_resumed_runs_report_says_how_its_recording_began(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, path = write_scene(tmp_path, **ball(0.0, 0.031)), tmp_path / "run.mcap"
-    assert "start in a body" in told(capsys, "run", str(scene), "--record", str(path), "--no-view")
-    on = ("run", "--resume", str(path), "--set", "duration=0.2", "--record", str(tmp_path / "on.mcap"), "--no-view")
-    assert "start in a body" in told(capsys, *on)
-    with nuno.open(path) as first, nuno.open(tmp_path / "on.mcap") as second:
-        assert warned(second) == warned(first), "the event of the start stands once in the recording"
 
 
 @pytest.mark.full
@@ -209,3 +201,29 @@ def test_a_number_that_cannot_be_built_is_asked_about_in_the_error(capsys: pytes
     first, *_, remedy = capsys.readouterr().err.strip().splitlines()
     assert "objects[0].model.rows" in first
     assert remedy.strip().startswith("remedy: objects[0].model.length: a bare 60 is 60 m") and "60 cm" in remedy
+
+
+SMALL = ("--set", "objects.0.model.columns=80", "--set", "objects.0.model.rows=24")
+
+
+def planned(capsys: pytest.CaptureFixture[str], *flags: str) -> str:
+    assert main(["plan", "skirt-walk", *SMALL, *flags]) == 0
+    return capsys.readouterr().out
+
+
+def test_cloth_that_starts_in_a_body_is_told_beside_where_its_frame_is(capsys: pytest.CaptureFixture[str]) -> None:
+    fits = planned(capsys)
+    found = re.search(r"^attached +to walker/Hips, which starts at \[(.*)\] m$", fits, re.MULTILINE)
+    assert found is not None and "WARNING" not in fits
+    x, y, z = (float(value) for value in found[1].split(", "))
+    low = planned(capsys, "--set", f"objects.0.model.centre=[{x}, {y}, {z}]")
+    assert re.search(r"^WARNING +[1-9][0-9]* of 1,920 vertices start in a body, up to [0-9.]+ mm", low, re.MULTILINE)
+
+
+def test_a_resumed_runs_report_says_how_its_recording_began(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, path = write_scene(tmp_path, **ball(0.0, 0.031)), tmp_path / "run.mcap"
+    assert "start in a body" in told(capsys, "run", str(scene), "--record", str(path), "--no-view")
+    on = ("run", "--resume", str(path), "--set", "duration=0.2", "--record", str(tmp_path / "on.mcap"), "--no-view")
+    assert "start in a body" in told(capsys, *on)
+    with nuno.open(path) as first, nuno.open(tmp_path / "on.mcap") as second:
+        assert warned(second) == warned(first), "the event of the start stands once in the recording"

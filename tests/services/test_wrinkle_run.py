@@ -1,4 +1,4 @@
-"""Lines drawn on cloth that moves: the run, its recording, and what comes of it."""
+"""Lines drawn on cloth that moves: the run, its recording, how high they are and stay."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ from scenes import write_scene
 import nuno
 from nuno.cli import main
 from nuno.exports.cloth import Pieces
+from nuno.exports.tables import export_csv
 from nuno.recording.restore import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
+from nuno_bench.gallery.kind import ShownScene, compare
+from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn
 from nuno_contact.offset.contact_state import CUT
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Float, Int
 
 INTEGRATORS = ("dopri5", "implicit_euler", "leapfrog", "xpbd")
 """One of each kind: chosen steps, implicit, explicit, constraints."""
@@ -216,3 +220,132 @@ def test_what_contact_has_counted_is_not_lost_by_a_change_nor_by_a_checkpoint(tm
     resumed = begun()
     resumed.resume(simulation.keep())
     assert resumed.step().report.counts["cut_short"] == 7
+
+
+FABRIC = {"density": 0.12, "structural": 60, "hinge": 2e-5, "damping_ratio": 0.05}
+LINES = {
+    "level": [[-0.15, -0.12, 0], [0.15, -0.1, 0]],
+    "upright": [[0.02, -0.2, 0], [0.03, 0.15, 0]],
+}
+MOVED = ((0.0, 0.0, 0.0), (0.001, 0.0007, 0.001), (-0.001, -0.0007, -0.001))
+"""Of the line [m], and of its second end: triangles are crossed elsewhere, and a line's end lies on a vertex or not."""
+
+
+def hung(folder: Path, line: str, keep: bool, passes: int = 3, moved: tuple[float, float, float] = MOVED[0]) -> Path:
+    """A cloth hung at its upper corners, with one line."""
+    model = {"plugin": "sheet", "resolution": [21, 21], "size": [0.6, 0.6], "cells": "triangles", "fabric": FABRIC}
+    drawn = {"plugin": "wrinkle", "keep": keep, "smoothing": {"passes": passes}}
+    points = np.array(LINES[line]) + np.array([*moved[:2], 0.0])
+    points[1, 0] += moved[2]
+    return write_scene(
+        folder,
+        objects=[{"name": "cloth", "model": model | {"pin": ["top-corners"]}}],
+        operations=[drawn | {"lines": [{"height": 0.03, "points": points.tolist()}]}],
+        duration=2.0,
+        damping=3,
+        solver="leapfrog",
+    )
+
+
+def left_of(scene: Path) -> float:
+    """The share of a wrinkle's height that is left at the end."""
+    simulation = Simulation(scene_file.read(scene), None, None, 1)
+    begin = simulation.heights(0)["height"]
+    while not simulation.finished:
+        assert simulation.advance(None, None).report.status == "ok"
+    return simulation.heights(0)["height"] / begin
+
+
+@pytest.mark.full
+@pytest.mark.quick(line=["level"])
+@pytest.mark.parametrize("line", LINES)
+def test_a_kept_wrinkle_holds_four_fifths_of_its_height_and_others_fade_more(line: str, tmp_path: Path) -> None:
+    kept = [left_of(hung(tmp_path, line, True, moved=moved)) for moved in MOVED]
+    assert min(kept) >= 0.8 and kept[0] > left_of(hung(tmp_path, line, False)) + 0.03
+
+
+def test_the_height_of_an_unsmoothed_ridge_is_the_one_asked_for(tmp_path: Path) -> None:
+    simulation = Simulation(scene_file.read(hung(tmp_path, "level", False, passes=0)), None, None, 1)
+    found = simulation.heights(0)
+    assert found["height"] == pytest.approx(0.03, rel=1e-12) and 0.03 < found["width"] < 0.12
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    simulation.state.x[...] = simulation.state.x @ turn + [1.0, 2.0, 3.0]
+    assert simulation.heights(0) == pytest.approx(found, rel=1e-9)
+
+
+def test_heights_are_in_the_report_over_time_and_in_resumed_runs(tmp_path: Path) -> None:
+    scene = hung(tmp_path, "level", True)
+    whole = nuno.run(scene, "duration=0.2", record=tmp_path / "whole.mcap")
+    begin, end = whole.report["changes"][0]["measured"]
+    with nuno.open(whole.path) as recording:
+        series = recording.series()
+    assert series["wrinkles_0_height"][[0, -1]].tolist() == [begin["height"], end["height"]]
+    export_csv(whole.path, tmp_path / "a.csv")
+    assert "wrinkles_0_width [m]" in (tmp_path / "a.csv").read_text().splitlines()[0]
+    nuno.run(scene, "duration=0.1", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "on.mcap", resume=tmp_path / "part.mcap")
+    resumed = supervisor.supervise(scene_file.read(scene, ("duration=0.2",)), options)
+    assert resumed.summary["changes"][0]["measured"][-1] == end
+
+
+def test_a_rehearsed_change_leaves_nothing_behind(tmp_path: Path) -> None:
+    scene = hung(tmp_path, "level", True)
+    later = ("operations[0].at=0.05", "duration=0.1")
+    plain, rehearsed = (Simulation(scene_file.read(scene, later), None, None, 1) for _ in range(2))
+    rehearsed.rehearse()
+    assert rehearsed.changes == [] and rehearsed.applied == 0 and rehearsed.fabric.number == plain.fabric.number
+    while not plain.finished:
+        ours, theirs = plain.advance(None, None), rehearsed.advance(None, None)
+        assert ours.digest == theirs.digest
+    assert rehearsed.applied == 1 and rehearsed.dt == plain.dt
+
+
+STEP = 0.005
+
+
+def sheet(rows: int, columns: int) -> tuple[Float, Int]:
+    """A level sheet of cells STEP wide, facing up, its middle line along x at z = 0."""
+    z, x = np.meshgrid(STEP * (np.arange(rows) - rows // 2), STEP * np.arange(columns), indexing="ij")
+    row, column = np.divmod(np.arange((rows - 1) * (columns - 1)), columns - 1)
+    a = row * columns + column
+    b, c, d = a + 1, a + columns, a + columns + 1
+    faces = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]).astype(np.int32)
+    return np.stack([x.reshape(-1), 0.0 * x.reshape(-1), z.reshape(-1)], axis=1), faces
+
+
+@pytest.mark.parametrize(("height", "base"), [(0.004, 0.02), (-0.002, 0.03)])
+def test_a_roof_is_as_high_and_half_as_wide_at_half_its_height(height: float, base: float) -> None:
+    """A roof of slopes from z = -base to base is `base` wide at half its height, sunk, tilted and shifted or not."""
+    flat, faces = sheet(41, 61)
+    own = 20 * 61 + np.arange(5, 56)
+    crests = np.stack([own, own - 10 * 61, own + 10 * 61, own - 1, own + 1]).astype(np.int32)
+    drawn = Drawn(flat, faces, crests, [flat[own]])
+    x = flat.copy()
+    x[:, 1] = height * np.maximum(1.0 - np.abs(x[:, 2]) / base, 0.0)
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    for places in (x, x @ turn.T - [0.0, 0.01, 0.0]):
+        (found,) = drawn.measure(places)
+        assert found.height == pytest.approx(abs(height), rel=1e-9)
+        assert found.width == pytest.approx(base, rel=1e-9)
+
+
+def test_crests_belong_to_the_nearest_line_and_a_line_without_any_has_no_height() -> None:
+    flat, faces = sheet(41, 61)
+    own = 20 * 61 + np.arange(5, 56)
+    crests = np.stack([own, own - 10 * 61, own + 10 * 61, own - 1, own + 1]).astype(np.int32)
+    x = flat + [0.0, 0.01, 0.0] * (np.abs(flat[:, 2:]) < 0.001)
+    there, none = Drawn(flat, faces, crests, [flat[own], flat[own] + [0.0, 0.0, 0.2]]).measure(x)
+    assert there.height == pytest.approx(0.01)
+    assert there.width == pytest.approx(STEP)
+    assert np.isnan(none).all()
+
+
+def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
+    measures = [measure for one in DIFFERENCES for _, measure in (one.high, one.low)]
+    for values, verdict in (
+        ((0.05, 0.02, 4e-3, 1e-3, 1.0, 0.25), "bar met"),
+        ((0.05, 0.05, 4e-3, 4e-3, 1.0, 1.0), "missed"),
+    ):
+        shown = ShownScene("shirt-wrinkles", "", measured=dict(zip(measures, values, strict=True)))
+        assert [row[-1] for row in compare(DIFFERENCES, {shown.name: shown})] == [verdict] * 3
+    assert "shirt-wrinkles" in KIND.scenes()
