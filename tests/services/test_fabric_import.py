@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from nuno.scene.templates.laboratory_sheet import import_sheet, read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
+from nuno_cloth.fabrics.laboratory import SHEETS, UNUSED
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
@@ -51,6 +53,18 @@ def test_kes_values_are_read_in_their_units(tmp_path: Path) -> None:
         == pytest.approx(0.124 * 9.80665e-3, rel=1e-9)
     )
     assert found.how["hysteresis_weft"] == "measured: 2HB" and found.unused == ()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".yaml"])
+def test_names_in_capitals_or_not_are_the_same(suffix: str, tmp_path: Path) -> None:
+    """No two names of an instrument differ by their capitals alone; one value written both ways is refused."""
+    for columns in (SHEETS[name].keys() | UNUSED[name] for name in SHEETS):
+        assert len({name.lower() for name in columns}) == len(columns)
+    text = COMMAS if suffix == ".csv" else KES
+    swapped = re.sub(r"(?m)^\w+", lambda name: name[0].swapcase(), text)
+    assert read(tmp_path, swapped, suffix=suffix).fabric == read(tmp_path, text, suffix=suffix).fabric
+    with pytest.raises(BadInput, match="given twice"):
+        read(tmp_path, text + ("w;12,1\n" if suffix == ".csv" else "w: 12.1\n"), suffix=suffix)
 
 
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:

@@ -101,15 +101,19 @@ def read_sheet(entries: Mapping[str, Any], like: str | None = None, folder: Path
     instrument = _instrument(entries)
     columns, unused = SHEETS[instrument], UNUSED[instrument]
     sheet = Sheet({})
+    known = {name.lower(): name for name in columns.keys() | unused}
     for name, value in entries.items():
-        if name in columns:
-            sheet.values[name] = values_of(name, value, columns[name])
-        elif name not in unused and name != "instrument" and not is_drape(name):
+        key = known.get(name.lower(), name)
+        if key in sheet.values:
+            raise BadInput(f"{key} is the same value: it is given twice", field=name, remedy="leave one out")
+        if key in columns:
+            sheet.values[key] = values_of(name, value, columns[key])
+        elif key not in unused and name != "instrument" and not is_drape(name):
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
     drape, how = read_drape({name: value for name, value in entries.items() if is_drape(name)}, folder)
-    ignored = tuple(name for name in entries if name in unused)
+    ignored = tuple(name for name in entries if known.get(name.lower()) in unused)
     return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, ignored, drape=drape)
 
 

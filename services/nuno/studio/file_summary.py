@@ -220,7 +220,7 @@ def _text(path: Path) -> Seen:
         rows: Rows = [(name, str(data[name])) for name in ("name", "description", "duration") if data.get(name)]
         return Seen("scene", "a scene", rows, result["mistakes"])
     data, _ = yaml_lines.parse(text, path.name)
-    if "instrument" in data:
+    if "instrument" in map(str.lower, map(str, data)):
         return _sheet(path)
     if "pattern" in data:
         return _pattern(path)
