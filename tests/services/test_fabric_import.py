@@ -67,6 +67,18 @@ def test_names_in_capitals_or_not_are_the_same(suffix: str, tmp_path: Path) -> N
         read(tmp_path, text + ("w;12,1\n" if suffix == ".csv" else "w: 12.1\n"), suffix=suffix)
 
 
+@pytest.mark.parametrize(
+    ("text", "doubted"),
+    [
+        (KES, False), (KES.replace("12.1", "121"), True), (KES.replace("12.1", "121 mg/cm^2"), False),
+        (KES.replace("12.1", "60"), True), (FAST, False), (FAST.replace("200", "20"), True),
+    ],
+)  # fmt: skip
+def test_a_weight_that_fits_the_other_unit_gets_a_remark(text: str, doubted: bool, tmp_path: Path) -> None:
+    """121 mg/cm^2 is 2.5 times the weight of the heaviest twentieth of fabrics; 121 g/m^2 is a shirt's."""
+    assert ("write its unit" in read(tmp_path, text).how["density"]) == doubted
+
+
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:
     work = [0.8 * 0.5 * 500.0 * 0.032, 1.0 * 0.5 * 500.0 * 0.061]
     given = KES.replace("LT: [0.8, 1.0]", f"WT: {work}")

@@ -9,7 +9,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.units import Plausible, decimal_point, to_si
 
 PER_CENT = "percent"
-_BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
+BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
 """A number, or its text, without a unit."""
 
 
@@ -37,7 +37,7 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
         raise BadInput("too many values, or none", field=name, value=entry, limit=limit)
     values = []
     for part in parts:
-        with_unit = f"{part} {column.unit}" if column.unit and _BARE.fullmatch(str(part)) else part
+        with_unit = f"{part} {column.unit}" if column.unit and BARE.fullmatch(str(part)) else part
         try:
             value = to_si(with_unit, column.si)
         except ValueError as error:

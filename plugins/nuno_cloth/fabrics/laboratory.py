@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nuno_cloth.fabrics.columns import PER_CENT, Column, values_of
+from nuno_cloth.fabrics.columns import BARE, PER_CENT, Column, values_of
 from nuno_cloth.fabrics.drapes import DRAPE, DRAPED, is_drape, read_drape
 from nuno_cloth.fabrics.presets import PRESETS, complete
 from nuno_cloth.quantities import BENDING, WEIGHT
@@ -36,6 +36,8 @@ PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 CURVATURE = 250.0
 """Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
+COMMON = 0.031, 0.488
+"""5th and 95th percentiles of measured weights [kg/m^2], as in WEIGHT."""
 
 
 WEIGHED = Column("g/m^2", "kg/m^2", WEIGHT, pair=False)
@@ -112,6 +114,8 @@ def read_sheet(entries: Mapping[str, Any], like: str | None = None, folder: Path
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
+    if "W" in sheet.values and BARE.fullmatch(str(next(value for name, value in entries.items() if name in "Ww"))):
+        sheet.how["density"] += _doubt(sheet.fabric["density"], columns["W"].unit)
     drape, how = read_drape({name: value for name, value in entries.items() if is_drape(name)}, folder)
     ignored = tuple(name for name in entries if known.get(name.lower()) in unused)
     return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, ignored, drape=drape)
@@ -126,6 +130,16 @@ def _instrument(entries: Mapping[str, Any]) -> str:
             remedy="write for example instrument: KES-F: names and units follow from it",
         )  # fmt: skip
     return instruments[name.lower()]
+
+
+def _doubt(density: float, unit: str) -> str:
+    """Return a remark on a weight [kg/m^2] without a unit that few fabrics have, and many in the other usual unit."""
+    other, share = ("g/m^2", 0.1) if unit == "mg/cm^2" else ("mg/cm^2", 10.0)
+    if COMMON[0] <= density <= COMMON[1] or not COMMON[0] <= share * density <= COMMON[1]:
+        return ""
+    return (
+        f" in {unit}, {density:.3g} kg/m^2, as few fabrics have: write its unit; in {other} it is {share * density:.3g}"
+    )
 
 
 def _unknown(name: str, instrument: str) -> BadInput:
