@@ -137,9 +137,7 @@ def _doubt(density: float, unit: str) -> str:
     other, share = ("g/m^2", 0.1) if unit == "mg/cm^2" else ("mg/cm^2", 10.0)
     if COMMON[0] <= density <= COMMON[1] or not COMMON[0] <= share * density <= COMMON[1]:
         return ""
-    return (
-        f" in {unit}, {density:.3g} kg/m^2, as few fabrics have: write its unit; in {other} it is {share * density:.3g}"
-    )
+    return f" in {unit}, {density:.3g} kg/m^2: few fabrics have that, write its unit; in {other} {share * density:.3g}"
 
 
 def _unknown(name: str, instrument: str) -> BadInput:

@@ -54,6 +54,7 @@ def read_stl(data: bytes) -> RawMesh:
 READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
 KINDS = tuple(READERS)
 LARGEST_FILE = 1 << 30
+Load = Callable[[Path], tuple[Float, Int]]
 SEAM = 1e-6
 """largest distance of the two sides of a seam, as a share of the extent: files keep seven digits"""
 
@@ -65,11 +66,7 @@ def load_surface(path: Path) -> tuple[Float, Int]:
 
 
 def read_closed(
-    path: Path,
-    scale: float = 1.0,
-    mend: bool = False,
-    load: Callable[[Path], tuple[Float, Int]] = load_surface,
-    notes: list[str] | None = None,
+    path: Path, scale: float = 1.0, mend: bool = False, load: Load = load_surface, notes: list[str] | None = None
 ) -> tuple[Float, Int]:
     """Return vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], counter-clockwise from
     outside.
@@ -92,11 +89,7 @@ def read_closed(
 
 
 def read_mesh(
-    path: Path,
-    scale: float = 1.0,
-    mend: bool = False,
-    load: Callable[[Path], tuple[Float, Int]] = load_surface,
-    notes: list[str] | None = None,
+    path: Path, scale: float = 1.0, mend: bool = False, load: Load = load_surface, notes: list[str] | None = None
 ) -> tuple[Float, Int]:
     """Read as `read_closed` a file whose surface may have holes."""
     try:
@@ -106,10 +99,9 @@ def read_mesh(
             return x, faces
         x, faces, rims = mend_mesh(x, faces)
         if rims and notes is not None:
-            largest = max(rims, key=len)
-            count = "1 hole" if len(rims) == 1 else f"{len(rims)} holes"
+            largest, many = max(rims, key=len), "hole" if len(rims) == 1 else "holes"
             place = place_of(largest.mean(axis=0), scale)
-            notes.append(f"mended: {count} filled, the largest, of {len(largest)} edges, {place}")
+            notes.append(f"mended: {len(rims)} {many} filled, the largest, of {len(largest)} edges, {place}")
         return x, faces
     except BadInput as error:
         error.file = str(path)
