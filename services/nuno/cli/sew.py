@@ -88,6 +88,8 @@ def wear(args: argparse.Namespace) -> int:
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
+    for pattern in args.patterns:
+        _remind(pattern)
     flags = _find_flags(args.body, args.patterns) if "body" in other_files else ("", False)
     roots = [root for root in dict.fromkeys(file.resolve().parent for _, file in files)
              if not root.is_relative_to(scene.resolve().parent)]  # fmt: skip
@@ -96,11 +98,9 @@ def wear(args: argparse.Namespace) -> int:
     garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
     moved = {role: _name_in(known, file) for role, file in other_files.items()}
     with replacing(scene) as new:
-        text = describe_worn(scene.stem, garments, args.edge, moved.get("body"), moved.get("motion"), *flags)
+        text = describe_worn(scene.stem, garments, args.edge, moved.get("body"), moved.get("motion"), flags)
         new.write_text(text, encoding="utf-8")
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
-    for pattern in args.patterns:
-        _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
         from nuno.simulation.cloth.build import build_fabrics
@@ -166,12 +166,17 @@ def _find_flags(body: Path, patterns: list[Path]) -> tuple[str, bool]:
 
 
 def _remind(pattern: Path) -> None:
-    """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors."""
+    """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors. Raises BadInput for a
+    pattern of a size that no garment has.
+    """
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
     try:
         checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
     except BadInput:
         return
+    for one in checked.remarks:
+        if one.kind == "size":
+            raise BadInput(one.text, str(pattern), one.line, one.field, remedy=one.remedy)
     if kinds := list(dict.fromkeys(remark.kind for remark in checked.remarks if not remark.wrong)):
         print(f"remarks    {pattern}: {', '.join(kinds)}  (nuno sew --check {shlex.quote(str(pattern))})", flush=True)
 

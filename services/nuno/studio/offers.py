@@ -253,13 +253,13 @@ def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE)
     body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
     pattern = _copy_shipped(task.folder, pattern, sewn())
     worn_by = task.see(task.folder / body) if body else None
-    scale = as_scale(unit_for(worn_by.longest, [task.folder / pattern])) if worn_by else ""
+    unit = as_scale(unit_for(worn_by.longest, [task.folder / pattern])) if worn_by else ""
     motion = _copy_shipped(task.folder, motion, shipped.folder())
     scene = task.new(pattern, "worn")
     (name,) = name_garments([Path(pattern).stem])
     worn = [Garment(name, pattern, task.chosen["fabric"])]
-    mend = worn_by is not None and worn_by.mend
-    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, scale, mend)
+    flags = unit, worn_by is not None and worn_by.mend
+    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, flags)
     scene.write_text(text, encoding="utf-8")
     return scene
 

@@ -80,21 +80,16 @@ def unit_for(size: float, patterns: Sequence[Path]) -> str:
 
 
 def describe_worn(
-    name: str,
-    garments: Sequence[Garment],
-    edge: str,
-    body: str | None,
-    motion: str | None = None,
-    scale: str = "",
-    mend: bool = False,
-) -> str:
+    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None,
+    flags: tuple[str, bool] = ("", False)
+) -> str:  # fmt: skip
     """Return a scene's text: `garments`, the innermost first, with sides of triangles about `edge` long, on a `body`, a
-    file in the scene's folder, with the length of its unit in `scale` unless that is the metre, to be mended if so, or
-    None for the mannequin; `motion` is the file of its motion.
+    file in the scene's folder, or None for the mannequin; `motion` is the file of its motion, `flags` the length of
+    the body's unit, empty for the metre, and whether it is to be mended.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
-    flags = (f", scale: {scale}" if scale else "") + (", mend: true" if mend else "")
-    of_body = f"file: {json.dumps(body)}{flags}" if body else PERSON
+    scale, mend = f", scale: {flags[0]}" if flags[0] else "", ", mend: true" if flags[1] else ""
+    of_body = f"file: {json.dumps(body)}{scale}{mend}" if body else PERSON
     values = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
     return _template().render(values, edge=edge, coarse=coarse, colours=COLOURS)
 
@@ -115,7 +110,7 @@ def is_own(text: str) -> bool:
         garments = [Garment(item["name"], item["model"]["file"], item["model"]["fabric"]) for item in objects]
         body, motion, edge = wearer["collider"], wearer.get("motion", {}).get("file"), objects[0]["model"]["edge"]
         flags = body.get("scale", ""), body.get("mend", False)
-        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, *flags)
+        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, flags)
     except (BadInput, LookupError, TypeError, ValueError, AttributeError):
         return False
 
