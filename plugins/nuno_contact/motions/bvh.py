@@ -197,9 +197,7 @@ def _read_joints(head: str) -> list[_Joint]:
 
 
 def _read_frames(rows: str, columns: int, before: int) -> tuple[Float, float]:
-    """Return (m, columns) values, and the time between two frames [s]; `before` is the number of MOTION's line. Raises
-    ValueError.
-    """
+    """Return (m, columns) values and the time step [s]; `before` is the line of MOTION. Raises ValueError."""
     found = re.match(r"\s*Frames:\s*(\d+)\s*Frame\s+Time:\s*(\S+)", rows, re.IGNORECASE)
     if found is None or not rows[found.end() :].strip():
         raise ValueError("after MOTION come Frames: and Frame Time: and their frames")

@@ -158,11 +158,10 @@ def _find_flags(body: Path, patterns: list[Path]) -> tuple[str, bool]:
         print(f"mend       {body}: {'; '.join([fault.problem, *shape.notes])}", flush=True)
     size = float(np.ptp(shape.vertices, axis=0).max())
     unit = unit_for(size, patterns)
-    if unit == "1m":
-        return "", fault is not None
-    text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
-    print(f"unit       {body}: {text}", flush=True)
-    return unit, fault is not None
+    if unit != "1m":
+        text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
+        print(f"unit       {body}: {text}", flush=True)
+    return unit if unit != "1m" else "", fault is not None
 
 
 def _remind(pattern: Path) -> None:

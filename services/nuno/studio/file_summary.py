@@ -187,7 +187,8 @@ def _picture(path: Path) -> Seen:
             upright.thumbnail((640, 640))
             small = as_png(np.asarray(upright))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
+        remedy = "scale it down" if "pixels" in str(error) else "save it as PNG or JPEG"
+        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy=remedy) from None
     return Seen("picture", "a picture", rows, picture=small)
 
 
