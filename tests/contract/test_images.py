@@ -103,9 +103,10 @@ def test_a_texture_that_cannot_be_read_is_refused_before_anything_starts(name: s
     assert (caught.value.field, caught.value.value) == ("texture", name)
 
 
-def test_a_picture_of_too_many_pixels_gets_a_remedy_that_helps(tmp_path: Path) -> None:
+def test_a_picture_of_too_many_pixels_gets_a_remedy_that_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is a PNG already: only its size is refused."""
-    Image.new("1", (20_000, 20_000)).save(tmp_path / "huge.png")
+    Image.new("1", (20, 20)).save(tmp_path / "huge.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     with pytest.raises(BadInput, match="pixels") as refused:
         find_texture("huge.png", Folder(tmp_path))
     assert refused.value.remedy == "scale it down"

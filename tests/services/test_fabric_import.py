@@ -79,6 +79,13 @@ def test_a_weight_that_fits_the_other_unit_gets_a_remark(text: str, doubted: boo
     assert ("write its unit" in read(tmp_path, text).how["density"]) == doubted
 
 
+def test_a_heading_is_passed_over_and_what_is_not_available_is_missing(tmp_path: Path) -> None:
+    headed = POINTS.replace("W, 12.1", "property, warp, weft\nW, 12.1")
+    assert read(tmp_path, headed, suffix=".csv").fabric == read(tmp_path, POINTS, suffix=".csv").fabric
+    with pytest.raises(BadInput, match="the weft's number is missing"):
+        import_text(tmp_path, POINTS.replace("0.076", "n/a"))
+
+
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:
     work = [0.8 * 0.5 * 500.0 * 0.032, 1.0 * 0.5 * 500.0 * 0.061]
     given = KES.replace("LT: [0.8, 1.0]", f"WT: {work}")

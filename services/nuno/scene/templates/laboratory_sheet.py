@@ -74,8 +74,9 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
     lines = text.splitlines()
     separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
     reader = csv.reader(lines, delimiter=separator[1] if separator else ",", skipinitialspace=True)
-    cells = (list(dropwhile(not_, map(str.strip, row))) for row in reader)
+    cells = (list(dropwhile(not_, (re.sub(r"(?i)^\s*n/?a\s*$", "", cell).strip() for cell in row))) for row in reader)
     rows = [(reader.line_num, [_word(row[0]), *row[1:]]) for row in cells if row and not row[0].startswith("#")]
+    rows = [(line, row) for line, row in rows if [cell.lower() for cell in row[1:]] != ["warp", "weft"]]  # a heading
     columns = {k for _, row in rows if row[0] not in WORDS for k in (1, 2) if _NUMBER.match("".join(row[k : k + 1]))}
     rows = [(line, [cell for k, cell in enumerate(row) if cell or k in columns]) for line, row in rows]
     numbers = [(line, row[0], cell) for line, row in rows if row[0] not in WORDS for cell in row[1:]]
