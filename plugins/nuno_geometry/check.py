@@ -34,7 +34,7 @@ def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
     way = np.where(faces < np.roll(faces, -1, axis=1), 1, -1)
     balance = np.bincount(numbers.reshape(-1), way.reshape(-1), len(pairs))
     for bad, problem, remedy in (
-        (count == 1, "the mesh has a hole: edges with one triangle", "mend: true fills small holes"),
+        (count == 1, "the mesh has a hole: edges with one triangle", "mend: true fills holes"),
         (count > 2, "edges with more than two triangles", "split the mesh there in a mesh editor"),
         (balance != 0, "neighbouring triangles face opposite ways", "mend: true turns them"),
     ):

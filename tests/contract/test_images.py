@@ -158,3 +158,12 @@ def test_editors_know_names_and_numbers_and_no_others() -> None:
     validator = jsonschema.Draft202012Validator(scene_schema())
     assert all(validator.is_valid(coloured(good)) for good in ("indianred", "#cd5c5c", "#CD5C5C"))
     assert not any(validator.is_valid(coloured(bad)) for bad in ("indianrd", "#cd5c5", "cd5c5c"))
+
+
+def test_a_picture_of_too_many_pixels_gets_a_remedy_that_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is a PNG already: only its size is refused."""
+    Image.new("1", (20, 20)).save(tmp_path / "huge.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    with pytest.raises(BadInput, match="pixels") as refused:
+        find_texture("huge.png", Folder(tmp_path))
+    assert refused.value.remedy == "scale it down"

@@ -102,12 +102,47 @@ def test_thousands_behind_a_blank_are_no_numbers_of_their_own(tmp_path: Path, na
         load_mesh(path)
 
 
-def test_a_hole_too_large_to_be_mended_is_refused_without_that_advice(tmp_path: Path) -> None:
-    mesh = ball()
-    mesh.update_faces(mesh.triangles_center[:, 1] < 0.5)
-    path = save(mesh, tmp_path / "open.obj")
+def test_a_closed_body_whose_ends_are_cut_off_is_filled_whatever_its_rims(tmp_path: Path) -> None:
+    """Along its triangles, so that the rims are jagged: what is lost is less than what was cut off."""
+    mesh, notes = trimesh.creation.icosphere(subdivisions=3), list[str]()
+    mesh.update_faces(np.abs(mesh.triangles_center[:, 1]) < 0.9)
+    x, faces = read_closed(save(mesh, tmp_path / "open.obj"), 0.1, mend=True, notes=notes)
+    least = np.abs(mesh.vertices[mesh.edges[trimesh.grouping.group_rows(mesh.edges_sorted, 1)], 1]).min()
+    cap = np.pi / 3.0 * (1.0 - least) ** 2 * (2.0 + least)
+    assert 0.0 < trimesh.creation.icosphere(subdivisions=3).volume - 1e3 * volume(x, faces) < 2.0 * cap
+    assert len(x) == len(np.unique(mesh.faces)) and re.match(
+        "mended: 2 holes filled, the largest, of [0-9]+ edges", notes[0]
+    )
+
+
+def test_holes_of_any_shape_are_filled_and_those_that_touch_each_on_its_own(tmp_path: Path) -> None:
+    """The lid and the floor of an L; and random patches of a ball's triangles, which often share vertices."""
+    plan = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2]], float)
+    x = np.concatenate([np.insert(plan, 2, z, axis=1) for z in (0.0, 1.0)])
+    sides = [(k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6) for k in range(6)]
+    faces = np.array([[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides])
+    tube = save(trimesh.Trimesh(x, faces, process=False), tmp_path / "tube.obj")
+    assert volume(*read_closed(tube, mend=True)) == pytest.approx(4.0)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        mesh = ball()
+        mesh.update_faces(rng.random(len(mesh.faces)) > 0.1)
+        path = save(mesh, tmp_path / "torn.obj")
+        assert 0.9 * ball().volume < volume(*read_closed(path, mend=True)) < 1.001 * ball().volume
+
+
+def test_a_rim_that_crosses_itself_is_filled_from_its_middle_and_a_slit_is_refused(tmp_path: Path) -> None:
+    """A star of eight points under one top; and a tetrahedron with a vertex in the middle of one triangle's side."""
+    turns = 0.75 * np.pi * np.arange(8)
+    x = np.concatenate([np.stack([np.cos(turns), 0.0 * turns, np.sin(turns)], axis=1), [[0.0, 1.0, 0.0]]])
+    star = trimesh.Trimesh(x, [[k, 8, (k + 1) % 8] for k in range(8)], process=False)
+    assert volume(*read_closed(save(star, tmp_path / "star.obj"), mend=True)) == pytest.approx(
+        8 / 6 * np.sin(np.pi / 4)
+    )
+    slit = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 0.5 0 0\nf 1 3 5\nf 5 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    (tmp_path / "slit.obj").write_text(slit)
     with pytest.raises(BadInput, match="has a hole") as refusal:
-        read_closed(path, mend=True)
+        read_closed(tmp_path / "slit.obj", mend=True)
     assert refusal.value.remedy is not None and "mesh editor" in refusal.value.remedy
 
 

@@ -7,7 +7,7 @@ import pybvh
 import pytest
 
 from nuno_contact.colliders.skeleton import Skeleton, SkeletonConfig
-from nuno_contact.motions.bvh import BVH, BvhConfig
+from nuno_contact.motions.bvh import BVH, BvhConfig, read_bvh
 from nuno_schemas.errors import BadInput
 
 WALK = Path(__file__).parents[3] / "shared" / "data" / "cmu_12_01_walk.bvh"
@@ -224,6 +224,22 @@ def test_ramp_starts_from_rest_and_then_lags_by_half_of_it(tiny):
     assert np.abs(ramped.pose(1e-4)[1] - ramped.pose(0.0)[1]).max() < 1e-5
     for t in (0.5, 0.9):
         np.testing.assert_allclose(ramped.pose(t)[1], plain.pose(t - 0.2)[1], atol=1e-12)
+
+
+def test_a_fault_of_a_frame_or_of_the_joints_is_refused_with_its_line(tmp_path):
+    """A number that is missing, one that is none, and a second person, in their lines."""
+    lines = TINY.rstrip().splitlines()
+    motion = next(n for n, line in enumerate(lines) if line.startswith("MOTION"))
+    short, broken = lines[-1].rsplit(maxsplit=1)[0], f"{lines[-1].rsplit(maxsplit=1)[0]} nan"
+    for text, line, words in (
+        ([*lines[:-1], short], len(lines), "numbers, where the frames before have"),
+        ([*lines[:-1], broken], len(lines), "not finite"),
+        ([*lines[:motion], "ROOT prop", "{", "OFFSET 0 0 0", "}", *lines[motion:]], motion + 1, "a second ROOT"),
+    ):
+        (tmp_path / "it.bvh").write_text("\n".join(text))
+        with pytest.raises(BadInput, match=words) as refused:
+            read_bvh(tmp_path / "it.bvh")
+        assert refused.value.line == line or f"line {line}:" in refused.value.problem
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from nuno.scene.templates.laboratory_sheet import import_sheet, read_values
 from nuno_bench.instruments import sheet, specimens, swatches
 from nuno_bench.instruments.sheet import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
+from nuno_cloth.fabrics.laboratory import SHEETS, UNUSED
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
@@ -56,6 +57,37 @@ def test_kes_values_are_read_in_their_units(tmp_path: Path) -> None:
         == pytest.approx(0.124 * 9.80665e-3, rel=1e-9)
     )
     assert found.how["hysteresis_weft"] == "measured: 2HB" and found.unused == ()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".yaml"])
+def test_names_in_capitals_or_not_are_the_same(suffix: str, tmp_path: Path) -> None:
+    """No two names of an instrument differ by their capitals alone; one value written both ways is refused."""
+    for columns in (SHEETS[name].keys() | UNUSED[name] for name in SHEETS):
+        assert len({name.lower() for name in columns}) == len(columns)
+    text = COMMAS if suffix == ".csv" else KES
+    swapped = re.sub(r"(?m)^\w+", lambda name: name[0].swapcase(), text)
+    assert read(tmp_path, swapped, suffix=suffix).fabric == read(tmp_path, text, suffix=suffix).fabric
+    with pytest.raises(BadInput, match="given twice"):
+        read(tmp_path, text + ("w;12,1\n" if suffix == ".csv" else "w: 12.1\n"), suffix=suffix)
+
+
+@pytest.mark.parametrize(
+    ("text", "doubted"),
+    [
+        (KES, False), (KES.replace("12.1", "121"), True), (KES.replace("12.1", "121 mg/cm^2"), False),
+        (KES.replace("12.1", "60"), True), (FAST, False), (FAST.replace("200", "20"), True),
+    ],
+)  # fmt: skip
+def test_a_weight_that_fits_the_other_unit_gets_a_remark(text: str, doubted: bool, tmp_path: Path) -> None:
+    """121 mg/cm^2 is 2.5 times the weight of the heaviest twentieth of fabrics; 121 g/m^2 is a shirt's."""
+    assert ("write its unit" in read(tmp_path, text).how["density"]) == doubted
+
+
+def test_a_heading_is_passed_over_and_what_is_not_available_is_missing(tmp_path: Path) -> None:
+    headed = POINTS.replace("W, 12.1", "property, warp, weft\nW, 12.1")
+    assert read(tmp_path, headed, suffix=".csv").fabric == read(tmp_path, POINTS, suffix=".csv").fabric
+    with pytest.raises(BadInput, match="the weft's number is missing"):
+        import_text(tmp_path, POINTS.replace("0.076", "n/a"))
 
 
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:

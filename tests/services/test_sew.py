@@ -19,6 +19,7 @@ from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno_schemas.bodies import UNITS as UNITS_OF_FILES
 from nuno_schemas.bodies import unit_of
+from nuno_schemas.errors import BadInput
 
 GROWTH = 0.9
 """Of a column's girth, from its top down [1/m]."""
@@ -77,6 +78,10 @@ REMARKS: dict[str, tuple[Any, dict[str, str]]] = {
     "a short edge": (
         tube(front=panel((0, 0), (30, 0), (30, 20), (0.1, 20), (0, 20), translation=[-15, 100, 15])),
         {"short edge": "front[3]", "unequal seam": "back[0], front[3]"},
+    ),
+    "translations in metres": (
+        tube(front=front() | {"translation": [0, 1.0, 0.15]}, back=back() | {"translation": [0, 1.0, -0.15]}),
+        {"places": "pattern"},
     ),
     "millimetres for centimetres": (
         tube() | {"properties": {"units_in_meter": 1.0}}, {"size": "pattern"},
@@ -215,6 +220,10 @@ def test_what_looks_wrong_is_told_before_it_is_put_on(tmp_path: Path, capsys: py
         _remind(tmp_path / f"{name}.json")
         said = capsys.readouterr().out
         assert ("loose panel" in said and "--check" in said) if name == "loose" else not said
+    (tmp_path / "large.json").write_text(json.dumps(REMARKS["millimetres for centimetres"][0]))
+    with pytest.raises(BadInput, match="where a garment has") as refused:
+        _remind(tmp_path / "large.json")
+    assert refused.value.line is not None and "1000 for mm" in str(refused.value.remedy)
 
 
 UNITS = [(1.0, ""), (1e-2, "1cm"), (1e-3, "1mm"), (0.0254, "1inch"), (0.3048, "1ft"), (0.1, "1dm"), (10.0, "10m"),

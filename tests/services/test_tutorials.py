@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from PIL import Image
 
@@ -185,3 +186,21 @@ def test_a_tutorial_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
             start = end
     for name in PICTURE.findall(page.read_text(encoding="utf-8")):
         assert differing(ROOT / "docs" / "pictures" / name, folder / drawn_as(name, page)) < 0.02, name
+
+
+@pytest.mark.parametrize("script", ["body.py", "scan.py"])
+def test_a_tutorials_body_stands_where_the_glb_file_puts_it(
+    script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A box on the floor, moved there by its node, beside cloth of another place; scan.py makes a scan in mm, z up."""
+    scene, raised = trimesh.Scene(), trimesh.transformations.translation_matrix([0.0, 0.5, 0.0])
+    scene.add_geometry(trimesh.creation.box(), geom_name="bodies", transform=raised)
+    scene.add_geometry(trimesh.creation.box(), geom_name="skirt")
+    monkeypatch.chdir(tmp_path)
+    for name in ("skirt.glb", "leg.glb"):
+        scene.export(name)
+    (code,) = (fence.code for page in TUTORIALS for fence in fences(page) if fence.file == script)
+    exec(code, {})
+    (made,) = tmp_path.glob("mine.*")
+    up, unit = (2, 1000.0) if script == "scan.py" else (1, 1.0)
+    assert trimesh.load_mesh(made).bounds[:, up] == pytest.approx([0.0, unit], abs=1e-6)

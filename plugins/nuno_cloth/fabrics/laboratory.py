@@ -36,7 +36,7 @@ from nuno_schemas.units import Plausible, decimal_point, to_si
 # Values of a laboratory's sheet: each has its own unit, and a range in which fabrics are known.
 
 PER_CENT = "percent"
-_BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
+BARE = re.compile(r"[-+\d.,/\s]*\d(?:\.?[eE][-+]?\d+)?\.?\s*")
 """A number, or its text, without a unit."""
 
 
@@ -64,7 +64,7 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
         raise BadInput("too many values, or none", field=name, value=entry, limit=limit)
     values = []
     for part in parts:
-        with_unit = f"{part} {column.unit}" if column.unit and _BARE.fullmatch(str(part)) else part
+        with_unit = f"{part} {column.unit}" if column.unit and BARE.fullmatch(str(part)) else part
         try:
             value = to_si(with_unit, column.si)
         except ValueError as error:
@@ -180,6 +180,8 @@ PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 CURVATURE = 250.0
 """Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
+COMMON = 0.031, 0.488
+"""5th and 95th percentiles of measured weights [kg/m^2], as in WEIGHT."""
 
 
 WEIGHED = Column("g/m^2", "kg/m^2", WEIGHT, pair=False)
@@ -245,15 +247,21 @@ def read_sheet(entries: Mapping[str, Any], like: str | None = None, folder: Path
     instrument = _instrument(entries)
     columns, unused = SHEETS[instrument], UNUSED[instrument]
     sheet = Sheet({})
+    known = {name.lower(): name for name in columns.keys() | unused}
     for name, value in entries.items():
-        if name in columns:
-            sheet.values[name] = values_of(name, value, columns[name])
-        elif name not in unused and name != "instrument" and not is_drape(name):
+        key = known.get(name.lower(), name)
+        if key in sheet.values:
+            raise BadInput(f"{key} is the same value: it is given twice", field=name, remedy="leave one out")
+        if key in columns:
+            sheet.values[key] = values_of(name, value, columns[key])
+        elif key not in unused and name != "instrument" and not is_drape(name):
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
+    if "W" in sheet.values and BARE.fullmatch(str(next(value for name, value in entries.items() if name in "Ww"))):
+        sheet.how["density"] += _doubt(sheet.fabric["density"], columns["W"].unit)
     drape, how = read_drape({name: value for name, value in entries.items() if is_drape(name)}, folder)
-    ignored = tuple(name for name in entries if name in unused)
+    ignored = tuple(name for name in entries if known.get(name.lower()) in unused)
     return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, ignored, drape=drape)
 
 
@@ -266,6 +274,14 @@ def _instrument(entries: Mapping[str, Any]) -> str:
             remedy="write for example instrument: KES-F: names and units follow from it",
         )  # fmt: skip
     return instruments[name.lower()]
+
+
+def _doubt(density: float, unit: str) -> str:
+    """Return a remark on a weight [kg/m^2] without a unit that few fabrics have, and many in the other usual unit."""
+    other, share = ("g/m^2", 0.1) if unit == "mg/cm^2" else ("mg/cm^2", 10.0)
+    if COMMON[0] <= density <= COMMON[1] or not COMMON[0] <= share * density <= COMMON[1]:
+        return ""
+    return f" in {unit}, {density:.3g} kg/m^2: few fabrics have that, write its unit; in {other} {share * density:.3g}"
 
 
 def _unknown(name: str, instrument: str) -> BadInput:

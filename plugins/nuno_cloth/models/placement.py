@@ -151,6 +151,6 @@ def find_texture(texture: str | None, files: Files) -> str | None:
     try:
         read_rgb(path)
     except (OSError, ValueError, SyntaxError) as error:
-        raise BadInput(f"cannot be read as an image: {error}", field="texture", value=texture,
-                       remedy="save it as PNG or JPEG") from None  # fmt: skip
+        remedy = "scale it down" if "pixels" in str(error) else "save it as PNG or JPEG"
+        raise BadInput(f"cannot be read as an image: {error}", field="texture", value=texture, remedy=remedy) from None
     return str(path)

@@ -58,7 +58,7 @@ OUT, ALONG = 0.03, 0.10
 """Distances of one section of an arm from the armpit, and of a second from that, which give its direction [m]."""
 
 STANDS = "upright (y up), facing +z, arms off its sides"
-TURN = "turn it by the collider's `up: z` or `rotate`, and say by `scale` how long its file's unit is"
+TURN = "in the scene, also one that nuno sew wrote, turn it by the collider's `up: z` or `rotate`, and give its `scale`"
 
 
 @dataclass(frozen=True)

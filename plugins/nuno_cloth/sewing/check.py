@@ -22,6 +22,8 @@ LEVEL = 0.1
 """Least sine of a panel's angle to the level at which it has a right and an upper side."""
 SHORT = 2e-3
 """Edges shorter than this are probably unintended [m]."""
+NEAR = 0.1
+"""Translations of all panels below this share of the largest are probably in another unit."""
 SIZES = 0.02, 5.0
 """Smallest and largest size of a garment [m]."""
 Note = Callable[..., None]
@@ -157,6 +159,12 @@ def _note_places(panels: Mapping[str, PanelFields], note: Note) -> None:
     if names := [name for name, one in panels.items() if "translation" not in one.model_fields_set]:
         remedy = "give it a translation: in front of or behind the part of the body that it is worn on"
         note("no place", ", ".join(names), "begins at the drawing's origin", ("pattern", "panels", names[0]), remedy)
+    size = max((float(np.ptp(one.vertices, axis=0).max()) for one in panels.values()), default=0.0)
+    moved = max((float(np.abs(one.translation).max()) for one in panels.values()), default=0.0)
+    if not names and len(panels) > 1 and moved < NEAR * size:
+        text = f"the panels, up to {size:.4g} large, lie on each other, at most {moved:.3g} from the drawing's origin"
+        remedy = "are the translations in the unit of the vertices?"
+        note("places", "pattern", text, ("pattern", "panels", next(iter(panels)), "translation"), remedy)
 
 
 def _note_pieces(pattern: Pattern, openings: list[list[Side]], note: Note) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal, cast
 
@@ -198,8 +199,9 @@ class MeshCollider:
         itself is noted, and refused by contact that must know its inside.
         """
         c = cast(MeshConfig, config)
-        x, faces = find_mesh(c, files, read_closed)
-        return replace(mesh_shape(c, mover, x, faces, MESH), notes=crossing_notes(x, faces))
+        mended: list[str] = []
+        x, faces = find_mesh(c, files, partial(read_closed, notes=mended))
+        return replace(mesh_shape(c, mover, x, faces, MESH), notes=(*mended, *crossing_notes(x, faces)))
 
 
 def find_mesh(

@@ -133,12 +133,13 @@ class SdfCollider:
         tolerance that is larger than the body, or takes too much memory.
         """
         c = cast(SdfConfig, config)
-        x, faces = find_mesh(c, files, read_mesh)
+        mended: list[str] = []
+        x, faces = find_mesh(c, files, partial(read_mesh, notes=mended))
         check_tolerance(x, c.tolerance)
         fault = find_fault(x, faces)
         field = cached_field(x, faces, c.tolerance, c.band, fault is None, LARGEST)
         check_inside(field, x, faces)
-        notes = (*(() if fault is None else (fault,)), *thin_parts(field, x, faces))
+        notes = (*mended, *(() if fault is None else (fault,)), *thin_parts(field, x, faces))
         return replace(mesh_shape(c, mover, x, faces, FIELD), fields=(field,), notes=notes)
 
 

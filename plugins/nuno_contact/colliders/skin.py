@@ -98,7 +98,9 @@ class SkinCollider:
             raise BadInput(problem, field="motion", value="topic", remedy=remedy)
         roles = find_roles(mover)
         rig = _read_rig(c, files)
-        x, faces = c.make(files, read_closed if rig is None else partial(read_closed, load=rig.surface))
+        mended: list[str] = []
+        read = partial(read_closed, notes=mended)
+        x, faces = c.make(files, read if rig is None else partial(read, load=rig.surface))
         x = np.ascontiguousarray(x + np.asarray(c.centre))
         if rig is None or c.weights == "found":
             figure = find_figure(x, faces)
@@ -118,7 +120,7 @@ class SkinCollider:
         gait = replace(gait, lift=find_lift(gait, x, feet))
         joint, place = np.array(list(roles.values()), np.int32), gait.place[gait.follows]
         skin = Skin(np.ascontiguousarray(place), np.ascontiguousarray(joint[part]), weight)
-        return replace(skin_shape(mover, x, faces, skin), pose=gait.pose, notes=crossing_notes(x, faces))
+        return replace(skin_shape(mover, x, faces, skin), pose=gait.pose, notes=(*mended, *crossing_notes(x, faces)))
 
 
 def _read_rig(config: SkinConfig, files: Files) -> Rig | None:

@@ -133,11 +133,10 @@ def _read(data: bytes) -> Captured:
         text = data.decode("latin-1")
     head, *rows = re.split(r"(?m)^\s*MOTION\b", text, maxsplit=1)
     joints = _read_joints(head)
-    frames, dt = _read_frames("".join(rows), sum(len(joint.channels) for joint in joints))
+    frames, dt = _read_frames("".join(rows), sum(len(joint.channels) for joint in joints), 1 + head.count("\n"))
     offsets = np.array([joint.offset for joint in joints])
-    for what, values in (("offsets", offsets), ("positions or angles", frames)):
-        if not np.isfinite(values).all():
-            raise ValueError(f"{what} that are not finite numbers")
+    if not np.isfinite(offsets).all():
+        raise ValueError("offsets that are not finite numbers")
     turns, places = np.empty((len(frames), len(joints), 4)), np.tile(offsets, (len(frames), 1, 1))
     columns = iter(frames.T)
     for j, joint in enumerate(joints):
@@ -170,6 +169,9 @@ def _read_joints(head: str) -> list[_Joint]:
         key, *values = words or ["{"]
         try:
             if key.upper() in ("ROOT", "JOINT", "END"):
+                if joints and not open_:
+                    remedy = "export each person, or prop, into a file of its own"
+                    raise BadInput("a second ROOT", line=line, value=" ".join(values), remedy=remedy)
                 parent = open_[-1] if joints else -1
                 name = f"{joints[parent].name}_end" if key.upper() == "END" else " ".join(values)
                 open_.append(len(joints))
@@ -194,12 +196,19 @@ def _read_joints(head: str) -> list[_Joint]:
     return joints
 
 
-def _read_frames(rows: str, columns: int) -> tuple[Float, float]:
-    """Return (m, columns) values, and the time between two frames [s]. Raises ValueError."""
+def _read_frames(rows: str, columns: int, before: int) -> tuple[Float, float]:
+    """Return (m, columns) values and the time step [s]; `before` is the line of MOTION. Raises ValueError."""
     found = re.match(r"\s*Frames:\s*(\d+)\s*Frame\s+Time:\s*(\S+)", rows, re.IGNORECASE)
     if found is None or not rows[found.end() :].strip():
         raise ValueError("after MOTION come Frames: and Frame Time: and their frames")
-    frames, dt = np.loadtxt(io.StringIO(rows[found.end() :]), ndmin=2), float(found[2])
+    text, before = rows[found.end() :], before + rows[: found.end()].count("\n")
+    lines = [(n, len(words)) for n, words in enumerate(map(str.split, text.splitlines()), before) if words]
+    if wrong := [(n, count) for n, count in lines if count != lines[0][1]]:
+        raise ValueError(f"line {wrong[0][0]}: {wrong[0][1]} numbers, where the frames before have {lines[0][1]}")
+    frames, dt = np.loadtxt(io.StringIO(text), ndmin=2), float(found[2])
+    if not (finite := np.isfinite(frames).all(axis=1)).all():
+        frame = int(np.argmin(finite))
+        raise ValueError(f"line {lines[frame][0]}: frame {frame} has a number that is not finite")
     if frames.shape != (int(found[1]), columns):
         raise ValueError(f"{found[1]} frames of {columns} channels are announced, and {len(frames)} of "
                          f"{frames.shape[1]} follow")  # fmt: skip

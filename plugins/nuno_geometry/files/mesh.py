@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.check import check_closed, place_of
 from nuno_geometry.files.glb import read_glb
-from nuno_geometry.files.polygons import RawMesh, plain, read_obj, read_ply
+from nuno_geometry.files.polygons import RawMesh, plain, read_obj, read_ply, triangulate
 from nuno_geometry.normals import edge_numbers, face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -51,6 +52,7 @@ def read_stl(data: bytes) -> RawMesh:
 READERS = {"obj": read_obj, "ply": read_ply, "stl": read_stl, "glb": read_glb}
 KINDS = tuple(READERS)
 LARGEST_FILE = 1 << 30
+Load = Callable[[Path], tuple[Float, Int]]
 SEAM = 1e-6
 """largest distance of the two sides of a seam, as a share of the extent: files keep seven digits"""
 
@@ -62,18 +64,18 @@ def load_surface(path: Path) -> tuple[Float, Int]:
 
 
 def read_closed(
-    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
+    path: Path, scale: float = 1.0, mend: bool = False, load: Load = load_surface, notes: list[str] | None = None
 ) -> tuple[Float, Int]:
     """Return vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], counter-clockwise from
     outside.
 
     Vertices at the same place become one where the file's own numbers leave the surface open (STL has no other way to
     share them), triangles without area and vertices without triangle are left out. To `mend` also turns triangles that
-    face the wrong way and fills holes. Raises BadInput, with the edge and its place, for a file that cannot be read, or
-    is not a closed surface. It may pass through itself, as scanned bodies do at mouth and armpits: `check_crossings`
-    tells.
+    face the wrong way and fills holes, and appends which to `notes`. Raises BadInput, with the edge and its place, for
+    a file that cannot be read, or is not a closed surface. It may pass through itself, as scanned bodies do at mouth
+    and armpits: `check_crossings` tells.
     """
-    x, faces = read_mesh(path, scale, mend, load)
+    x, faces = read_mesh(path, scale, mend, load, notes)
     try:
         check_closed(x, faces, scale)
     except BadInput as error:
@@ -85,13 +87,20 @@ def read_closed(
 
 
 def read_mesh(
-    path: Path, scale: float = 1.0, mend: bool = False, load: Callable[[Path], tuple[Float, Int]] = load_surface
+    path: Path, scale: float = 1.0, mend: bool = False, load: Load = load_surface, notes: list[str] | None = None
 ) -> tuple[Float, Int]:
     """Read as `read_closed` a file whose surface may have holes."""
     try:
         points, triangles = load(path)
         x, faces = clean_mesh(points, triangles, scale)
-        return mend_mesh(x, faces) if mend else (x, faces)
+        if not mend:
+            return x, faces
+        x, faces, rims = mend_mesh(x, faces)
+        if rims and notes is not None:
+            largest, many = max(rims, key=len), "hole" if len(rims) == 1 else "holes"
+            place = place_of(largest.mean(axis=0), scale)
+            notes.append(f"mended: {len(rims)} {many} filled, the largest, of {len(largest)} edges, {place}")
+        return x, faces
     except BadInput as error:
         error.file = str(path)
         raise
@@ -166,16 +175,64 @@ def join_vertices(x: Float, faces: Int) -> tuple[NDArray[np.int64], NDArray[np.i
     return remaining, joined.reshape(-1)
 
 
-def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:
-    """Close the mesh's seams, turn its normals outwards and fill its holes, as far as trimesh can."""
+def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int, list[Float]]:
+    """Close the mesh's seams, turn its triangles outwards and fill its holes; return the filled rims (k, 3), too."""
     import trimesh
 
     x, faces = join_seams(x, faces)
     mesh: Any = trimesh.Trimesh(x, faces, process=False)
     trimesh.repair.fix_winding(mesh)
-    mesh.fill_holes()
+    faces = np.asarray(mesh.faces, np.int32)
+    rims = find_rims(faces)
+    mesh = trimesh.Trimesh(*fill_rims(x, faces, rims), process=False)
     trimesh.repair.fix_normals(mesh, multibody=True)
-    return clean_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
+    filled = clean_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
+    return *filled, [x[rim] for rim in rims]
+
+
+def find_rims(faces: Int) -> list[Int]:
+    """Return the vertices round each hole, against the triangles' sense; holes that touch at a vertex are apart."""
+    numbers, pairs = edge_numbers(faces)
+    single = (np.bincount(numbers.reshape(-1), minlength=len(pairs)) == 1)[numbers]
+    following: dict[int, list[int]] = {}
+    for start, end in np.stack([np.roll(faces, -1, axis=1), faces], axis=2)[single].tolist():
+        following.setdefault(start, []).append(end)
+    rims = []
+    for start in following:
+        path, place = [start], {start: 0}
+        while following.get(path[-1]):
+            vertex = following[path[-1]].pop()
+            if vertex not in place:
+                place[vertex] = len(path)
+                path.append(vertex)
+                continue
+            rims.append(np.array(path[place[vertex] :], np.int32))
+            for passed in path[place[vertex] + 1 :]:
+                del place[passed]
+            del path[place[vertex] + 1 :]
+    return rims
+
+
+def fill_rims(x: Float, faces: Int, rims: list[Int]) -> tuple[Float, Int]:
+    """Return the mesh with triangles between each rim's vertices, or round its middle: if the rim, seen along its
+    normal, crosses itself, or if an edge of the triangles is there already, as beside another hole.
+
+    Rejected: trimesh.repair.fill_holes, which leaves rims of more than four edges, or spans them with overlapping fans.
+    """
+    points, fills, edges = [x], [faces], set(map(tuple, edge_numbers(faces)[1].tolist())) if rims else set()
+    for rim in rims:
+        inner = edges
+        with suppress(BadInput):
+            fill = rim[triangulate(x, rim.astype(np.int64), np.array([len(rim)]))]
+            numbers, sides = edge_numbers(fill)
+            inner = set(map(tuple, sides[np.bincount(numbers.reshape(-1)) == 2].tolist()))
+        if inner & edges:
+            middle = np.full(len(rim), len(x) + len(points) - 1)
+            fill, inner = np.stack([rim, np.roll(rim, -1), middle], axis=1), set()
+            points.append(x[rim].mean(axis=0, keepdims=True))
+        edges |= inner
+        fills.append(fill)
+    return np.concatenate(points), np.concatenate(fills)
 
 
 def join_seams(x: Float, faces: Int) -> tuple[Float, Int]:

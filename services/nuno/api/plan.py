@@ -80,7 +80,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _attachments(simulation, simulation.geometry, simulation.poses)
     doubts = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
-    rows += [("WARNING", text) for text in doubts]
+    rows += [("bodies", note) for note in simulation.body_notes] + [("WARNING", text) for text in doubts]
     rows += _texture(simulation)
     seconds = simulation.time_frame()  # this moves the cloth
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved

@@ -19,12 +19,11 @@ from nuno.output_files import replacing
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles, near
-from nuno.scene.templates.garments import Garment, describe_worn, is_own, name_garments, unit_for
+from nuno.scene.templates.garments import Garment, build_body, describe_worn, is_own, name_garments, unit_for
 from nuno.scene.validation_errors import explain
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked, Remark
-from nuno_schemas.plugin import BodyShape
 from nuno_schemas.units import to_si
 
 MANNEQUIN = Path("mannequin")
@@ -89,18 +88,19 @@ def wear(args: argparse.Namespace) -> int:
     if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
-    scale = _find_unit(args.body, args.patterns) if "body" in other_files else ""
+    for pattern in args.patterns:
+        _remind(pattern)
+    flags = _find_flags(args.body, args.patterns) if "body" in other_files else ("", False)
     roots = [root for root in dict.fromkeys(file.resolve().parent for _, file in files)
              if not root.is_relative_to(scene.resolve().parent)]  # fmt: skip
     known = SceneFiles(scene.parent, tuple(roots))
     each = zip(names, args.patterns, fabrics * (len(names) // len(fabrics)), strict=True)
     garments = [Garment(name, _name_in(known, pattern), fabric) for name, pattern, fabric in each]
-    moved = {"body": None} | {role: _name_in(known, file) for role, file in other_files.items()}
+    moved = {role: _name_in(known, file) for role, file in other_files.items()}
     with replacing(scene) as new:
-        new.write_text(describe_worn(scene.stem, garments, args.edge, **moved, scale=scale), encoding="utf-8")
+        text = describe_worn(scene.stem, garments, args.edge, moved.get("body"), moved.get("motion"), flags)
+        new.write_text(text, encoding="utf-8")
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
-    for pattern in args.patterns:
-        _remind(pattern)
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
         from nuno.simulation.cloth.build import build_fabrics
@@ -147,31 +147,35 @@ def _check_edge(edge: str) -> None:
         raise BadInput("no length for sides of triangles", field="--edge", value=edge, limit=limit, remedy=remedy)
 
 
-def _find_unit(body: Path, patterns: list[Path]) -> str:
-    """Return and print the unit of a body's file; empty for the metre, and for a file that the run refuses. Raises
-    BadInput for a body that cannot wear the patterns in any unit.
+def _find_flags(body: Path, patterns: list[Path]) -> tuple[str, bool]:
+    """Return and print the unit of a body's file, empty for the metre, and whether it must be mended; ("", False) for a
+    file that the run refuses. Raises BadInput for a body that cannot wear the patterns in any unit.
     """
-    mesh = registry.load("nuno.colliders", "mesh")
-    try:
-        shape: BodyShape = mesh.build(mesh.Config(file=body.name, mend=True), None, SceneFiles(body.parent))
-    except BadInput:
-        return ""
+    shape, fault = build_body(body)
+    if shape is None:
+        return "", False
+    if fault:
+        print(f"mend       {body}: {'; '.join([fault.problem, *shape.notes])}", flush=True)
     size = float(np.ptp(shape.vertices, axis=0).max())
     unit = unit_for(size, patterns)
-    if unit == "1m":
-        return ""
-    text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
-    print(f"unit       {body}: {text}", flush=True)
-    return unit
+    if unit != "1m":
+        text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
+        print(f"unit       {body}: {text}", flush=True)
+    return unit if unit != "1m" else "", fault is not None
 
 
 def _remind(pattern: Path) -> None:
-    """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors."""
+    """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors. Raises BadInput for a
+    pattern of a size that no garment has.
+    """
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
     try:
         checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
     except BadInput:
         return
+    for one in checked.remarks:
+        if one.kind == "size":
+            raise BadInput(one.text, str(pattern), one.line, one.field, remedy=one.remedy)
     if kinds := list(dict.fromkeys(remark.kind for remark in checked.remarks if not remark.wrong)):
         print(f"remarks    {pattern}: {', '.join(kinds)}  (nuno sew --check {shlex.quote(str(pattern))})", flush=True)
 

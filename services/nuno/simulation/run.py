@@ -75,6 +75,7 @@ class Simulation(Changing):
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
         self.start_poses = self.before = self.poses = poses
         self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
+        self.body_notes: tuple[str, ...] = ()
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
         self.frame, self.balanced = 0, False
@@ -108,7 +109,7 @@ class Simulation(Changing):
                 return decode_poses(loaded.recorded_poses[frame], len(bodies.geometry.frames))
 
         simulation = cls(loaded, bodies.geometry, find(0), threads)
-        simulation.find_poses = find
+        simulation.find_poses, simulation.body_notes = find, bodies.notes
         return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:

@@ -18,6 +18,7 @@ from nuno.recording.gaps import shortcoming
 from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
+from nuno.scene.templates.garments import build_body
 from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
 from nuno.studio import scenes
 from nuno.studio.draw.append import MARK, read_text
@@ -28,7 +29,6 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.pattern import Checked
 from nuno_schemas.pictures import DrawnDraft
-from nuno_schemas.plugin import BodyShape
 
 Rows = list[tuple[str, str]]
 GATHER = 1.1
@@ -52,6 +52,7 @@ class Seen:
     mistakes  errors for the page
     is_body, is_cloth  of a mesh: whether it can be a body, or cloth
     crosses   of a mesh: whether it intersects itself
+    mend      of a mesh: whether it is a body only if mended
     scale     of a mesh: its unit, if that is probably not the metre
     low, high  (3,) of a mesh: corners of its bounding box, in metres
     longest   of a mesh: longest side of its bounding box, in the file's unit
@@ -67,6 +68,7 @@ class Seen:
     is_body: bool = False
     is_cloth: bool = False
     crosses: bool = False
+    mend: bool = False
     scale: str = ""
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
@@ -91,25 +93,24 @@ def look(path: Path) -> Seen:
 
 def _mesh(path: Path) -> Seen:
     files, name = SceneFiles(path.parent), path.name
-    body = registry.load("nuno.colliders", "mesh")
     cloth = registry.load("nuno.models", "mesh")
-    mistakes, rows, crosses = list[BadInput](), Rows(), False
-    try:
-        shape: BodyShape = body.build(body.Config(file=name), None, files)
-        x, faces = shape.vertices, shape.faces
-        rows, crosses = [("remark", note) for note in shape.notes], bool(shape.notes)
-        title, closed, is_cloth = "a closed mesh", True, path.suffix.lower() != ".glb"
-    except BadInput as not_closed:
-        if not_closed.problem.startswith(NO_MESH):
-            raise
-        closed, is_cloth, title = False, False, "a mesh with mistakes"
-        x, faces, mistakes = np.zeros((0, 3)), np.zeros((0, 3), np.int32), [not_closed]
+    mistakes, rows, glb = list[BadInput](), Rows(), path.suffix.lower() == ".glb"
+    shape, fault = build_body(path)
+    x, faces = (np.zeros((0, 3)), np.zeros((0, 3), np.int32)) if shape is None else (shape.vertices, shape.faces)
+    if fault is None:
+        title, is_cloth = "a closed mesh", not glb
+    else:
+        if fault.problem.startswith(NO_MESH):
+            raise fault
+        rows = [("as a body", f"{fault.problem}: {fault.field}")]
         try:
             fabric: Fabric = cloth.build(cloth.Config(file=name, merge=path.suffix.lower() == ".obj"), files, 0)
             x, faces, is_cloth, title = fabric.position, fabric.faces, True, "a mesh that is not closed"
-            rows, mistakes = [("as a body", f"{not_closed.problem}: {not_closed.field}")], []
         except BadInput as no_cloth:
-            mistakes += [no_cloth] if path.suffix.lower() != ".glb" else []
+            is_cloth, title = False, "a mesh with mistakes"
+            mistakes = [] if shape else [fault] if glb else [fault, no_cloth]
+    notes = shape.notes if shape else ()
+    rows += [("remark", note) for note in notes]
     if not len(x):
         return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes])
     longest = float(np.ptp(x, axis=0).max())
@@ -119,7 +120,7 @@ def _mesh(path: Path) -> Seen:
     size = np.ptp(x, axis=0) * UNITS[unit]
     low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
     rows = [
-        ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "yes" if closed else "no"),
+        ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "no" if fault else "yes"),
         ("size", " x ".join(f"{side:.3g}" for side in size) + " m (x, y, z; y is up)"), *rows,
     ]  # fmt: skip
     if unit != "1m":
@@ -127,7 +128,8 @@ def _mesh(path: Path) -> Seen:
     elif person != "1m":
         rows.append(("unit", f"taken as metres: a person if it were in {person}, {longest * UNITS[person]:.3g} m long"))
     corners = tuple(map(float, low)), tuple(map(float, high))
-    return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes], closed, is_cloth, crosses,
+    return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes], shape is not None, is_cloth,
+                any("passes through itself" in note for note in notes), shape is not None and fault is not None,
                 as_scale(unit), *corners, longest)  # fmt: skip
 
 
@@ -185,7 +187,8 @@ def _picture(path: Path) -> Seen:
             upright.thumbnail((640, 640))
             small = as_png(np.asarray(upright))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy="save it as PNG or JPEG") from None
+        remedy = "scale it down" if "pixels" in str(error) else "save it as PNG or JPEG"
+        raise BadInput(f"cannot be read as a picture: {error}", path.name, remedy=remedy) from None
     return Seen("picture", "a picture", rows, picture=small)
 
 
@@ -218,7 +221,7 @@ def _text(path: Path) -> Seen:
         rows: Rows = [(name, str(data[name])) for name in ("name", "description", "duration") if data.get(name)]
         return Seen("scene", "a scene", rows, result["mistakes"])
     data, _ = yaml_lines.parse(text, path.name)
-    if "instrument" in data:
+    if "instrument" in map(str.lower, map(str, data)):
         return _sheet(path)
     if "pattern" in data:
         return _pattern(path)

@@ -187,10 +187,11 @@ class Task:
         """Write a scene after one of nuno's, with changes (`key=value`)."""
         return write_after(after, scene, [_as("description", description), *changes])[-1]
 
-    def collider(self, body: str) -> dict[str, str]:
+    def collider(self, body: str) -> dict[str, Any]:
         """Return the collider of a body from a mesh of the folder."""
-        scale = self.see(self.folder / body).scale
-        return {"plugin": "mesh", "file": body} | ({"scale": scale} if scale else {})
+        seen = self.see(self.folder / body)
+        flags = ({"scale": seen.scale} if seen.scale else {}) | ({"mend": True} if seen.mend else {})
+        return {"plugin": "mesh", "file": body} | flags
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,8 @@ class Offer:
 def offers_for(seen: Seen) -> list[Offer]:
     """Return the offers for a file, the likeliest first."""
     if seen.kind == "mesh":
-        return ([WEAR, DRESS, COVER, STOCKING] if seen.is_body else []) + ([FALL] if seen.is_cloth else [])
+        as_body, as_cloth = [WEAR, DRESS, COVER, STOCKING] * seen.is_body, [FALL] * seen.is_cloth
+        return as_cloth + as_body if seen.mend else as_body + as_cloth
     return [] if seen.mistakes else BY_KIND.get(seen.kind, [])
 
 
@@ -250,12 +252,14 @@ def _wear(task: Task, body: str = NONE, pattern: str = NONE, motion: str = NONE)
     chosen = {"body": body, "pattern": pattern, "motion": motion}
     body, pattern, motion = (chosen[what] or task.chosen.get(what, NONE) for what in chosen)
     pattern = _copy_shipped(task.folder, pattern, sewn())
-    scale = as_scale(unit_for(task.see(task.folder / body).longest, [task.folder / pattern])) if body else ""
+    worn_by = task.see(task.folder / body) if body else None
+    unit = as_scale(unit_for(worn_by.longest, [task.folder / pattern])) if worn_by else ""
     motion = _copy_shipped(task.folder, motion, shipped.folder())
     scene = task.new(pattern, "worn")
     (name,) = name_garments([Path(pattern).stem])
     worn = [Garment(name, pattern, task.chosen["fabric"])]
-    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, scale)
+    flags = unit, worn_by is not None and worn_by.mend
+    text = describe_worn(scene.stem, worn, EDGE, body or None, motion or None, flags)
     scene.write_text(text, encoding="utf-8")
     return scene
 

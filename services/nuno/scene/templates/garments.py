@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from nuno.scene.files import SceneFiles
 from nuno_schemas.bodies import METRES, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pattern import Checked
+from nuno_schemas.plugin import BodyShape
 from nuno_schemas.units import to_si
 
 PERSON = "shape: person, resolution: 64"
@@ -45,6 +47,17 @@ def name_garments(stems: Sequence[str]) -> list[str]:
     return names
 
 
+def build_body(path: Path) -> tuple[BodyShape | None, BadInput | None]:
+    """Return the body of a mesh's file, and the fault for which it must be mended; no body if that is not enough."""
+    mesh, files = registry.load("nuno.colliders", "mesh"), SceneFiles(path.parent)
+    try:
+        return mesh.build(mesh.Config(file=path.name), None, files), None
+    except BadInput as fault:
+        with contextlib.suppress(BadInput):
+            return mesh.build(mesh.Config(file=path.name, mend=True), None, files), fault
+        return None, fault
+
+
 def unit_for(size: float, patterns: Sequence[Path]) -> str:
     """Return the unit of a body's file, in which its longest side is `size`, by the height of persons and of the
     patterns. Raises BadInput where none fits.
@@ -67,14 +80,16 @@ def unit_for(size: float, patterns: Sequence[Path]) -> str:
 
 
 def describe_worn(
-    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None, scale: str = ""
-) -> str:
+    name: str, garments: Sequence[Garment], edge: str, body: str | None, motion: str | None = None,
+    flags: tuple[str, bool] = ("", False)
+) -> str:  # fmt: skip
     """Return a scene's text: `garments`, the innermost first, with sides of triangles about `edge` long, on a `body`, a
-    file in the scene's folder, with the length of its unit in `scale` unless that is the metre, or None for the
-    mannequin; `motion` is the file of its motion.
+    file in the scene's folder, or None for the mannequin; `motion` is the file of its motion, `flags` the length of
+    the body's unit, empty for the metre, and whether it is to be mended.
     """
     coarse = f", coarse: {100 * COARSE:g} cm" if _is_shorter(edge, COARSE) else ""
-    of_body = f"file: {json.dumps(body)}" + (f", scale: {scale}" if scale else "") if body else PERSON
+    scale, mend = f", scale: {flags[0]}" if flags[0] else "", ", mend: true" if flags[1] else ""
+    of_body = f"file: {json.dumps(body)}{scale}{mend}" if body else PERSON
     values = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
     return _template().render(values, edge=edge, coarse=coarse, colours=COLOURS)
 
@@ -94,7 +109,8 @@ def is_own(text: str) -> bool:
         objects, (wearer,) = data["objects"], data["bodies"]
         garments = [Garment(item["name"], item["model"]["file"], item["model"]["fabric"]) for item in objects]
         body, motion, edge = wearer["collider"], wearer.get("motion", {}).get("file"), objects[0]["model"]["edge"]
-        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, body.get("scale", ""))
+        flags = body.get("scale", ""), body.get("mend", False)
+        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, flags)
     except (BadInput, LookupError, TypeError, ValueError, AttributeError):
         return False
 

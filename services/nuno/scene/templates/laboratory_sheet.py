@@ -53,7 +53,8 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
     text = read_text(path, "the sheet", "save it as text in UTF-8, and look whether it is yours to read")
     if path.suffix.lower() != ".csv":
         values, lines = yaml_lines.parse(text, str(path))
-        return values, {str(place[0]): line for place, line in lines.items() if len(place) == 1}
+        lines_by_name = {_word(place[0]): line for place, line in lines.items() if len(place) == 1}
+        return {_word(name): value for name, value in values.items()}, lines_by_name
     values_by_name, where = dict[str, Any](), dict[str, int]()
     for line, (name, *parts) in _read_rows(text, str(path)):
         if name in values_by_name or not any(parts):
@@ -73,8 +74,9 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
     lines = text.splitlines()
     separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
     reader = csv.reader(lines, delimiter=separator[1] if separator else ",", skipinitialspace=True)
-    cells = (list(dropwhile(not_, map(str.strip, row))) for row in reader)
-    rows = [(reader.line_num, row) for row in cells if row and not row[0].startswith("#")]
+    cells = (list(dropwhile(not_, (re.sub(r"(?i)^\s*n/?a\s*$", "", cell).strip() for cell in row))) for row in reader)
+    rows = [(reader.line_num, [_word(row[0]), *row[1:]]) for row in cells if row and not row[0].startswith("#")]
+    rows = [(line, row) for line, row in rows if [cell.lower() for cell in row[1:]] != ["warp", "weft"]]  # a heading
     columns = {k for _, row in rows if row[0] not in WORDS for k in (1, 2) if _NUMBER.match("".join(row[k : k + 1]))}
     rows = [(line, [cell for k, cell in enumerate(row) if cell or k in columns]) for line, row in rows]
     numbers = [(line, row[0], cell) for line, row in rows if row[0] not in WORDS for cell in row[1:]]
@@ -89,6 +91,11 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
         problem = f"a comma, where {points} has a point" if points else "a comma before decimals, or before thousands"
         raise BadInput(problem, file, line, name, cell, remedy=decimal_point(cell))
     return [(n, [cell.replace(",", ".") if decimal_point(cell) else cell for cell in row]) for n, row in rows]
+
+
+def _word(name: object) -> str:
+    """Return a name of a sheet's line, those of WORDS in lower case, as a sheet may have Instrument."""
+    return str(name).lower() if str(name).lower() in WORDS else str(name)
 
 
 def _with_unit(parts: list[str]) -> list[str]:
