@@ -25,6 +25,7 @@ from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
 from nuno_bench.peers.command import choose
 from nuno_bench.peers.pile import (
+    BEND,
     CROSSED,
     MOTION,
     PAIRS,
@@ -347,7 +348,7 @@ def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     stiffness = k * length if made == "VBD" else k * 3.0 * length**2 / area
     across = inner & (np.abs(along[:, 0]) < 1e-9)  # folds of a cylinder whose axis is along z
     width = area[across] / length[across]
-    assert stiffness[across] * width / length[across] == pytest.approx(module.BEND, rel=1e-5)
+    assert stiffness[across] * width / length[across] == pytest.approx(BEND, rel=1e-5)
     assert not k[~inner].any() and len(x) == sum(side * side for side in SIDES)
 
 

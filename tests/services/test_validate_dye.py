@@ -32,7 +32,6 @@ def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can
     assert {(one.case, one.solver): one.reason for one in found if one.verdict == "failed"} == {}
     posed = validate.count_posed(part, found)
     assert set(posed) == {case.name for case in CASES} and min(posed.values()) >= 3
-    assert f"each case of dye posed by {min(posed.values())} to" in validate.summary([part], found)
 
 
 class Changed(Explicit):
