@@ -83,7 +83,7 @@ def write(folder: Path, **fields: Any) -> Path:
 
 
 @pytest.mark.quick(name=["symplectic_euler"])
-@pytest.mark.parametrize("name", ["symplectic_euler", "leapfrog", "tr_bdf2", "xpbd"])
+@pytest.mark.parametrize("name", ["symplectic_euler", "leapfrog", "implicit_euler", "tr_bdf2", "xpbd"])
 def test_each_point_rests_or_slides_as_its_body_says(name: str, tmp_path: Path) -> None:
     """Held by friction 0.3 at the gap of the block, by 0.4 in the floor at m g / k, and let go by 0.1 at the step's
     gap; the same again from the middle on, and once more to compare.

@@ -93,11 +93,14 @@ def hold_forces(s: Slides, x: Float, force: Float) -> None:
 #     a free one comes nearer than the gap: it is held there, and sticks
 #
 # The sets change between solutions only, each way once a step, so that Newton's method meets a smooth equation.
-# Friction on a sliding vertex follows N and the movement of the step before.
+# Friction on a sliding vertex follows N and the movement of the step before, and once N of its own solution where
+# it differs by more than MISSED, as when a vertex strikes a body: else the impact's friction would act twice.
 #
 # Not chosen: a penalty or an augmented Lagrangian within Newton's method. Its active set and the direction of friction
 # alternate between iterations, and a sheet on a ball does not converge.
 
+MISSED = 0.5
+"""Share of the larger by which friction and mu N may differ in a step."""
 RIGID = 1e6
 """Stiffness of a held vertex, as a multiple of its inertia and of the cloth's largest stiffness."""
 
@@ -178,7 +181,7 @@ class Grip:
         self.friction, self.found = self.push.copy(), np.zeros((7, x.shape[1]))
         find_touching(x, self.body_now, self.slides, self.found)
         self.free, self.sticks = self.body_now < 0, (self.mu > 0.0) & ~self.push.any(axis=0)
-        self.slipped, self.returned = np.zeros((2, x.shape[1]), np.bool_)
+        self.slipped, self.returned, self.corrected = np.zeros((3, x.shape[1]), np.bool_)
 
     @property
     def mu(self) -> Float:
@@ -237,16 +240,21 @@ class Grip:
         stops = ~self.sticks & (dot(self.along_surface(x), self.rub) > 0.0)
         slips = self.sticks & ~self.free & ~self.slipped & (dot(t, t) > limit * limit)
         leaves = ~self.free & ~self.returned & (normal < 0.0)
+        size = np.sqrt(dot(self.friction, self.friction))
+        missed = np.abs(limit - size) > MISSED * np.maximum(limit, size)
+        missed &= ~(self.sticks | self.free | self.slipped | self.corrected | stops | leaves)
         returns = self.free & (dot(x - self.goal, self.n) < 0.0)
         self.friction[:, slips] = rotate(limit * unit(t), self.rotation, back=True)[:, slips]
+        self.friction[:, missed] *= (limit / np.where(missed, size, 1.0))[missed]
         self.slipped |= slips
         self.returned |= returns
+        self.corrected |= missed
         before = self.body_now.copy()
         find_entering(x, self.body_now, self.slides, self.found)
         enters = self.body_now != before
         self.sticks = (self.sticks & ~slips & ~enters) | stops | (enters & (self.mu > 0.0))
         self.free = (self.free & ~returns & ~enters) | leaves
-        return bool((stops | slips | leaves | returns | enters).any())
+        return bool((stops | slips | missed | leaves | returns | enters).any())
 
     def finish(self, missing: Float, x: Float, span: float) -> None:
         """Keep for the next step what the solution x (3, n) of this one, of `span` [s], has come to."""
