@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
-from nuno_dye.cloths.woven_cloth import Lay, WovenConfig, build_cells, lay_measured
+from nuno_dye.cloths.woven_cloth import Layout, WovenConfig, build_cells, lay_measured
 from nuno_dye.drafts.weaves import draw_plain
 from nuno_dye.picture import TextureConfig, shade_window
 from nuno_schemas.colour import parse_hex, to_srgb
@@ -28,7 +28,7 @@ NOISE = 0.012
 TEXTURE = TextureConfig(depth=0.2, fibres=0.3, shadow=0.5, hole=0.25)
 
 
-def lay(length: int, stream: np.random.Generator) -> Lay:
+def lay(length: int, stream: np.random.Generator) -> Layout:
     """Yarns side by side over `length` pixels, which touch."""
     widths = PITCH * (1.0 + UNEVEN * np.clip(stream.standard_normal(length // 8), -2.5, 2.5))
     return lay_measured(widths, 0.93 * widths, 1.0, length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -21,10 +22,16 @@ from nuno.studio.pages.worker import Workshop
 
 
 class Shared:
-    """A workshop that outlasts the desk that uses it."""
+    """A workshop that outlasts the desk that uses it, and takes its plans and previews apart as two would."""
 
     def __init__(self, workshop: Workshop) -> None:
-        self.make, self.forget = workshop.make, workshop.forget
+        self._workshop = workshop
+
+    def make(self, page: str, *task: Any) -> Any:
+        return self._workshop.make(f"{id(self)} {page}", *task)
+
+    def forget(self, page: str) -> None:
+        self._workshop.forget(f"{id(self)} {page}")
 
     def close(self) -> None:
         """Nothing: it is another one's."""

@@ -214,8 +214,9 @@ def test_a_dab_on_a_garment_is_where_the_solver_has_that_place_of_it(
         page.wait(f"/kind: paste/.test(nuno.scene.text.value) && {DONE}")
         cells, _, _ = at_start(scenes.load(page.value("nuno.scene.text.value"), Path("skirt.yaml")))
         rows, columns = np.nonzero(cells.resist[0] > 0.5)
-        assert fabric.uv is not None
-        expected = fabric.uv[number] * [36e-3, -7.2e-3] + [0.0, 7.2e-3]
+        assert fabric.corners is not None
+        (uv,) = fabric.corners.points[fabric.corners.vertex == number]
+        expected = uv * [36e-3, -7.2e-3] + [0.0, 7.2e-3]
         found = (np.array([columns.mean(), rows.mean()]) + 0.5) * cells.size
         pixel = 6e-5  # of the screen on the flat cloth, less than 3 mm on the skirt, which is 0.45 m for 7.2 mm of it
         assert np.abs(found - expected).max() < cells.size + pixel
