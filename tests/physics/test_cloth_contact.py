@@ -99,7 +99,7 @@ def test_nothing_passes_through(solver: str) -> None:
 
 
 def test_amid_many_contacts_no_vertex_is_thrown_to_and_fro() -> None:
-    """Twenty dashpots at a vertex are together faster than the step, each of which alone is slow enough."""
+    """Twenty dashpots at a vertex are together faster than the step, while each alone is slow enough."""
     pieces = []
     for k in range(5):
         piece, turn = sheet(5, 0.05, pinned=k == 0), 0.12 * k

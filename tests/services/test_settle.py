@@ -152,8 +152,9 @@ def test_what_cuts_the_body_between_coarser_triangles_is_untangled_from_it(tmp_p
     run = begin(write(tmp_path, {"coarse": "5 cm"}, around=6))
     told = {one["operation"]: one["facts"] for one in run.arranged}
     assert told["untangle"]["crossings"] > 0.0 and not crossed(run)
-    with pytest.raises(BadInput, match=r"one-0 passes through (itself|wearer)"):
+    with pytest.raises(BadInput, match=r"one-0 passes through (itself|wearer)") as refused:
         begin(write(tmp_path, {"coarse": "5 cm"}, around=6, operations=[]))
+    assert "shorter edges" in str(refused.value.remedy)
 
 
 @pytest.mark.full

@@ -278,15 +278,16 @@ def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
     unposed = {"cloth apart", "mesh apart"} if solver == "dopri5" else set()
     assert {one.case: one.reason for one in found if one.verdict != "passed" and one.case not in unposed} == {}
     assert {one.case for one in found if one.verdict == "unsupported"} == unposed
+    assert len(found) == 20
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("case", ["cloth slides", "mesh slide rate"])
-def test_a_friction_that_is_three_percent_off_is_found_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_friction_that_is_two_percent_off_is_found_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     make = piles.pile
 
     def rougher(*pieces: Any, friction: float, **settings: Any) -> System:
-        return make(*pieces, friction=1.03 * friction, **settings)
+        return make(*pieces, friction=1.02 * friction, **settings)
 
     monkeypatch.setattr(piles, "pile", rougher)
     assert outcome(case).verdict == "failed"

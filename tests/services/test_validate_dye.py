@@ -32,6 +32,9 @@ def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can
     assert {(one.case, one.solver): one.reason for one in found if one.verdict == "failed"} == {}
     posed = validate.count_posed(part, found)
     assert set(posed) == {case.name for case in CASES} and min(posed.values()) >= 3
+    least, most = min(posed.values()), max(posed.values())
+    text = f"each case of dye posed by {least if least == most else f'{least} to {most}'} solvers"
+    assert text in validate.summary([part], found)
 
 
 class Changed(Explicit):

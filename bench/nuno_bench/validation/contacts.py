@@ -185,7 +185,7 @@ def measure_slide(plugin: Any, irregular: bool) -> Measurement:
     steps, dt = choose_step(run, 0.14, LONGEST)
     run.go(steps, dt)
     gained = (pace(run)[1] - before) / 0.14
-    return relative(gained, G * (math.sin(slope) - mu * math.cos(slope)), 1e-2)
+    return relative(gained, G * (math.sin(slope) - mu * math.cos(slope)), 5e-3)
 
 
 def pace(run: SolverRun) -> tuple[float, float]:

@@ -36,7 +36,7 @@ laws = Laws(GROUP)
 TAKEN = 0.02
 """D_ab / D0 of what adsorbs."""
 ADSORB = TAKEN * D0 / SIZE**2
-"""D_ab / size^2 [1/s]: how fast fibre takes what is beside it."""
+"""D_ab / size^2 [1/s]: rate at which fibre takes up adjacent dye."""
 ADSORBED = Dye("dye", D0, TAKEN, Isotherm("langmuir", 2.0))
 LONG = 1000.0
 """Explicit steps in one of a solver for which every step is stable."""
@@ -351,7 +351,7 @@ def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> flo
 
 @laws("uptake", "closed form")
 def measure_uptake(plugin: Any) -> Measurement:
-    """Even dye M, of which fibre may take all it meets, is taken as A = M / 2 (1 - exp(-2 r t)), r = D_ab / d^2.
+    """Even dye M, which fibre takes up without a limit, is taken up as A = M / 2 (1 - exp(-2 r t)), r = D_ab / d^2.
 
     It is the solution of dA/dt = r (phi - A).
     """
