@@ -158,7 +158,7 @@ BY: Mapping[str, Callable[[PileOutcome], Sequence[str]]] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("seeds", nargs="*", type=int, metavar="SEED", help="of the scenes (default: 1 to --count)")
     options.add_count(parser, "--count", "scenes, where no seed is given (default: %(default)s)", 200)
-    options.add_seconds(parser, "--duration", 0.5, "of each scene, of which a shorter one is the beginning")
+    options.add_seconds(parser, "--duration", 0.5, "of each scene; a shorter run shows its beginning")
     add_executor_arguments(parser)
     options.add_shared(parser, "--resume", "--out", "--docs")
 
@@ -263,7 +263,7 @@ def summary(found: Sequence[PileOutcome]) -> str:
     wrong, early = sum(map(is_bad, found)), sum(one.verdict == "failed" for one in found)
     met = sum(one.touching > 0 for one in found)
     return (
-        f"{len(found)} scenes, in {met} of which cloth met cloth, {frames:,} frames: cloth passes through cloth in "
+        f"{len(found)} scenes of {frames:,} frames, {met} with contact of cloth: cloth passes through cloth in "
         f"{crossed} by ipctk and in {own} by our own check; {wrong} scenes went wrong, {early} ended early; "
         f"steps cut short: median {percent(float(np.median(cut)))} of a scene, most {percent(max(cut))}"
     )

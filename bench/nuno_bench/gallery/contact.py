@@ -32,7 +32,8 @@ PUBLISHED = {
     "twist": f"{PPF_2025}: 203 k vertices, 6.6 s",
 }
 """Seconds a frame of a scene of this kind in the README of ppf-contact-solver (Ando, ACM TOG 43(6), 2024), whose frames
-are a sixtieth of a second, too; it became about twice as fast in 2026. Of Newton its issue 3494. The others have none.
+are a sixtieth of a second, too; it became about twice as fast in 2026. Newton's is from
+newton-physics/newton#3494.
 """
 
 

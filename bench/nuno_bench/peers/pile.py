@@ -246,7 +246,7 @@ class PileComparison(Comparison[PileScore]):
         return Table(QUERIES, rows, ASKING)
 
     def verdicts(self) -> list[str]:
-        """Our fastest with the fewest frames crossed, and of each other kind the same beside it."""
+        """Return a sentence on the fastest setting of each engine among those with the fewest crossed frames."""
         texts = []
         for kind in self.kinds:
             scores = [point.score for point in self.of(kind) if point.score is not None]

@@ -236,7 +236,7 @@ def work(
     began, nowhere = time.perf_counter(), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
-    signal.alarm(int(limit) + 1)  # it ends by itself where whoever should end it was killed
+    signal.alarm(int(limit) + 1)  # ends the process if its parent, which should, was killed
     try:
         peer: Peer = getattr(importlib.import_module(module), made)(posed, **setting)
         peer.advance(1 / 60)

@@ -135,7 +135,7 @@ def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | Lost
     try:
         return pool.submit(attempt, call, task).result()
     except BrokenProcessPool:
-        return LostTask("its process was lost twice, the second time with no other beside it (out of memory?)")
+        return LostTask("its process was lost twice, the second time while no other ran (out of memory?)")
     finally:
         _kill(pool)
 

@@ -21,7 +21,7 @@ from nuno_schemas.written import Path, Written, dotted
 
 # A pattern's file, as GarmentCode writes it (Korosteleva & Sorkine-Hornung 2023, ACM Trans. Graph. 42, 199).
 #
-# Lengths are in the file's own unit, `units_in_meter` of which are a metre. Beyond GarmentCode's fields a panel may
+# Lengths are in the file's own unit; a metre has `units_in_meter` of them. Beyond GarmentCode's fields a panel may
 # have a `grain`. `assemble` checks relations between fields, such as which edges meet.
 
 LARGEST = 1e6

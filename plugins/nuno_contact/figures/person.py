@@ -20,7 +20,7 @@ from nuno_schemas.fabric import Float, Int
 # Level rings of superellipses, between those of a table by monotone cubics, are the trunk and the neck; two
 # ellipsoids are the breasts, and two cones with round ends the shoulders and upper arms. Their distance functions, the
 # trunk's to first order, are blended (quadratic smooth minimum), and the zero level is drawn
-# (nuno_geometry.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
+# (nuno_geometry.isosurface). A tube of rings, as the leg is made, cannot branch; meshes put through each
 # other would cut each other.
 #
 # Girths of waist and hip, and of the arm over the biceps, are the means to a millimetre of the 260 women in the data of

@@ -388,7 +388,7 @@ def rate_block(block: int, m: ContactState) -> None:
 def ease_part(part: int, m: ContactState, dt: float) -> None:
     """Limit the damping of each touching pair in a step of dt [s] to what the step can follow.
 
-    A vertex amid twenty contacts would be thrown to and fro by all their dashpots, each of which alone is slow enough.
+    A vertex amid twenty contacts would be thrown to and fro by all their dashpots, though each alone is slow enough.
     The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
     over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
     """

@@ -282,7 +282,7 @@ STOP_SPEED = 1.0
 """A vertex that arrives at this speed [m/s] is stopped within the thickness, if its stiffness is no more than SHARE
 allows."""
 SHARE, AT_ONCE = 0.4, 4
-"""The stiffness of all contacts of a vertex, of which stacked layers have about AT_ONCE, is at most this share of that
+"""The stiffness of all contacts of a vertex (about AT_ONCE in stacked layers) is at most this share of that
 of the vertex' springs together: see nuno_contact.penalty.plugin.auto_stiffness."""
 
 
