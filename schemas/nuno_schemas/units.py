@@ -53,6 +53,8 @@ _NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
 _FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
 """A fraction, as common for steps: 1/240 s."""
 _DECIMAL_COMMA = re.compile(r"\s*([+-]?)(\d*),(\d+)((?:[^\d.,][^,]*)?)")
+_ANGLE_BELOW = re.compile(r"([^\W\d_]+)\s*/\s*([^\W\d_]+)\s*[*.·⋅× ]\s*(deg(?:rees?)?|rad(?:ians?)?|°)(?![\w])")
+"""An angle behind a product behind a slash: KES-F's gf/cm·degree means gf/(cm*degree), and reads as gf*degree/cm."""
 _MARKS = "_*/().%‰°·⋅×"
 """Characters of units besides letters and blanks."""
 _AMBIGUOUS = {"gr": "g for gram, or grain", "grad": "deg for degree, or gon", "Grad": "deg", "qm": "m^2"}
@@ -95,8 +97,11 @@ def _parse(text: str, unit: str) -> float:
         text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
     with contextlib.suppress(ValueError):
         return float(text)
+    text = re.sub(r"(?<![^\W\d_])([cdkmu]?m)([23])(?![\w.])", r"\1^\2", text)  # g/m2, as people write it
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
+    if angle := _ANGLE_BELOW.search(text):  # angles have no dimension, so that pint finds no mistake in it
+        raise ValueError(f"{angle[0].strip()} is of two meanings; write {angle[1]}/({angle[2]}*{angle[3]})")
     if ambiguous := _AMBIGUOUS.keys() & set(re.findall(r"[^\W\d]+", text)):
         raise ValueError(f"{min(ambiguous)} is of two meanings; write {_AMBIGUOUS[min(ambiguous)]}")
     registry = _registry()

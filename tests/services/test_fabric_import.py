@@ -84,10 +84,22 @@ def test_a_weight_that_fits_the_other_unit_gets_a_remark(text: str, doubted: boo
 
 
 def test_a_heading_is_passed_over_and_what_is_not_available_is_missing(tmp_path: Path) -> None:
-    headed = POINTS.replace("W, 12.1", "property, warp, weft\nW, 12.1")
-    assert read(tmp_path, headed, suffix=".csv").fabric == read(tmp_path, POINTS, suffix=".csv").fabric
+    instrument, *lines = POINTS.splitlines()
+    rows = [[*line.split(", "), ""][:3] for line in lines]
+    units = {"W": "mg/cm2", "B": "gf.cm2/cm", "G": "gf/(cm.degree)", "LT": "-", "EMT": "%"}
+    tables = {
+        "property,warp,weft": rows,
+        "property,Unit,Warp,Weft": [[row[0], units[row[0]], *row[1:]] for row in rows],
+        "property,warp,weft,units": [[*row, units[row[0]]] for row in rows],
+        ",,warp,weft,unit": [["", *row, units[row[0]]] for row in rows],
+    }
+    for heading, table in tables.items():
+        text = "\n".join([instrument, heading, *map(",".join, table)])
+        assert read(tmp_path, text, suffix=".csv").fabric == pytest.approx(read(tmp_path, POINTS, suffix=".csv").fabric, rel=1e-9)
     with pytest.raises(BadInput, match="the weft's number is missing"):
         import_text(tmp_path, POINTS.replace("0.076", "n/a"))
+    with pytest.raises(BadInput, match="the weft's number is missing"):
+        import_text(tmp_path, KES.replace("0.076", "n/a"), ".yaml")
 
 
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:

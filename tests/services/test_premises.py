@@ -87,18 +87,23 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
     assert outcome.error == "the collision service died: its process ended or the connection broke"
 
 
-def test_services_that_are_still_to_be_started_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whenever there are fewer of them. The simulation is not ready before it has heard where bodies are."""
-    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", 0.2)
+@pytest.mark.parametrize(("after", "every"), [(0.2, 1e6), (1e6, 0.2)])
+def test_services_that_are_still_to_be_started_are_named(
+    after: float, every: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whenever there are fewer of them, and every few seconds. The simulation waits until it hears where bodies are."""
+    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", after)
+    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_EVERY", every)
     loaded = scene_file.read(write_scene(tmp_path, bodies=BALL, duration="0.1 s"))
     outcome, said, _ = supervise(loaded, {}, tmp_path / "run.mcap", "collision")
     assert outcome is not None and outcome.state == "done"
-    assert "waiting for services that are started by hand: collision, simulation" in said
+    assert [text for text in said if text.endswith(": collision, simulation")]
 
 
 def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a file, by what was set, in other units, with its solver chosen already, which not every service needs."""
     monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", 1e6)  # nothing is to be said of it
+    monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_EVERY", 1e6)
     solver = {"plugin": "xpbd", "residual": 1e-5, "iterations": 2}
     scene = write_scene(tmp_path, bodies=BALL, solver=solver, accuracy="preview", duration="0.2 s")
     loaded = scene_file.read(scene)

@@ -53,8 +53,9 @@ class Column:
 
 
 def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
-    """Return a value in SI, for warp and weft if there are two; an empty text is a missing one. Raises BadInput."""
+    """Return a value in SI, for warp and weft if there are two; no text, or n/a, is a missing one. Raises BadInput."""
     parts = list(entry) if isinstance(entry, (list, tuple)) else [entry]
+    parts = ["" if str(part).strip().lower() in ("n/a", "na") else part for part in parts]
     if "" in parts and column.pair:
         remedy = "measure it, or write the other's number again if it holds for both"
         raise BadInput(f"the {('warp', 'weft')[parts.index('')]}'s number is missing", field=name, remedy=remedy)
@@ -68,8 +69,11 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
         try:
             value = to_si(with_unit, column.si)
         except ValueError as error:
-            remedy = decimal_point(str(part)) or f"a plain number is in {column.unit or 'no unit'}"
-            raise BadInput(str(error).partition("; ")[0], field=name, value=part, remedy=remedy) from None
+            problem, _, remedy = str(error).partition("; ")
+            if remedy.startswith("write for example") or not remedy:
+                remedy = f"a plain number is in {column.unit or 'no unit'}"
+            remedy = decimal_point(str(part)) or remedy
+            raise BadInput(problem, field=name, value=part, remedy=remedy) from None
         if value < 0.0:
             raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
         usual = column.plausible

@@ -78,8 +78,8 @@ WRITING_TIMEOUT = 1800.0
 PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
 LAST_WORDS = 1.0
 """Longest wait for the error of a service that has gone [s]."""
-PREPARING_AFTER = 1.5
-"""Time of preparation after which a message is shown [s]."""
+PREPARING_AFTER, PREPARING_EVERY = 1.5, 10.0
+"""Time of preparation after which a message is shown, and of which each shows which services are not ready [s]."""
 PREPARING = "preparing; what the first run of a kind of scene compiles, the next one finds ready"
 SETTLING = "the cloth comes to rest on coarser triangles first"
 GONE = "its process ended or the connection broke"
@@ -131,6 +131,7 @@ class Supervisor:
     def wait_until_ready(self) -> None:
         """Wait for all services. Raises BadInput if one refuses the scene, RunFailed if one dies or does not start."""
         begin, shown, by_hand = time.monotonic(), set[str](), self.exited is dict
+        next_word = PREPARING_EVERY
         settles = coarser(self.loaded) is not None and self.options.resume is None
         patience = max(self.patience, COMPILE_TIMEOUT) if settles else self.patience
         while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
@@ -154,6 +155,9 @@ class Supervisor:
             if self.progress is not None and waited > PREPARING_AFTER and shown != missing and (by_hand or not shown):
                 shown, text = missing, f"waiting for services that are started by hand: {', '.join(sorted(missing))}"
                 self.say(text if by_hand else SETTLING if settles else PREPARING)
+            elif self.progress is not None and waited > next_word:
+                next_word += PREPARING_EVERY
+                self.say(f"not ready after {waited:.0f} s: {', '.join(sorted(missing))}")
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)

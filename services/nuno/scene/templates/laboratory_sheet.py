@@ -74,9 +74,16 @@ def _read_rows(text: str, file: str) -> list[tuple[int, list[str]]]:
     lines = text.splitlines()
     separator = re.search(r'(?im)^"?instrument"? *([;\t])', text)
     reader = csv.reader(lines, delimiter=separator[1] if separator else ",", skipinitialspace=True)
-    cells = (list(dropwhile(not_, (re.sub(r"(?i)^\s*n/?a\s*$", "", cell).strip() for cell in row))) for row in reader)
-    rows = [(reader.line_num, [_word(row[0]), *row[1:]]) for row in cells if row and not row[0].startswith("#")]
-    rows = [(line, row) for line, row in rows if [cell.lower() for cell in row[1:]] != ["warp", "weft"]]  # a heading
+    cells = ([re.sub(r"(?i)^\s*n/?a\s*$", "", cell).strip() for cell in row] for row in reader)
+    found, order = list[tuple[int, list[str]]](), list[int]()
+    for row in cells:
+        lower = [cell.lower() for cell in row]
+        if {"warp", "weft"} <= set(lower):  # a heading: the unit comes last from here on, as _with_unit has it
+            numbered = [lower.index(each) for each in ("warp", "weft", "unit", "units") if each in lower]
+            order = [max(0, min(numbered) - 1), *numbered]
+        elif rest := [row[k] for k in order if k < len(row)] if order else list(dropwhile(not_, row)):
+            found.append((reader.line_num, rest))
+    rows = [(line, [_word(row[0]), *row[1:]]) for line, row in found if row[0] and not row[0].startswith("#")]
     columns = {k for _, row in rows if row[0] not in WORDS for k in (1, 2) if _NUMBER.match("".join(row[k : k + 1]))}
     rows = [(line, [cell for k, cell in enumerate(row) if cell or k in columns]) for line, row in rows]
     numbers = [(line, row[0], cell) for line, row in rows if row[0] not in WORDS for cell in row[1:]]
@@ -101,6 +108,8 @@ def _word(name: object) -> str:
 def _with_unit(parts: list[str]) -> list[str]:
     """Return numbers, each with the unit that may be in the last cell."""
     *values, last = parts
+    if last in ("-", "–", "—"):
+        return values
     if not values or not last or _NUMBER.match(last):
         return parts
     return [f"{value} {last}" if value else "" for value in values]
