@@ -93,9 +93,10 @@ def test_a_heading_is_passed_over_and_what_is_not_available_is_missing(tmp_path:
         "property,warp,weft,units": [[*row, units[row[0]]] for row in rows],
         ",,warp,weft,unit": [["", *row, units[row[0]]] for row in rows],
     }
+    expected = pytest.approx(read(tmp_path, POINTS, suffix=".csv").fabric, rel=1e-9)
     for heading, table in tables.items():
         text = "\n".join([instrument, heading, *map(",".join, table)])
-        assert read(tmp_path, text, suffix=".csv").fabric == pytest.approx(read(tmp_path, POINTS, suffix=".csv").fabric, rel=1e-9)
+        assert read(tmp_path, text, suffix=".csv").fabric == expected
     with pytest.raises(BadInput, match="the weft's number is missing"):
         import_text(tmp_path, POINTS.replace("0.076", "n/a"))
     with pytest.raises(BadInput, match="the weft's number is missing"):
