@@ -276,6 +276,38 @@ def test_a_disk_that_cannot_be_written_is_refused_in_words(
             export_csv(recording, tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize(("kind", "name"), [("glb", "a.gltf"), ("obj", "a.stl"), ("ply", "a.glb"), ("glb", "a.mp4")])
+def test_a_mesh_of_another_ending_is_no_folder(path: Path, tmp_path: Path, kind: str, name: str) -> None:
+    assert main(["export", str(path), f"--{kind}", str(tmp_path / name)]) == 2
+    assert not list(tmp_path.iterdir())
+
+
+KINDS = {
+    "npz": ".npz", "csv": ".csv", "png": ".png", "gif": ".gif", "mp4": ".mp4", "obj": ".obj", "ply": ".ply",
+    "glb": ".glb", "usd": ".usdz", "rrd": ".rrd", "foxglove": ".mcap",
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("capsys")  # the limit would hold for files of what is printed, too
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path: Path, kind: str) -> None:
+    """Whoever writes the file, libraries and other processes too; a limit on the size of files stands in for it."""
+    resource = pytest.importorskip("resource", reason="needs limits on file sizes")
+    whole, cut = tmp_path / f"whole{KINDS[kind]}", tmp_path / f"cut{KINDS[kind]}"
+    write(tmp_path / "run.mcap", SHEET, 3)
+    size = ["--size", "96x64"] if kind in ("png", "gif", "mp4") else []
+    command = ["export", str(tmp_path / "run.mcap"), *size, f"--{kind}"]
+    assert main([*command, str(whole)]) == 0
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for share in (0.4, 0.95):
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * whole.stat().st_size), before[1]))
+            code = main([*command, str(cut)])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert code in (1, 2) and not cut.exists()
+
+
 SIZE = (96, 64)
 
 

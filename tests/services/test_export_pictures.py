@@ -197,6 +197,7 @@ def test_without_the_encoder_the_extra_is_named(path: Path, tmp_path: Path, monk
         ("a.avi", {}),
         ("a.gif", {"fps": 0.0}),
         ("a.gif", {"fps": float("nan")}),
+        ("a.gif", {"fps": 30.0}),
         ("a.gif", {"size": (0, 5)}),
         ("a.gif", {"size": (99999, 5)}),
         ("a.gif", {"shot": Shot(start=5.0)}),

@@ -110,6 +110,24 @@ def test_wt_says_what_lt_does(tmp_path: Path) -> None:
         assert value == pytest.approx(read(tmp_path, KES).fabric[name], rel=1e-9)
 
 
+@pytest.mark.parametrize("instrument", ["FAST", "cantilever"])
+def test_a_bending_length_in_centimetres_is_refused(instrument: str, tmp_path: Path) -> None:
+    """1.8 mm bends a thousand times as easily as 1.8 cm: W g C^3."""
+    text = f"instrument: {instrument}\nW: 150\nC: [18, 15]\n"
+    found = read(tmp_path, text, "denim").fabric
+    assert found == read(tmp_path, text.replace("[18, 15]", "[1.8 cm, 1.5 cm]"), "denim").fabric
+    with pytest.raises(BadInput, match="no fabric is known to bend so") as caught:
+        read(tmp_path, text.replace("[18, 15]", "[1.8, 1.5]"), "denim")
+    assert caught.value.field == "C"
+
+
+def test_work_and_linearity_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    work = [0.8 * 0.5 * 500.0 * 0.032, 1.0 * 0.5 * 500.0 * 0.061]
+    assert read(tmp_path, f"{KES}WT: {work}\n").fabric == read(tmp_path, KES).fabric
+    with pytest.raises(BadInput, match="do not fit"):
+        read(tmp_path, f"{KES}WT: {[work[0], 1.2 * work[1]]}\n")
+
+
 def test_fast_values_are_read_in_their_units(tmp_path: Path) -> None:
     """B [uN m] = 9.807e-6 W [g/m^2] c^3 [mm^3], G = 123 / EB5: the FAST manual's formulas."""
     found = read(tmp_path, FAST).fabric

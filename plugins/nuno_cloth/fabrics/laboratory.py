@@ -181,6 +181,8 @@ def is_drape(name: str) -> bool:
 GRAVITY = 9.80665
 PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 """5 and 500 gf/cm [N/m]."""
+AGREE = 0.1
+"""Largest relative difference of LT and the same of WT: laboratories round both."""
 CURVATURE = 250.0
 """Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
@@ -316,10 +318,17 @@ def _kes(sheet: Sheet) -> None:
     if "EMT" not in values:
         return
     strains = values["EMT"]
+    by_work = tuple(w / (0.5 * MOST * e) for w, e in zip(values.get("WT", ()), strains, strict=False))
+    for lt, other, name in zip(values.get("LT", ()), by_work, ("warp", "weft"), strict=False):
+        if abs(other - lt) > AGREE * lt:
+            raise BadInput(
+                f"LT, EMT and WT do not fit: WT / (500 gf/cm EMT / 2) is {other:.3g}, {name}", field="LT",
+                value=f"{lt:.3g}, {name}", limit=f"within {AGREE:.0%}", remedy="look at all three, or drop WT or LT",
+            )  # fmt: skip
     if "LT" in values:
         lts, key = values["LT"], "LT"
     elif "WT" in values:
-        lts, key = tuple(w / (0.5 * MOST * e) for w, e in zip(values["WT"], strains, strict=True)), "WT"
+        lts, key = by_work, "WT"
     else:
         lts, key = (1.0, 1.0), "assuming LT = 1, for neither LT nor WT is given"
     exponents = [2.0 / lt - 1.0 for lt in lts]
@@ -350,6 +359,15 @@ def _bend(sheet: Sheet) -> None:
     values = sheet.values
     if "C" in values and "W" in values:
         bend = [values["W"][0] * GRAVITY * c**3 for c in values["C"]]
+        for c, rigidity in zip(values["C"], bend, strict=True):
+            if not BENDING.low <= rigidity <= BENDING.high:
+                edges = (BENDING.low, BENDING.high)
+                low, high = (1e3 * (edge / (values["W"][0] * GRAVITY)) ** (1.0 / 3.0) for edge in edges)
+                raise BadInput(
+                    f"no fabric is known to bend so: W g C^3 is {1e6 * rigidity:.3g} uN*m", field="C",
+                    value=f"{1e3 * c:.4g} mm", limit=f"{low:.3g} to {high:.3g} mm at this W; {BENDING.source} N*m",
+                    remedy="a plain number is in mm; in centimetres write, for example, '1.8 cm'",
+                )  # fmt: skip
         sheet.take(("bend_warp", "bend_weft"), bend, "derived: W g C^3")
         if "C45" in values:
             sheet.take(("bend_bias",), [values["W"][0] * GRAVITY * values["C45"][0] ** 3], "derived: W g C45^3")

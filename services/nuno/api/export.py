@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -250,6 +251,9 @@ def _check_files(asked: ExportRequest) -> None:
         if name in ENDINGS or ending == f".{name}":
             check_target(path, ending)
         elif f".{name}" in MESHES and not path.is_dir():
+            if re.fullmatch(r"\.[a-z]+\d?", ending):  # out.gltf is meant as a file, run.01 may be a folder
+                remedy = f"{path.stem}.{name}, or a folder for every frame: {path.stem}"
+                raise BadInput(f"the name must end in .{name}", field=f"--{name}", value=str(path), remedy=remedy)
             check_folder(path)
 
 

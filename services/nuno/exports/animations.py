@@ -59,10 +59,10 @@ def export_animation(
     or else RATE pictures a second. A dyeing without motion, which takes hours, has one picture per frame, at a rate at
     which all take DYED_SECONDS, but no more than RATE.
 
-    Moving cloth is painted by `colour` (pictures.py); all else follows the scene and the changes. A GIF's rate is the
-    nearest of GIF_RATES; an MP4's sides are rounded down to even. Raises BadInput for another ending, a size, rate or
-    colour out of range, nothing to show, or (MP4) if imageio-ffmpeg is not installed; RunFailed if the encoder
-    fails.
+    Moving cloth is painted by `colour` (pictures.py); all else follows the scene and the changes. A GIF's rate is one
+    of GIF_RATES, the nearest where none is asked for; an MP4's sides are rounded down to even. Raises BadInput for
+    another ending, a size, rate or colour out of range, nothing to show, or (MP4) if imageio-ffmpeg is not installed;
+    RunFailed if the encoder fails.
     """
     encoder, shot = check_animation(path, fps, size), shot or Shot()
     check_colour(colour)
@@ -122,6 +122,10 @@ def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None 
         raise BadInput("no such kind of animation", value=str(path), limit=".gif or .mp4", remedy=remedy)
     if fps is not None and not 1.0 <= fps <= 240.0:
         raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
+    if suffix == ".gif" and fps is not None and fps not in GIF_RATES:
+        limit = f"a GIF's pictures last hundredths of a second: {', '.join(f'{rate:g}' for rate in GIF_RATES)} a second"
+        remedy = f"--fps {min(GIF_RATES, key=lambda rate: abs(rate - fps)):g}, or write an .mp4"
+        raise BadInput("a GIF cannot have this rate", field="--fps", value=fps, limit=limit, remedy=remedy)
     check_target(path, suffix)
     if suffix == ".gif":
         return None
@@ -162,19 +166,29 @@ def _write_gif(path: Path, pictures: Iterator[Picture], rate: float, palette: Im
 
 
 def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    """Write an MP4; an odd side gets one more line of background, since sides must be even."""
+    """Write an MP4; an odd side gets one more line of background, since sides must be even. Raises RunFailed.
+
+    The encoder's process may fail after it has taken the last picture, as on a full disk, and imageio-ffmpeg does not
+    look at its exit code: so the pictures in the file are counted.
+    """
     pictures = map(_even, pictures)
     first = next(pictures)
     size = first.shape[1], first.shape[0]
     sink = encoder.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
+    number = 0
     try:
         sink.send(None)
         for picture in chain([first], pictures):
             sink.send(np.ascontiguousarray(picture))
+            number += 1
+        sink.close()
+        written, _ = encoder.count_frames_and_secs(str(path))
     except (OSError, RuntimeError) as error:
-        raise RunFailed(f"the MP4 encoder failed: {error}") from None
+        raise RunFailed(f"the MP4 encoder failed: {str(error).strip().splitlines()[-1]}") from None
     finally:
         sink.close()
+    if written != number:
+        raise RunFailed(f"the MP4 encoder wrote {written} of {number} pictures: is the disk full?")
 
 
 def _even(picture: Picture) -> Picture:

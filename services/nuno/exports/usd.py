@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,6 +50,7 @@ def export_usd(
             with _stage(stage) as opened_stage:
                 _Writer(recording, opened_stage, stage.parent, frame).write(progress)
             done, why = pxr.UsdUtils.CreateNewUsdzPackage(str(stage), str(new)), ""
+            done = done and zipfile.is_zipfile(new)  # pxr says nothing of bytes that the disk did not take
         except pxr.Tf.ErrorException as error:
             done, why = False, f": {error}"
         if not done:
