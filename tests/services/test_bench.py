@@ -15,7 +15,7 @@ from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno_bench.problem import advance_all
 from nuno_bench.report import page
-from nuno_bench.report.page import Result
+from nuno_bench.report.page import Report, Result
 from nuno_bench.speed import command as speed
 from nuno_bench.speed import steps as meshes
 from nuno_bench.speed import timing
@@ -147,3 +147,24 @@ def test_a_solver_that_fails_in_its_first_frame_has_taken_time() -> None:
 
     status, _, seconds, _ = advance_all(SimpleNamespace(frames=2, frame=0.1), advance, lambda report: None, 1.0)
     assert status == "failed" and seconds > 0.0
+
+
+@pytest.mark.parametrize("ending", [".html", ".json", ".csv"])
+def test_a_report_that_the_disk_does_not_take_leaves_the_former_one(ending: str, tmp_path: Path) -> None:
+    """A limit on the size of files stands in for a full disk."""
+    resource = pytest.importorskip("resource", reason="needs limits on file sizes")
+    text, rows = "x" * 300_000, [{"n": k} for k in range(100_000)]
+    large = {".html": ([("", [text])], {}, ()), ".json": ([], {"text": text}, ()), ".csv": ([], {}, rows)}[ending]
+    sections, data, lines = large
+    report, path = Report("title", "lead", sections, {}, data, rows=lines), tmp_path / f"page{ending}"
+    path.write_text("former")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, before[1]))
+        with pytest.raises(BadInput, match="cannot write there"):
+            report.write_beside(tmp_path / "page")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_text() == "former"
+    report.write_beside(tmp_path / "page")
+    assert path.stat().st_size > 200_000

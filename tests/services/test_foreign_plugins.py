@@ -170,6 +170,8 @@ FAULTS = {
     "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),
     "infinity": (force("out[2] += np.inf"), "at 0.5 s its force is inf at row 2"),
     "shape": (force("out += np.zeros((7, 3))"), "failed in its force: ValueError: operands could not be broadcast"),
+    "moving": (force("x[2] -= 0.01"), "at 0.5 s its force writes into x"),
+    "slowing": (force("v *= 0.9"), "at 0.5 s its force writes into v"),
     "returned": (force("return -x"), "its force returns ndarray, which nothing uses: add the force to `out`"),
 }
 
@@ -181,7 +183,7 @@ def test_a_force_that_fails_is_named(packages: Packages, fault: str) -> None:
 
     def push() -> None:
         term = registry.load("nuno.forces", "push").prepare(None, None, 0)
-        term.data(np.zeros((4, 3)), np.zeros((4, 3)), 0.5, np.zeros((4, 3)))
+        term.data(np.ones((4, 3)), np.ones((4, 3)), 0.5, np.zeros((4, 3)))
 
     with pytest.raises(RunFailed, match=r"the plugin 'push' of pushing 1\.2 in nuno\.forces") as failure:
         push()

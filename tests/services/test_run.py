@@ -7,6 +7,8 @@ import os
 import re
 import signal
 from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -21,6 +23,7 @@ import nuno
 from nuno.bus.query import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
+from nuno.plugin_contract import registry
 from nuno.recording.restore import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import supervisor
@@ -32,8 +35,11 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.warnings import scene_warnings
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ask_poses, take_poses
+from nuno_cloth.models.sheet import Sheet
+from nuno_contact.motions import keyframes
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Fabric
 
 
 def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
@@ -270,6 +276,46 @@ def test_resumed_recording_holds_the_whole_run_and_verifies(tmp_path: Path) -> N
         assert [f.digest for f in resumed.frames()] == [f.digest for f in reference.frames()]
         assert resumed.complete
         assert verify(resumed).frame is None
+
+
+@pytest.mark.parametrize("changed", ["cloth", "motion", "version"])
+def test_a_run_is_resumed_with_what_it_was_recorded_with(
+    changed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A plugin that builds other cloth or moves bodies otherwise is refused; another version stays on record."""
+    motion = {"plugin": "keyframes", "times": [0.0, 1.0], "positions": [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0]]}
+    model = {"plugin": "sheet", "size": [0.4, 0.4], "resolution": [5, 5], "pin": ["top-row"]}
+    objects = [{"name": "sheet", "model": model}]
+    bodies, solver = [BALL[0] | {"motion": motion}], {"plugin": "symplectic_euler", "dt": "auto"}
+    scene = write_scene(tmp_path, objects=objects, bodies=bodies, solver=solver, duration=0.1)
+    part = nuno.run(scene, record=tmp_path / "part.mcap")
+    if changed == "cloth":
+        build = Sheet.build
+        monkeypatch.setattr(Sheet, "build", lambda *given: _longer(build(*given)))
+    elif changed == "motion":
+        pose = keyframes._Keys.pose
+        monkeypatch.setattr(keyframes._Keys, "pose", lambda keys, t: pose(keys, 2.0 * t))
+    else:
+        monkeypatch.setattr(registry, "package_version", lambda group, name: "nuno 9.9")
+    target = tmp_path / "resumed.mcap"
+    command = ["run", "--resume", str(part.path), "--set", "duration=0.2", "--record", str(target), "--no-view"]
+    assert main(command) == (0 if changed == "version" else 2)
+    said = capsys.readouterr()
+    if changed == "version":
+        with nuno.open(target) as resumed:
+            found = resumed.metadata["resumed"]
+            assert found["nuno.motions/keyframes"] == f"nuno {metadata.version('nuno')} before 0.1 s"
+            assert len(found) == len(resumed.metadata["plugins"])
+            assert sum("equal bits" in event.text for event in resumed.events()) == len(found)
+    else:
+        assert {"cloth": "other cloth", "motion": "bodies are elsewhere"}[changed] in said.err
+        assert not target.exists() and part.path.is_file()
+
+
+def _longer(fabric: Fabric) -> Fabric:
+    """The same whose springs are one per cent longer at rest."""
+    assert fabric.springs is not None
+    return replace(fabric, springs=replace(fabric.springs, rest=1.01 * fabric.springs.rest))
 
 
 def test_a_change_while_running_is_replayed_at_its_frame(long_run: Callable[..., Run]) -> None:

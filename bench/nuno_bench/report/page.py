@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import io
 import json
 import re
 import statistics
@@ -21,6 +22,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from nuno.formatting import for_json
+from nuno.output_files import replacing
 from nuno_schemas.errors import BadInput, RunFailed
 
 BAD = ("failed", "missed", "diverged", "contradicts", "slower")
@@ -157,11 +159,9 @@ class Report:
     def write(self, html: Path | None, data: Path | None, docs: Path | None, name: str) -> None:
         """Write the page, the data as JSON, and the section of this name of the page `docs`; print the paths."""
         if html is not None:
-            html.parent.mkdir(parents=True, exist_ok=True)
-            html.write_text(self.page(), encoding="utf-8")
+            _write_text(html, self.page())
         if data is not None:
-            data.parent.mkdir(parents=True, exist_ok=True)
-            data.write_text(json.dumps(for_json({"about": self.about, **self.data}), indent=1) + "\n", encoding="utf-8")
+            _write_text(data, json.dumps(for_json({"about": self.about, **self.data}), indent=1) + "\n")
         if docs is not None:
             replace_section(docs, name, [*nonempty(self.brief), Facts(self.about)])
         for path in (html, data, docs):
@@ -173,11 +173,19 @@ class Report:
         html, data, table = (base.with_name(base.name + ending) for ending in (".html", ".json", ".csv"))
         self.write(html, data, docs, name)
         if self.rows:
-            with table.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.DictWriter(stream, list(dict.fromkeys(name for row in self.rows for name in row)))
-                writer.writeheader()
-                writer.writerows(self.rows)
+            stream = io.StringIO()
+            writer = csv.DictWriter(stream, list(dict.fromkeys(name for row in self.rows for name in row)))
+            writer.writeheader()
+            writer.writerows(self.rows)
+            _write_text(table, stream.getvalue())
             print(f"written {table}")
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write a file, in a new folder if need be; a former one stays until all is written. Raises BadInput."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as new:
+        new.write_text(text, encoding="utf-8", newline="")
 
 
 def nonempty(parts: Sequence[Part]) -> list[Part]:
@@ -223,7 +231,7 @@ def replace_section(path: Path, name: str, parts: Sequence[Part]) -> None:
             written.append("\n".join(f"- {name}: {value}" for name, value in part.values.items()))
         else:
             written.append(str(part))
-    path.write_text(before + "\n\n".join([*written, after]), encoding="utf-8")
+    _write_text(path, before + "\n\n".join([*written, after]))
 
 
 @cache

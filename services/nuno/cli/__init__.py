@@ -106,9 +106,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             problem, remedy = f"cannot be reached: {error.strerror}", "choose another name or place"
             print(f"error: {BadInput(problem, value=error.filename, remedy=remedy)}", file=sys.stderr)
             return 2
-        if not getattr(sys.stdout, "fault", ""):
+        if getattr(sys.stdout, "fault", ""):
+            return 1  # which is said at the end
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS):
             raise
-        return 1  # which is said at the end
+        problem = f"cannot be written: {error.strerror}"
+        remedy = "make room, there and for temporary files (TMPDIR), or choose another place"
+        print(f"error: {BadInput(problem, value=error.filename, remedy=remedy)}", file=sys.stderr)
+        return 2
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -118,7 +118,8 @@ class Foreign:
 
     def _force(self, function: Callable[[Float, Float, float, Float], None]) -> Callable[..., None]:
         def add(x: Float, v: Float, t: float, out: Float) -> None:
-            returned = self._call("its force", function, x, v, t, out)
+            with self._unchanged(f"at {t:g} s its force", x=x, v=v):
+                returned = self._call("its force", function, x, v, t, out)
             if returned is not None and returned is not out:
                 problem = f"its force returns {type(returned).__name__}, which nothing uses"
                 raise RunFailed(f"{self._label}: {problem}: add the force to `out` (n, 3) [N], in place")
@@ -130,9 +131,19 @@ class Foreign:
 
         return add
 
+    @contextlib.contextmanager
+    def _unchanged(self, what: str, **read: Float) -> Iterator[None]:
+        """Raise RunFailed for a function that writes into what it may only read."""
+        before = {name: values.copy() for name, values in read.items()}
+        yield
+        for name, values in before.items():
+            if not np.array_equal(read[name].view(np.int64), values.view(np.int64)):  # of bits NaN is equal to itself
+                raise RunFailed(f"{self._label}: {what} writes into {name}, which it may only read")
+
     def _law(self, function: Callable[[Float, Float], Float]) -> Callable[[Float, Float], Float]:
         def fixed(phi: Float, room: Float) -> Float:
-            result: Float = self._call("its isotherm", function, phi, room)
+            with self._unchanged("its isotherm", phi=phi, room=room):
+                result: Float = self._call("its isotherm", function, phi, room)
             self._check("its isotherm", result, phi.shape, bool(np.isfinite(phi).all()))
             return result
 

@@ -10,11 +10,11 @@ from nuno.bus.encodings import BadMessage
 from nuno.bus.messages import ALL, Inbox, Message
 from nuno.bus.query import Query
 from nuno.process import SIGNALS
-from nuno.recording.reader import END, open_recording
+from nuno.recording.reader import END, Recording, open_recording
 from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.runtime.service import Context, each_message
-from nuno.scene.provenance import assets, describe_run
+from nuno.scene.provenance import CHANGE_RESULTS, assets, describe_run
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Header
 
@@ -36,6 +36,10 @@ def main(context: Context) -> None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
     inbox = Inbox(context.bus, [ALL])
     folder, metadata = context.options.folder, describe_run(context.loaded, context.bus.run)
+    if context.options.resume is not None:
+        with open_recording(folder / context.options.resume) as previous:
+            if others := _other_versions(context, previous, metadata["versions"] | metadata["plugins"]):
+                metadata["resumed"] = others
     writer = RecordingWriter(folder / path, metadata, assets(context.loaded))
     if context.options.resume is not None:
         try:
@@ -60,6 +64,20 @@ def main(context: Context) -> None:
     if not writer.closed:
         writer.discard()
     query.answer_json(answer)
+
+
+def _other_versions(context: Context, previous: Recording, here: dict[str, str]) -> dict[str, str]:
+    """Return the packages' and plugins' versions of the frames before a resumed run, by name, where they differ from
+    `here`; warn of each.
+    """
+    recorded = previous.metadata.get("versions", {}) | previous.metadata.get("plugins", {})
+    t, others = previous.common_checkpoint().t, dict(previous.metadata.get("resumed", {}))
+    for name in here:
+        if (was := recorded.get(name)) not in (None, here[name]) and (name in CHANGE_RESULTS or "/" in name):
+            others[name] = f"{was} before {t:g} s"
+            text = f"{name} was {was} before {t:g} s, and is {here[name]}: equal bits are promised for equal versions"
+            context.event("warning", text, t=t)
+    return others
 
 
 class Recorder:

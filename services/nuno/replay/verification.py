@@ -213,6 +213,6 @@ def _compare(stepper: Stepper, ours: Arrays, theirs: Arrays, kept: str, memory: 
 def _others(recording: Recording, loaded: Loaded) -> tuple[str, ...]:
     here = versions() | plugins(loaded)
     recorded = recording.metadata.get("versions", {}) | recording.metadata.get("plugins", {})
-    return tuple(
-        f"{name} {was}, here {here.get(name, 'none')}" for name, was in recorded.items() if was != here.get(name)
-    )
+    differing = [(name, was) for name, was in recorded.items() if was != here.get(name)]
+    differing += recording.metadata.get("resumed", {}).items()
+    return tuple(f"{name} {was}, here {here.get(name, 'none')}" for name, was in differing)

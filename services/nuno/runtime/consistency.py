@@ -17,15 +17,13 @@ from nuno.bus.messages import Bus
 from nuno.bus.query import Query
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
-from nuno.scene.provenance import assets, plugins, versions
+from nuno.scene.provenance import CHANGE_RESULTS, assets, plugins, versions
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, RunFailed
 
 PREMISES = "premises"
 PATIENCE = 60.0
 """Timeout of a reply [s], for which large files may be read."""
-CHANGE_RESULTS = ("python", "nuno", "numpy", "numba", "llvmlite")
-"""Packages whose versions can change a result."""
 RESUMING = ("simulation", "dye", "collision", "recorder")
 """Services that resume a recording if the run does."""
 NOTHING = "nothing"

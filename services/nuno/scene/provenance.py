@@ -15,6 +15,8 @@ from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 
 PACKAGES = ("nuno", "numpy", "numba", "llvmlite", "pydantic", "eclipse-zenoh", "mcap", "foxglove-sdk")
+CHANGE_RESULTS = ("python", "nuno", "numpy", "numba", "llvmlite")
+"""Packages whose versions can change a result."""
 
 
 def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:

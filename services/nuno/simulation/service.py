@@ -16,7 +16,7 @@ from nuno.bus.query import PendingReply, Refused, pauses
 from nuno.bus.sessions import PATIENCE
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.plugin_contract import registry
-from nuno.recording.reader import open_recording
+from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import SETTLED, before_checkpoint, settled_cloth
 from nuno.runtime.driver import CONTROL, WINDOW, Driver
 from nuno.runtime.resimulation import resume
@@ -38,6 +38,7 @@ from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.messages import CONTACT, EVENT, FABRIC, STATUS, TOUCHES
 from nuno_schemas.system import StepReport
 
@@ -107,6 +108,7 @@ class PosesAhead:
 
 NOW = "sim/ask/now"
 """Query for the present cloth: late subscribers have missed `sim/fabric`, and a paused run sends no state."""
+RECORDED = "resume with the plugins that it was recorded with (nuno info names their versions), or run the scene anew"
 DYE_TIMEOUT = 20.0
 """Timeout for the reply of the dye [s], which finishes its frame first: shorter than that of the client's own query,
 and than that of the run's end."""
@@ -251,13 +253,7 @@ class ClothDriver(Driver):
     def describe_fabric(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return arrays and text of `sim/fabric`."""
         fabric = self.simulation.fabric
-        edges, rest = structural_edges(fabric)
-        arrays: dict[str, NDArray[Any]] = {
-            "faces": fabric.faces,
-            "edges": edges,
-            "edge_rest": rest.astype(np.float32),
-            "pinned": fabric.pinned,
-        }
+        arrays = _constant_arrays(fabric)
         if fabric.uv is not None:
             arrays["uv"] = fabric.uv
         if (corners := fabric.corners) is not None:
@@ -318,12 +314,37 @@ class ClothDriver(Driver):
         }
 
 
+def _constant_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
+    """Return the arrays of `sim/fabric` that all cloth has."""
+    edges, rest = structural_edges(fabric)
+    return {"faces": fabric.faces, "edges": edges, "edge_rest": rest.astype(np.float32), "pinned": fabric.pinned}
+
+
 def _changes_cloth(item: object) -> bool:
     """Return whether the added item is an operation on cloth, not a supply of dye."""
     try:
         return name_of(str(item)) in registry.installed("nuno.operations")
     except BadInput:
         return False
+
+
+def _require_same_cloth(recording: Recording, fabric: Fabric) -> None:
+    """Raise BadInput where the scene's models build other cloth than was recorded, as those of a changed plugin may."""
+    recorded, _ = recording.arrays(next(recording.messages([FABRIC.name]), None))
+    here = _constant_arrays(fabric)
+    for name, values in recorded.items():
+        if name in here and not (values.shape == here[name].shape and np.allclose(values, here[name], rtol=1e-5)):
+            raise BadInput("the scene's models build other cloth now", str(recording.path), field=name, remedy=RECORDED)
+
+
+def _require_same_poses(recording: Recording, simulation: Simulation) -> None:
+    """Raise BadInput where bodies are elsewhere at the checkpoint than recorded, as a changed plugin may move them."""
+    recorded, _ = recording.poses(simulation.t)
+    for name, values in vars(simulation.poses).items():
+        there = recorded.get(name, values)
+        if np.shape(values) != np.shape(there) or not np.allclose(values, there, rtol=0.0, atol=1e-6):
+            problem = f"bodies are elsewhere at {simulation.t:g} s than recorded"
+            raise BadInput(problem, str(recording.path), field=name, remedy=RECORDED)
 
 
 def main(context: Context) -> None:
@@ -343,7 +364,11 @@ def main(context: Context) -> None:
     if context.loaded.scene.record.contact_forces and geometry is not None:
         require_touched(simulation)
     if context.options.resume is not None:
-        resume(simulation, context.options.resume)
+        with open_recording(context.options.resume) as recording:
+            _require_same_cloth(recording, simulation.fabric)
+            resume(simulation, context.options.resume)
+            if geometry is not None and not context.loaded.live:
+                _require_same_poses(recording, simulation)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it
     simulation.rehearse()
     driver = ClothDriver(context, simulation, watchdog)
