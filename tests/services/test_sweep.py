@@ -373,6 +373,22 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
     assert pack(tmp_path / "gone" / "line.yaml", ["damping=0.5"]).digest != here
 
 
+def test_values_may_be_files_of_the_scene_or_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scene_with_a_file(tmp_path / "user")
+    net = (path.parent / "nets" / "line.npz").read_bytes()
+    (path.parent / "other.npz").write_bytes(net)
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "third.npz").write_bytes(net)
+    monkeypatch.chdir(tmp_path)
+    command = ["sweep", "user/line.yaml", "--set", "duration=0.1", "--side", "none", "--out", "swept"]
+    assert main([*command, "--over", "objects.0.model.file=nets/line.npz,other.npz,here/third.npz"]) == 0
+    with (tmp_path / "swept" / "sweep.csv").open(newline="") as stream:
+        found = list(csv.DictReader(stream))
+    assert [row["state"] for row in found] == ["done"] * 3 and len({row["digest"] for row in found}) == 1
+
+
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
     settings = [s for s in stability.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
     kept = SweepFile(path.parent / "rows.jsonl", {}, False, print)

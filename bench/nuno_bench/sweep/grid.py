@@ -11,7 +11,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -24,6 +24,7 @@ from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
+from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.validation_errors import GIVEN
 from nuno_bench import machine
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
 import argparse
 import sys
 
-from nuno.cli.common import add_scene, load_scene
-from nuno.scene import yaml_lines
+from nuno.cli.common import add_scene, find_own, load_scene
+from nuno.scene import shipped, yaml_lines
 from nuno_bench import options
 from nuno_bench.sweep import grid
 from nuno_bench.sweep.executor import add_executor_arguments, open_executor
@@ -70,6 +71,11 @@ def main(args: argparse.Namespace) -> int:
             raise BadInput("a field is swept over once", field="--over", value=key, remedy="give all its values in one")
         over[key] = values
     print("\n".join(f"{key}: {', '.join(map(str, values))}" for key, values in over.items()), file=sys.stderr)
+    path = shipped.find(args.scene)
+    for key, values in over.items():  # files of the working folder, as --set may name them
+        named = {value: find_own(path, [f"{key}={value}"]) for value in values if isinstance(value, str)}
+        over[key] = [named[value][0][0].partition("=")[2] if value in named else value for value in values]
+        args.root += [folder for _, folders in named.values() for folder in folders]
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
@@ -255,6 +261,9 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
         if lost := [item for item in scene.overrides if f"{item.partition('=')[0]}.".startswith(f"{key}.")]:
             problem, remedy = "the sweep gives this field its values", "leave one of the two out"
             raise BadInput(problem, field="--over", value=key, limit=f"--set {lost[0]}", remedy=remedy)
+    for _, text in texts_in(list(over.values())):
+        with suppress(BadInput, OSError, ValueError):  # a text that is no file's name
+            scene.files.resolve(text)
     packed = pack_loaded(scene)
     combinations = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     texts = [tuple(as_texts([one])) for one in combinations]

@@ -18,6 +18,7 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config, Files, Mover
 from nuno_schemas.vectors import norm
 
+TURN = 2.0 * math.pi * (1.0 - 1e-12)
 WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 
 
@@ -62,6 +63,15 @@ def check_keys(config: KeyframesConfig) -> None:
             raise BadInput(
                 f"a rotation as {config.form} has {WIDTH[config.form]} numbers", field=f"rotations[{k}]", value=values
             )
+    angles = {"euler": slice(3), "axis_angle": slice(3, 4), "quaternion": slice(0)}[config.form]
+    for k, (one, other) in enumerate(itertools.pairwise(config.rotations or [])):
+        turned = max((abs(b - a) for a, b in zip(one[angles], other[angles], strict=True)), default=0.0)
+        if turned > TURN:
+            raise BadInput(
+                f"{turned / (2.0 * math.pi):.3g} turns between two keys are lost: a body turns the shorter way",
+                field=f"rotations[{k + 1}]", value=other, limit="less than one turn from key to key",
+                remedy="add a key for each half turn; a bare number is in radians, degrees are written '90 deg'",
+            )  # fmt: skip
 
 
 def read_rotation(values: list[float], form: str, field: str) -> Float:
