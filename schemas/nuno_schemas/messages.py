@@ -59,6 +59,8 @@ class FrameStatus(Described):
     """Steps of this frame."""
     step_seconds: float
     """Wall time of the frame's steps [s]."""
+    paused_seconds: float = 0.0
+    """Wall time for which the run has been paused so far [s]."""
     message: str = ""
     """Why the run diverged or was stopped."""
 

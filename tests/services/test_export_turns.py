@@ -11,6 +11,7 @@ from PIL import Image
 from recorded_sheet import Sheet, write
 from scenes import write_scene
 
+import nuno
 from nuno.cli import main
 from nuno.exports.animations import Shot, export_animation
 from nuno.exports.camera import NARROW, SIDES, turned, z_up
@@ -65,6 +66,16 @@ def reach(painter: Painter, points: Float) -> tuple[Float, Float]:
     half = np.tan(0.5 * camera.fov) * np.array([camera.size[0] / camera.size[1], 1.0])
     place = np.stack([from_eye @ right, from_eye @ up], axis=1) / (from_eye @ forward)[:, None] / half
     return place.min(axis=0), place.max(axis=0)
+
+
+def test_a_bare_angle_in_degrees_is_doubted(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a scene's is."""
+    command = ["export", str(path), "--size", "48x32", "--png", str(tmp_path / "a.png"), "--set"]
+    for angle, doubted in (("view.azimuth=90", True), ("view.azimuth=90 deg", False), ("view.azimuth=1.5", False)):
+        assert main([*command, angle]) == 0
+        assert ("90 deg, which is 1.571 rad?" in capsys.readouterr().err) == doubted
+    with pytest.warns(UserWarning, match="a bare 90 is 90 rad"):
+        nuno.export(path, "view.azimuth=90", png=tmp_path / "b.png", size=(48, 32))
 
 
 @pytest.mark.parametrize("more", [(), ("view.azimuth=70deg",)])

@@ -121,6 +121,12 @@ def test_a_bending_length_in_centimetres_is_refused(instrument: str, tmp_path: P
     assert caught.value.field == "C"
 
 
+def test_strains_that_fall_with_the_load_are_refused(tmp_path: Path) -> None:
+    assert read(tmp_path, f"{FAST}E20: [1.1, 2.4]\nE100: [2, 5]\n").unused == ("E20", "E100")
+    with pytest.raises(BadInput, match="E5 is above E20"):
+        read(tmp_path, f"{FAST}E20: [1.1, 1.1]\n")
+
+
 def test_work_and_linearity_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     work = [0.8 * 0.5 * 500.0 * 0.032, 1.0 * 0.5 * 500.0 * 0.061]
     assert read(tmp_path, f"{KES}WT: {work}\n").fabric == read(tmp_path, KES).fabric

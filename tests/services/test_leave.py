@@ -341,6 +341,23 @@ def test_a_run_says_how_long_it_takes_and_what_is_left(
         assert said[-1] == "0.50 of 0.5 s  0.10x real time"
 
 
+def test_a_pause_changes_no_estimate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Frames of 0.2 s, with an hour's pause in the middle: 5 s in all, and 2 s left at 0.3 s of 0.5."""
+    clock = [100.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
+    with ProgressLine(scene_file.read(write_scene(tmp_path)).scene, bar=False) as line:
+        for frame in range(26):
+            if frame == 12:
+                clock[0] += 3600.0
+            line.show(frame / 50, 3600.0 if frame >= 12 else 0.0)
+            clock[0] += 0.2
+    said = capsys.readouterr().err.splitlines()
+    assert [text for text in said if "the run takes" in text] == ["the run takes about 5 s"]
+    assert "0.30 of 0.5 s  0.10x real time, about 2 s left" in said
+
+
 @pytest.mark.parametrize(("seconds", "word"), [(2.0, "longer"), (0.02, "shorter")])
 def test_a_run_whose_frames_change_says_how_long_it_takes_now(
     seconds: float, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -82,7 +82,8 @@ def values_of(name: str, entry: object, column: Column) -> tuple[float, ...]:
             source = f"; {usual.source} {column.si}" if usual.source else ""
             raise BadInput(
                 "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
-                limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
+                limit=f"{low:.3g} to {high:.3g} {column.unit}".rstrip() + source,
+                remedy=f"a plain number is in {column.unit}" if column.unit else "write it as a ratio",
             )  # fmt: skip
         if with_unit is not part and 0.0 < value < column.least:
             remedy = f"write {1e4 * value:.4g}, or '{part} {column.unit}'"
@@ -208,6 +209,8 @@ SHEETS: dict[str, dict[str, Column]] = {
         "C": Column("mm", "m", Plausible(1e-3, 0.2)),
         "B": Column("uN*m", "N*m", BENDING),
         "E5": Column(PER_CENT, "", STRAIN, least=5e-4),
+        "E20": Column(PER_CENT, "", STRAIN, least=5e-4),
+        "E100": Column(PER_CENT, "", STRAIN, least=5e-4),
         "EB5": Column(PER_CENT, "", STRAIN, pair=False, least=5e-4),
         "G": Column("N/m", "N/m", Plausible(1.0, 2000.0), pair=False),
     },
@@ -344,6 +347,13 @@ def _kes(sheet: Sheet) -> None:
 
 def _fast(sheet: Sheet) -> None:
     values = sheet.values
+    for low, high in (("E5", "E20"), ("E20", "E100"), ("E5", "E100")):
+        for less, more in zip(values.get(low, ()), values.get(high, ()), strict=False):
+            if less > more:
+                raise BadInput(
+                    f"{low} is above {high}, at a higher load", field=low, value=f"{100.0 * less:.3g} percent",
+                    limit=f"{high}, {100.0 * more:.3g} percent", remedy="look at both",
+                )  # fmt: skip
     _bend(sheet)
     if "B" in values:
         sheet.take(("bend_warp", "bend_weft"), values["B"], "measured: B")

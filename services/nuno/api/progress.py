@@ -66,11 +66,11 @@ class ProgressLine:
         if isinstance(status, str):
             print(status, file=sys.stderr)
             return
-        self.show(status.t)
+        self.show(status.t, status.paused_seconds)
 
-    def show(self, t: float) -> None:
-        """Show the progress at time t of the scene [s]."""
-        now = time.perf_counter()
+    def show(self, t: float, paused: float = 0.0) -> None:
+        """Show the progress at time t of the scene [s], after pauses that counted for nothing [s]."""
+        now = time.perf_counter() - paused
         if not self.start:
             self.start = now
         self.latest.append((now, t))

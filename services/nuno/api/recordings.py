@@ -108,9 +108,13 @@ def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any
     those of --set. Warns of a recording that is not complete. Raises BadInput.
     """
     from nuno.api.export import ask, write
+    from nuno.exports.camera import view_doubts
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"
     with in_python(), opened(recording) as source:
         _warn(source)
-        return write(source, ask(overrides=tuple(as_texts(overrides)), **what))
+        asked = ask(overrides=tuple(as_texts(overrides)), **what)
+        for text in view_doubts(source, asked.overrides):
+            warnings.warn(text, stacklevel=2)
+        return write(source, asked)

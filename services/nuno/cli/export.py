@@ -9,7 +9,7 @@ from typing import get_args
 
 from nuno.api.export import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.cli.common import add_flags, add_set, warn
-from nuno.exports.camera import Side
+from nuno.exports.camera import Side, view_doubts
 from nuno.recording.reader import open_recording
 from nuno.runtime import runs
 from nuno_schemas.dyeing import DyeView, Form
@@ -73,6 +73,8 @@ def main(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         request = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})
+        for text in view_doubts(recording, request.overrides):
+            print(f"warning: {text}", file=sys.stderr)
         for path in write(recording, request, _tell if args.progress else show_progress):
             print(path)
     return 0

@@ -6,13 +6,14 @@ import copy
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
 from nuno.scene.override import apply_override, overridden
+from nuno.scene.plausible import implausible_fields
 from nuno.scene.validation_errors import explain
 from nuno.scene.yaml_lines import Path
 from nuno_schemas.errors import BadInput
@@ -57,6 +58,14 @@ def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
         return View.model_validate(data["view"])
     except ValidationError as error:
         raise explain(error, data["view"], ("view",), str(recording.path), lines, View) from None
+
+
+def view_doubts(recording: Recording, overrides: Sequence[str]) -> list[str]:
+    """Return warnings of bare numbers in overrides of the view whose unit was probably forgotten. Raises BadInput."""
+    given = {"view": dict[str, Any]()}
+    for item in filter(CAMERA.match, overrides):
+        apply_override(given, item)
+    return implausible_fields(given["view"], read_view(recording, tuple(filter(CAMERA.match, overrides))), "view.")
 
 
 def turned(camera: Camera, angle: float) -> Camera:

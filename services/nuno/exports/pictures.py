@@ -240,8 +240,12 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
         raise BadInput("the recording holds no frames", str(recording.path))
     first = times[0] if start is None else max(start, times[0])
     last = times[-1] if end is None else min(end, times[-1])
+    limit = f"{times[0]:g} to {times[-1]:g} s"
+    for name, asked in (("--start", start), ("--end", end)):
+        if asked is not None and not times[0] - 1e-6 <= asked <= times[-1] + 1e-6:
+            problem = "nothing to show there: the recording has no such time"
+            raise BadInput(problem, str(recording.path), field=name, value=asked, limit=limit)
     if not first <= last:
-        limit = f"{times[0]:g} to {times[-1]:g} s"
         raise BadInput("nothing to show between start and end", str(recording.path), value=(start, end), limit=limit)
     due = first + np.arange(math.floor((last - first) * fps + 1e-6) + 1) / fps
     nearest = np.clip(np.searchsorted(times, due), 1, max(len(times) - 1, 1))

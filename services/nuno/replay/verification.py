@@ -16,6 +16,7 @@ from nuno.recording.gaps import NOTHING, Lacks, find_lacks, shortcoming
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.runtime.resimulation import Resimulation
+from nuno.runtime.service import check_threads
 from nuno.runtime.stepper import Stepper
 from nuno.scene.provenance import plugins, versions
 from nuno.scene.recorded_scene import restored_scene
@@ -101,6 +102,7 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
 
     `progress` is called with each time [s]. Raises BadInput for a recording without scene or digests.
     """
+    check_threads(threads)
     with restored_scene(recording) as loaded:
         loaded.settled = None  # from the scene alone
         lacks = find_lacks(recording)

@@ -97,6 +97,7 @@ class FramePublisher(ABC):
         start, report, topic = time.perf_counter(), frame.report, self.stepper.status
         status = STATUSES[topic.name](
             frame=frame.number, t=self.stepper.t, digest=frame.digest, steps=report.steps, step_seconds=frame.seconds,
+            paused_seconds=self.paused_seconds,
             state="running" if report.status == "ok" else report.status, message=report.message,
             **self.status_of(frame),
         )  # fmt: skip

@@ -188,7 +188,10 @@ def find(run: str, here: bool = False) -> tuple[str, str]:
         matches = _newest([pair for pair in begun if not here or pair[0] == working_folder()])
     if len(matches) != 1:
         problem = "no such run is going on" if not matches else "several runs begin with that"
-        raise BadInput(problem, value=run, remedy=nearest(run, alive) if alive else "start one: nuno run SCENE")
+        remedy = nearest(run, alive) if alive else "start one: nuno run SCENE"
+        if not matches:  # cron, systemd and a login have different ones
+            remedy += "; one with another XDG_RUNTIME_DIR or TMPDIR is reached by --connect and its endpoint"
+        raise BadInput(problem, value=run, limit=f"those noted in {folder()}", remedy=remedy)
     return matches[0], alive[matches[0]]
 
 

@@ -43,6 +43,13 @@ LOOK_SECONDS = 0.5
 """Interval of an idle service's checks whether the run goes on [s]."""
 
 
+def check_threads(threads: int) -> None:
+    """Raise BadInput for what is no number of threads."""
+    if type(threads) is not int or threads < 0:
+        problem, remedy = "the number of threads is a whole number, not negative", "0 stands for all cores"
+        raise BadInput(problem, field="--threads", value=threads, limit="at least 0", remedy=remedy)
+
+
 @dataclass
 class Options:
     """Options of a run that are not part of its scene."""
@@ -65,9 +72,7 @@ class Options:
     """Base of relative paths: all threads share the working folder, and a plugin may change it at any time."""
 
     def __post_init__(self) -> None:
-        if type(self.threads) is not int or self.threads < 0:
-            problem, remedy = "the number of threads is a whole number, not negative", "0 stands for all cores"
-            raise BadInput(problem, field="--threads", value=self.threads, limit="at least 0", remedy=remedy)
+        check_threads(self.threads)
 
 
 @dataclass

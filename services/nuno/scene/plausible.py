@@ -28,6 +28,11 @@ def implausible_numbers(loaded: Loaded) -> list[str]:
     return out if len(out) <= MOST else [*out[:MOST], f"and {len(out) - MOST:,} more bare numbers are implausible"]
 
 
+def implausible_fields(given: Mapping[str, Any], model: BaseModel, field: str) -> list[str]:
+    """Return such warnings of the given fields of one model, each after `field`."""
+    return [_words(field, *found) for found in _in_model(given, model)]
+
+
 def with_doubts(loaded: Loaded, place: str, error: BadInput) -> BadInput:
     """Locate an error at a part of a scene, and add the doubt about a number there to its remedy."""
     error = loaded.at(place, error)
