@@ -78,6 +78,7 @@ class FramePublisher(ABC):
         self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.digest = stepper.digest()
         """Digest of the last published frame."""
+        self.paused_seconds = 0.0
         self.shown = self.kept = -1
         """Numbers of the last frame with published arrays, and of that of the last checkpoint."""
 
@@ -171,7 +172,7 @@ class Driver(FramePublisher):
         self.finish: Query | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
-        self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
+        self.message, self.begin = "", stepper.t
         self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")], on_query=self.watchdog.note_query)
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
