@@ -64,7 +64,7 @@ from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import all_finite, copy_rows, same_rows
-from nuno_kernels.terms import register
+from nuno_kernels.terms import FrameRoles, MatrixRoles, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
 from nuno_schemas.bodies import MESH, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -371,27 +371,12 @@ register(
     lists=True,
     reads_velocity=lambda term: True,
     vertices=lambda term: int(term.mass.shape[0]),
-    place=place_solids,
-    interval=set_solid_poses,
-    look=is_fresh,
-    block=add_pairs,
-    hold=limit_step,
-    begin=begin_interval,
-    approach=take_step,
-    bound=restrain,
-    waits=is_waiting,
-    cut=count_cut,
-    foresee=foresee,
-    rows=make_touching,
-    fill=fill_pairs,
-    diagonal=add_diagonal,
-    multiply=multiply_pairs,
-    constraints=make_no_batches,
-    project=project,
-    energy=measure_pairs,
-    counts=count_contacts,
-    pinched=find_pinched,
-    alone=act_alone,
+    step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step),
+    frame=FrameRoles(interval=set_solid_poses, begin=begin_interval, approach=take_step),
+    matrix=MatrixRoles(rows=make_touching, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
+    newton=NewtonRoles(bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee),
+    xpbd=XpbdRoles(constraints=make_no_batches, project=project),
+    report=ReportRoles(energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone),
 )
 
 
