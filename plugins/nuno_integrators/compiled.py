@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any, ClassVar, Literal
 
 import numba
@@ -338,8 +339,9 @@ def _state_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], 
         kernels = kernels_of(term)
         term_bounds = kernels.bounds(term) if kernels.bounds else {}
         for name in kernels.memory:
-            key = name if name not in arrays else f"{name}-{len(arrays)}"
-            arrays[key] = getattr(term, name)
+            key = name.rpartition(".")[2]
+            key = key if key not in arrays else f"{key}-{len(arrays)}"
+            arrays[key] = attrgetter(name)(term)
             if name in term_bounds or arrays[key].dtype.kind == "f":
                 bounds[key] = term_bounds.get(name, Bounds())
     return arrays | work.state_arrays(), bounds | work.bounds()

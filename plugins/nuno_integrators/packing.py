@@ -172,11 +172,16 @@ def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:
 
 
 def copy_term(data: Any) -> Any:
-    """Copy a term's tuple with its arrays: anchors and scratch belong to one solver's memory. Read-only arrays are
-    shared.
+    """Copy a term's tuple with its arrays, also of nested tuples: anchors and scratch belong to one solver's memory.
+    Read-only arrays are shared.
     """
-    return type(data)(*(value.copy() if isinstance(value, np.ndarray) and value.flags.writeable else value
-                        for value in data))  # fmt: skip
+
+    def copied(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value.copy() if value.flags.writeable else value
+        return copy_term(value) if hasattr(value, "_fields") else value
+
+    return type(data)(*map(copied, data))
 
 
 def python_terms(system: System, start: float, end: float) -> Extra:

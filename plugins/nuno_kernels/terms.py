@@ -183,7 +183,8 @@ class Kernels:
     lags: bool = True
     """whether a method that has no constraint for it may take it as at the step's start"""
     memory: tuple[str, ...] = ()
-    """fields that are part of the state"""
+    """fields that are part of the state, such as "last", or "plan.spread" of a nested tuple: checkpoints have them by
+    their last name"""
     bounds: Callable[[Any], Mapping[str, Bounds]] | None = None
     """`Bounds` of fields that are part of the state; see Memory.bounds"""
     lists: bool = False

@@ -161,9 +161,9 @@ def own_answers(pile: Pile) -> Mapping[str, Question]:
     mesh = mesh_of(pile.faces)
 
     def pairs(before: Float, after: Float) -> int:
-        meeting.reference[:] = np.nan
+        meeting.plan.reference[:] = np.nan
         begin(meeting, np.ascontiguousarray(before.T), 1.0 / RATE, cores())
-        return int(meeting.number[TOUCHING])
+        return int(meeting.counts[TOUCHING])
 
     def motion(before: Float, after: Float) -> bool:
         pairs(before, after)

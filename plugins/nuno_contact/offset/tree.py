@@ -9,6 +9,7 @@ import numpy as np
 from nuno_geometry.normals import edge_numbers
 from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load, lower, splat
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
@@ -27,6 +28,7 @@ LEAF = 8
 """triangles of a leaf at most"""
 
 
+@by_reference
 class Tree(NamedTuple):
     """Of f triangles, e edges and n vertices: a complete binary tree of M leaves, M a power of two; node k has the
     children 2 k + 1 and 2 k + 2, the leaves are the last M nodes.
