@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_contact.offset.tree import Tree, adjacent_faces, make_tree, rings
+from nuno_contact.offset.tree import MovingTree, adjacent_faces, make_tree, rings
 from nuno_kernels import block_kernel
 from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.step.blocks import Long, block_count
@@ -249,7 +249,7 @@ class XpbdScratch(NamedTuple):
 class ContactState(NamedTuple):
     """The state of cloth contact: cloth, and bodies behind it, of n vertices, e edges and f triangles."""
 
-    tree: Tree
+    tree: MovingTree
     surface: ContactSurface
     bodies: BodyVertices
     skin: SkinVertices

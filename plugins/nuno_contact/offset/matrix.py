@@ -35,7 +35,7 @@ Six = tuple[float, float, float, float, float, float]
 
 
 @by_reference
-class Touching(NamedTuple):
+class ContactMatrix(NamedTuple):
     """The matrix of each block's touching pairs, from the block's first place in Pairs.block_pair on.
 
     number (B,) how many they are
@@ -50,11 +50,11 @@ class Touching(NamedTuple):
     stiff: Float
 
 
-def make_touching(m: ContactState) -> Touching:
+def make_contact_matrix(m: ContactState) -> ContactMatrix:
     """Allocate the matrix of a contact state; it takes memory as it is used."""
     pairs = m.pairs
     places, blocks = pairs.block_pair.shape[0], pairs.block_start.shape[0] - 1
-    return Touching(
+    return ContactMatrix(
         np.zeros(blocks, np.int64), np.zeros(places, np.int32), np.zeros((places, 4)), np.zeros((places, 6))
     )
 
@@ -83,7 +83,7 @@ def spread_out(normal: float, tangent: float, slid: float, n: Vector, t: Vector)
 
 
 @forced_inline
-def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
+def write_row(rows: ContactMatrix, at: int, p: int, w: Four, s: Six) -> None:
     """Write a pair to its place."""
     rows.which[at] = p
     for corner in range(4):
@@ -125,7 +125,7 @@ def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
 
 @kernel
 def fill_pairs(
-    m: ContactState, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
+    m: ContactState, rows: ContactMatrix, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Linearise the block's pairs at x (3, n), where forces were found last, with dv/dx = `rate` [1/s]."""
     pairs = m.pairs
@@ -168,7 +168,7 @@ def fill_pairs(
 
 
 @kernel
-def add_diagonal(m: ContactState, rows: Touching, block: int, origin: int, out: Float) -> None:
+def add_diagonal(m: ContactState, rows: ContactMatrix, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks to out (6, w), whose last columns take those of other blocks."""
     pairs = m.pairs
     pair, which, weight, stiff = pairs.vertices, rows.which, rows.weight, rows.stiff
@@ -189,7 +189,7 @@ def way_of(u: Float, i: int, n: int) -> Vector:
 
 
 @kernel
-def multiply_pairs(m: ContactState, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
+def multiply_pairs(m: ContactState, rows: ContactMatrix, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the product with u (3, n) to out (3, w), whose last columns take those of other blocks. Bodies stay."""
     pairs = m.pairs
     pair, which, weight, s = pairs.vertices, rows.which, rows.weight, rows.stiff

@@ -51,7 +51,7 @@ from nuno_contact.offset.contact_state import (
     make_contact_state,
 )
 from nuno_contact.offset.force import STEEPEST, across, add_pairs, corners_of, faces_of, find_touching, is_fresh, touch
-from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
+from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_contact_matrix, multiply_pairs
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.separating_plane import restrain
@@ -390,7 +390,7 @@ register(
     vertices=lambda term: int(term.surface.mass.shape[0]),
     step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step),
     frame=FrameRoles(interval=set_solid_poses, begin=begin_interval, approach=take_step),
-    matrix=MatrixRoles(rows=make_touching, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
+    matrix=MatrixRoles(rows=make_contact_matrix, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
     newton=NewtonRoles(bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee),
     xpbd=XpbdRoles(constraints=make_no_batches, project=project),
     report=ReportRoles(energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone),
