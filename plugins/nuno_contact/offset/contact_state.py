@@ -81,7 +81,7 @@ class BodyVertices(NamedTuple):
     law: Float
     """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
     rotation0: Float
-    """and the rest as nuno_geometry.poses has it"""
+    """(f, 9), and the next four fields, as in nuno_geometry.poses.Frames"""
     origin0: Float
     spin: Float
     shift: Float
@@ -114,7 +114,7 @@ class SkinVertices(NamedTuple):
 
 @by_reference
 class WholeMesh(NamedTuple):
-    """Cloth and bodies together, where there are bodies; scratch."""
+    """Scratch: cloth's vertices and the bodies' after them. Empty without bodies."""
 
     x: Float
     """(3, n) where forces are found [m]"""
